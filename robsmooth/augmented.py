@@ -1,0 +1,307 @@
+r"""The augmented and compact system of Section III.
+
+The delay model joins the system, :math:`x_p = [x; x_a]`, and all channels are stacked as in
+(eqCsystem), in the order: k uncertainties, g nonlinearities, g copies in the estimator.
+
+.. math::
+
+    dx_p &= [A_p x_p + \tilde B_1 \tilde\xi]\,dt + B_{p1}\,dW, & w &= C_{p0} x_p,\quad
+        w_a = C_a x_p,\\
+    d\tilde y &= [\tilde C_2 x_p + \tilde D_{21}\tilde\xi]\,dt + \bar D_{21}\,dW, &
+        \tilde\zeta &= \tilde C_1 x_p + \tilde D_{12}\tilde u,
+
+with :math:`\tilde y = [y; \tilde\mu]` and :math:`\tilde u = [\hat w; \tilde\nu]`. The noise `W` has
+the system's q components, then g fictitious ones that the theory adds to the copies through
+:math:`J_{21}`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from robsmooth import validation
+from robsmooth.delay import DelayModel, pade_delay
+from robsmooth.errors import InfeasibleDesignError
+from robsmooth.systems import UncertainSystem
+from robsmooth.validation import Matrix
+
+_J_RESIDUAL = 1e-9  # largest misfit of Assumption 1, relative to each row's size
+
+
+@dataclass(frozen=True, eq=False)
+class AugmentedSystem:
+    """The system with its delay model, in the paper's compact form.
+
+    Made by `augment`. All matrices are derived from the three things that define it.
+
+    Attributes
+    ----------
+    system : UncertainSystem
+    delay_model : DelayModel
+    J_21 : (g, g) array
+        Intensity of the fictitious noise of the copies.
+    """
+
+    system: UncertainSystem
+    delay_model: DelayModel
+    J_21: Matrix
+
+    @property
+    def delay(self) -> float:
+        """The lag, in seconds."""
+        return self.delay_model.delay
+
+    @property
+    def order(self) -> int:
+        """The order of the delay model."""
+        return self.delay_model.order
+
+    @property
+    def n(self) -> int:
+        """Number of states, those of the delay model included."""
+        return self.system.n + self.delay_model.F.shape[0]
+
+    @property
+    def input_sizes(self) -> tuple[int, ...]:
+        """Widths of the channels in xi-tilde: r_1 ... r_k, then 2 g ones."""
+        return (*(u.B.shape[1] for u in self.system.uncertainties), *(1,) * (2 * self.system.g))
+
+    @property
+    def output_sizes(self) -> tuple[int, ...]:
+        """Heights of the channels in zeta-tilde: h_1 ... h_k, then 2 g ones."""
+        return (*(u.C.shape[0] for u in self.system.uncertainties), *(1,) * (2 * self.system.g))
+
+    @cached_property
+    def A_p(self) -> Matrix:
+        """(n, n) drift of the augmented state, 1/s."""
+        model, system = self.delay_model, self.system
+        upper = np.zeros((system.n, model.F.shape[0]))
+        return np.block([[system.A, upper], [model.G @ system.C0, model.F]])
+
+    @cached_property
+    def B_p1(self) -> Matrix:
+        """(n, q + g) noise intensity, with zero columns for the noise of the copies."""
+        return self._state_rows(np.hstack([self.system.B1, self._no_columns(self.system.g)]))
+
+    @cached_property
+    def C_p0(self) -> Matrix:
+        """(m, n) the undelayed output w."""
+        return self._state_columns(self.system.C0)
+
+    @cached_property
+    def C_a(self) -> Matrix:
+        """(m, n) the delayed output w_a = [J_a C_0, H_a] x_p."""
+        return np.hstack([self.delay_model.J @ self.system.C0, self.delay_model.H])
+
+    @cached_property
+    def B1_tilde(self) -> Matrix:
+        """(n, r + 2g) channel inputs into the state."""
+        system = self.system
+        blocks = [c.B for c in (*system.uncertainties, *system.nonlinearities)]
+        return self._state_rows(np.hstack([*blocks, self._no_columns(system.g)]))
+
+    @cached_property
+    def C1_tilde(self) -> Matrix:
+        """(h + 2g, n) channel outputs from the state."""
+        system = self.system
+        blocks = [c.C for c in (*system.uncertainties, *system.nonlinearities)]
+        return self._state_columns(np.vstack([*blocks, np.zeros((system.g, system.n))]))
+
+    @cached_property
+    def D12_tilde(self) -> Matrix:
+        """(h + 2g, m + g) channel outputs from the estimator: the copies' arguments."""
+        g, m = self.system.g, self.system.m
+        rows = sum(self.output_sizes)
+        result = np.zeros((rows, m + g))
+        result[rows - g :, m:] = np.eye(g)
+        return result
+
+    @cached_property
+    def C2_tilde(self) -> Matrix:
+        """(l + g, n) the measurement, then zero rows: the copies' outputs carry no state."""
+        return self._state_columns(np.vstack([self.system.C2, np.zeros((self.system.g, self.system.n))]))
+
+    @cached_property
+    def D21_tilde(self) -> Matrix:
+        """(l + g, r + 2g) channel inputs into the extended measurement."""
+        system = self.system
+        blocks = [c.D for c in (*system.uncertainties, *system.nonlinearities)]
+        return block_diag(np.hstack([np.zeros((system.l, 0)), *blocks]), np.eye(system.g))
+
+    @cached_property
+    def D21_bar(self) -> Matrix:
+        """(l + g, q + g) noise of the extended measurement: D_21, then J_21 for the copies."""
+        return block_diag(self.system.D21, self.J_21)
+
+    @cached_property
+    def M_i(self) -> tuple[Matrix, ...]:
+        """The k + 3g matrices of the quadratic constraints on the channel inputs."""
+        return self._constraint_matrices(self.input_sizes, weighted=False)
+
+    @cached_property
+    def N_i(self) -> tuple[Matrix, ...]:
+        """The k + 3g matrices of the quadratic constraints on the channel outputs."""
+        return self._constraint_matrices(self.output_sizes, weighted=True)
+
+    def M(self, multipliers: Sequence[float]) -> Matrix:
+        """Return M(lambda), the sum of lambda_i M_i."""
+        return _combination(multipliers, self.M_i, sum(self.input_sizes))
+
+    def N(self, multipliers: Sequence[float]) -> Matrix:
+        """Return N(lambda), the sum of lambda_i N_i."""
+        return _combination(multipliers, self.N_i, sum(self.output_sizes))
+
+    @cached_property
+    def J(self) -> Matrix:
+        """(r + 2g, q + g) solution of Assumption 1: [B_p1; D21_bar] = [B1_tilde; D21_tilde] J.
+
+        Raises
+        ------
+        InfeasibleDesignError
+            Where a noise does not enter through the uncertainty channels.
+        """
+        channels = np.vstack([self.B1_tilde, self.D21_tilde])
+        noise = np.vstack([self.B_p1, self.D21_bar])
+        size = np.maximum(np.abs(channels).max(axis=1, initial=0.0), np.abs(noise).max(axis=1))
+        size[size == 0.0] = 1.0
+        channels, noise = channels / size[:, None], noise / size[:, None]
+        J = np.linalg.lstsq(channels, noise, rcond=None)[0]
+        misfit = np.abs(channels @ J - noise).max(axis=0)
+        worst = int(misfit.argmax())
+        if misfit[worst] > _J_RESIDUAL:
+            raise InfeasibleDesignError(
+                "Assumption 1",
+                f"noise {worst} of {self.system.q} does not enter through the uncertainty channels "
+                f"(relative misfit {misfit[worst]:.2g}); declare a channel for it with "
+                "Uncertainty(B, C, D), with C zero if it carries no uncertainty",
+            )
+        return J
+
+    def structured_delta(
+        self,
+        uncertainties: Sequence[float | Matrix] = (),
+        nonlinearities: Sequence[float] = (),
+    ) -> Matrix:
+        """Return the block-diagonal Delta with xi-tilde = Delta zeta-tilde, as in Section IV-C.
+
+        Parameters
+        ----------
+        uncertainties : sequence of k floats or (r_s, h_s) arrays
+            The uncertainties; a float stands for itself on the diagonal of its block. Left out:
+            zero.
+        nonlinearities : sequence of g floats
+            The slopes of the nonlinearities. The copies get the same. Left out: zero.
+
+        Returns
+        -------
+        (r + 2g, h + 2g) array
+        """
+        k, g = self.system.k, self.system.g
+        uncertainties = list(uncertainties) or [0.0] * k
+        nonlinearities = list(nonlinearities) or [0.0] * g
+        for name, given, wanted in (
+            ("uncertainties", uncertainties, k),
+            ("nonlinearities", nonlinearities, g),
+        ):
+            if len(given) != wanted:
+                raise ValueError(f"{name} must have {wanted} entries, got {len(given)}")
+        values = [*uncertainties, *nonlinearities, *nonlinearities]
+        blocks = []
+        for value, rows, columns in zip(values, self.input_sizes, self.output_sizes, strict=True):
+            scalar = np.ndim(value) == 0
+            blocks.append(value * np.eye(rows, columns) if scalar else np.asarray(value))
+        return block_diag(np.zeros((0, 0)), *blocks)
+
+    def __repr__(self) -> str:
+        return (
+            f"AugmentedSystem({self.system!r}, delay={self.delay:g} s, order={self.order}, "
+            f"n={self.n} states)"
+        )
+
+    def _no_columns(self, count: int) -> Matrix:
+        return np.zeros((self.system.n, count))
+
+    def _state_rows(self, upper: Matrix) -> Matrix:
+        """Return a matrix into x as one into x_p: nothing drives the delay model but w."""
+        return np.vstack([upper, np.zeros((self.n - self.system.n, upper.shape[1]))])
+
+    def _state_columns(self, left: Matrix) -> Matrix:
+        """Return a matrix from x as one from x_p."""
+        return np.hstack([left, np.zeros((left.shape[0], self.n - self.system.n))])
+
+    def _constraint_matrices(self, sizes: tuple[int, ...], weighted: bool) -> tuple[Matrix, ...]:
+        """Return the M_i (or, weighted by the squared Lipschitz constants, the N_i).
+
+        In the order of (eqIQC1), (eqIQC2), (eqIQC3), (eqIQC4): the uncertainties, then for every
+        nonlinearity the difference to its copy, then the nonlinearities, then the copies.
+        """
+        system = self.system
+        ends = np.cumsum((0, *sizes))
+        total, k, g = int(ends[-1]), system.k, system.g
+        factors = []
+        for s in range(k):
+            factors.append(np.eye(total)[ends[s] : ends[s + 1]])
+        weights = [c.lipschitz if weighted else 1.0 for c in system.nonlinearities]
+        plant = [weights[i] * np.eye(total)[[ends[k + i]]] for i in range(g)]
+        copies = [weights[i] * np.eye(total)[[ends[k + g + i]]] for i in range(g)]
+        factors += [plant[i] - copies[i] for i in range(g)] + plant + copies
+        return tuple(factor.T @ factor for factor in factors)
+
+
+def augment(
+    system: UncertainSystem, delay: float, order: int, *, J_21: float | Matrix = 1.0
+) -> AugmentedSystem:
+    """Join a system with the model of the delay of its outputs (Section III).
+
+    Parameters
+    ----------
+    system : UncertainSystem
+        Every row of its C0 is delayed.
+    delay : float
+        The smoother's lag in seconds, at least zero.
+    order : int
+        Pade order of the delay model, at least zero; order 0 has no delay states.
+    J_21 : float or (g, g) array
+        Intensity of the fictitious noise that the theory adds to the copies of the nonlinearities,
+        positive definite; the paper's example has the identity.
+
+    Returns
+    -------
+    AugmentedSystem
+
+    Raises
+    ------
+    InfeasibleDesignError
+        Where a noise does not enter through the uncertainty channels (Assumption 1).
+    ValueError, TypeError
+        For a bad delay, order or J_21.
+    """
+    plant = compact(system, delay, order, J_21=J_21)
+    _ = plant.J  # Assumption 1 is checked here, once, for everything built on the plant
+    return plant
+
+
+def compact(
+    system: UncertainSystem, delay: float, order: int, *, J_21: float | Matrix = 1.0
+) -> AugmentedSystem:
+    """Do as `augment`, for a system that need not satisfy Assumption 1.
+
+    Estimators of other theories, a Kalman filter say, live on such a plant.
+    """
+    if not isinstance(system, UncertainSystem):
+        raise TypeError(f"system must be an UncertainSystem, got {type(system).__name__}")
+    if np.ndim(J_21) == 0:
+        J_21 = validation.positive("J_21", J_21) * np.eye(system.g)
+    J_21 = validation.matrix("J_21", J_21, (system.g, system.g))
+    if system.g and not np.linalg.eigvalsh((J_21 + J_21.T) / 2).min() > 0.0:
+        raise ValueError("J_21 must be positive definite")
+    return AugmentedSystem(system, pade_delay(delay, order, system.m), J_21)
+
+
+def _combination(weights: Sequence[float], matrices: Sequence[Matrix], size: int) -> Matrix:
+    return sum(
+        (w * matrix for w, matrix in zip(weights, matrices, strict=True)), np.zeros((size, size))
+    )

@@ -1,0 +1,115 @@
+r"""The finite-dimensional model of the delay (Section III).
+
+.. math:: \dot x_a = F_a x_a + G_a w, \qquad w_a = H_a x_a + J_a w
+
+with the transfer function of the Pade approximation :math:`[N/N]` of :math:`e^{-s\delta}`, for
+each output of `w` separately.
+
+The realisation comes from Lambert's continued fraction, not from polynomial coefficients, which
+span twelve decades at order 10. With :math:`z = s\delta/2`,
+
+.. math::
+
+    e^{-s\delta} = \frac{1 - \tanh z}{1 + \tanh z},\qquad
+    \tanh z = \cfrac{z}{1 + \cfrac{z^2}{3 + \cfrac{z^2}{5 + \cdots}}},
+
+and the fraction cut after N terms gives the [N/N] approximation. A ladder of N lossless elements
+1, 3, 5, ... realises it, which makes the model all-pass by construction:
+
+.. math:: F_a + F_a' = -\tfrac{1}{\delta} b b', \qquad G_a = \tfrac{1}{\delta} b,
+          \qquad H_a = -J_a b', \qquad J_a = (-1)^N .
+
+Both Gramians of this realisation are the identity (up to the unit of time): no other coordinates
+are better conditioned.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robsmooth import validation
+from robsmooth.validation import Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class DelayModel:
+    r"""A linear model of the delay of `channels` signals by `delay` seconds.
+
+    Attributes
+    ----------
+    F, G, H, J : arrays
+        :math:`F_a` (n_a, n_a) and :math:`G_a` (n_a, m) in 1/s, :math:`H_a` (m, n_a), :math:`J_a`
+        (m, m).
+    delay : float
+        The delay modelled, s.
+    order : int
+        Pade order; n_a = order * m, or no state at all where the delay or the order is zero.
+    """
+
+    F: Matrix
+    G: Matrix
+    H: Matrix
+    J: Matrix
+    delay: float
+    order: int
+
+    def response(self, omega: np.ndarray) -> np.ndarray:
+        """Return the transfer matrix at the angular frequencies `omega` (rad/s): (..., m, m)."""
+        s = 1j * np.asarray(omega)[..., None, None]
+        identity = np.eye(self.F.shape[0])
+        return self.H @ np.linalg.solve(s * identity - self.F, self.G + 0j * s) + self.J
+
+
+def pade_delay(delay: float, order: int, channels: int = 1) -> DelayModel:
+    """Realise the Pade approximation of a delay in balanced coordinates.
+
+    Parameters
+    ----------
+    delay : float
+        The delay in seconds, at least zero.
+    order : int
+        Order of the approximation, at least zero; order 0 (like a delay of zero) has no states and
+        passes the signal through.
+    channels : int
+        Number of signals to delay.
+
+    Returns
+    -------
+    DelayModel
+
+    Raises
+    ------
+    ValueError, TypeError
+        For a negative or non-finite delay, or an order that is not an integer of at least zero.
+
+    References
+    ----------
+    Section III, equation (eqdelay), and S. Chirarattananon and B. D. O. Anderson, "Stable fixed-lag
+    smoothing of continuous time processes", IEEE Trans. Inf. Theory 20(1), 1974.
+    """
+    delay = validation.real("delay", delay, low=0.0)
+    order = validation.integer("order", order, low=0)
+    channels = validation.integer("channels", channels, low=1)
+    states = order if delay > 0.0 else 0
+    F, b, J = _unit_delay(states)
+    if states:
+        F, G = F / delay, b[:, None] / delay
+    else:
+        G = np.zeros((0, 1))
+    H = -J * b[None, :]
+    each = np.eye(channels)
+    F, G, H = np.kron(each, F), np.kron(each, G), np.kron(each, H)
+    return DelayModel(F=F, G=G, H=H, J=J * each, delay=delay, order=order)
+
+
+def _unit_delay(order: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return (F, b, J) of the Pade model of a unit delay: the ladder of the module docstring."""
+    if order == 0:
+        return np.zeros((0, 0)), np.zeros(0), 1.0
+    elements = np.sqrt(2.0 * np.arange(1, order + 1) - 1.0)
+    ladder = np.eye(order, k=-1) - np.eye(order, k=1)
+    ladder[0, 0] = -1.0  # the bilinear map from tanh to the delay closes the ladder on itself
+    inverse = np.linalg.inv(ladder)
+    F = 2.0 * elements[:, None] * inverse * elements
+    b = 2.0 * elements * inverse[:, 0]
+    return F, b, (-1.0) ** order

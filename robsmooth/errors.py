@@ -1,0 +1,23 @@
+"""The errors that a user may want to catch."""
+
+
+class InfeasibleDesignError(ValueError):
+    """A design that the theory does not allow: one of its conditions fails.
+
+    Attributes
+    ----------
+    condition : str
+        The condition that fails, as the paper names it, e.g. ``"Assumption 3.2"``.
+    """
+
+    def __init__(self, condition: str, detail: str):
+        super().__init__(f"{condition} fails: {detail}")
+        self.condition = condition
+        self.detail = detail
+
+    def __reduce__(self):
+        return type(self), (self.condition, self.detail)
+
+
+class UnstableLoopError(ValueError):
+    """A closed loop without a stationary covariance: it is not asymptotically stable."""

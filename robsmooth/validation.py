@@ -1,0 +1,92 @@
+"""Checks of what a user passes in: each returns the clean value or raises one clear sentence."""
+
+import math
+import numbers
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Matrix = NDArray[np.float64]
+
+
+def _shape_text(shape: Sequence[int | None]) -> str:
+    return "(" + ", ".join("any" if size is None else str(size) for size in shape) + ")"
+
+
+def array(name: str, value: ArrayLike, ndim: int) -> NDArray[np.float64]:
+    """Return `value` as a read-only float array of `ndim` dimensions, all entries finite and real."""
+    try:
+        given = np.asarray(value)
+    except ValueError:
+        raise ValueError(f"{name} must be a rectangular array of numbers, got {value!r}") from None
+    if given.dtype.kind == "c":
+        raise ValueError(f"{name} must be real, got complex entries")
+    if given.dtype.kind not in "biuf" and given.size:
+        raise TypeError(f"{name} must be an array of numbers, got entries of type {given.dtype}")
+    if given.ndim != ndim:
+        raise ValueError(f"{name} must have {ndim} dimension(s), got shape {given.shape}")
+    result = np.array(given, dtype=float)
+    if not np.isfinite(result).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
+        raise ValueError(f"{name} must be finite, got {result[where]} at index {where}")
+    result.flags.writeable = False
+    return result
+
+
+def matrix(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Matrix:
+    """Return `value` as a read-only matrix of the given shape; None leaves a size free."""
+    result = array(name, value, ndim=2)
+    for wanted, size in zip(shape, result.shape, strict=True):
+        if wanted is not None and wanted != size:
+            raise ValueError(f"{name} must have shape {_shape_text(shape)}, got {result.shape}")
+    return result
+
+
+def real(
+    name: str,
+    value: float,
+    *,
+    low: float = -math.inf,
+    high: float = math.inf,
+    low_open: bool = False,
+    high_open: bool = False,
+) -> float:
+    """Return `value` as a finite float within an interval."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
+        raise TypeError(f"{name} must be a real number, got {value!r}")
+    result = float(value)
+    inside = (low < result if low_open else low <= result) and (
+        result < high if high_open else result <= high
+    )
+    if not math.isfinite(result) or not inside:
+        left = "(" if low_open or math.isinf(low) else "["
+        right = ")" if high_open or math.isinf(high) else "]"
+        raise ValueError(
+            f"{name} must be finite and in {left}{low:g}, {high:g}{right}, got {result!r}"
+        )
+    return result
+
+
+def positive(name: str, value: float) -> float:
+    """Return `value` as a finite float above zero."""
+    return real(name, value, low=0.0, low_open=True)
+
+
+def integer(name: str, value: int, *, low: int) -> int:
+    """Return `value` as an int that is at least `low`."""
+    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Integral):
+        raise TypeError(f"{name} must be an integer, got {value!r}")
+    if value < low:
+        raise ValueError(f"{name} must be an integer of at least {low}, got {value}")
+    return int(value)
+
+
+def choice(name: str, value: str, allowed: Sequence[str]) -> str:
+    """Return `value`, one of the words in `allowed`."""
+    if value not in allowed:
+        words = ", ".join(repr(word) for word in allowed)
+        raise ValueError(f"{name} must be one of {words}, got {value!r}")
+    return value
