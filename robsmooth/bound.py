@@ -1,0 +1,253 @@
+r"""The least bound: minimisation of V over tau and lambda.
+
+An interior-point method, as the paper used, from several starts: the constraint
+:math:`M(\lambda)^{-1} \ge JJ'`, which is the linear matrix inequality
+:math:`I - J'M(\lambda)J \ge 0`, enters through its logarithmic barrier, whose weight falls. The
+corner where several constraints meet is then found by sequential quadratic programming. Two facts
+about V help:
+
+- :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`, so that the least bound lies on the boundary of
+  the constraint, and a step onto it is exact;
+- V often falls all the way to the edge where the multipliers of a nonlinearity and of its copy
+  vanish. There M is singular: the least bound is an infimum that no design attains. The search then
+  puts those multipliers at a stated small fraction of the largest, `VANISHING`, and extrapolates
+  the bound, linear in that fraction, to zero.
+"""
+
+import math
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import minimize, minimize_scalar
+
+from robsmooth import validation
+from robsmooth.augmented import AugmentedSystem
+from robsmooth.errors import InfeasibleDesignError
+from robsmooth.riccati import RiccatiError
+from robsmooth.smoother import (
+    COSTS,
+    RobustSmoother,
+    design_equations,
+    design_smoother,
+    multiplier_level,
+)
+
+VANISHING = 1e-6  # stands for zero, relative to the largest multiplier
+_CANDIDATE = 1e-2  # a multiplier found below this may be on its way to zero
+_AT_EDGE = 1e-4  # how much a bound at `VANISHING` may lie above one found nearer to the edge
+_BARRIERS = (1e-1, 1e-2)
+_REFUSED = 1e2  # the objective, a logarithm, where there is no design
+_REACH = 10.0  # how far from its start the search may go, in natural logarithms
+_SAMPLES = 32
+_TAU_DECADES = np.arange(-2.0, 8.0, 1.0)
+
+
+def minimize_bound(
+    plant: AugmentedSystem, cost: str = "filtered", *, starts: int = 3, seed: int = 0
+) -> RobustSmoother:
+    r"""Design the smoother with the least bound V over :math:`\tau` and :math:`\lambda`.
+
+    Parameters
+    ----------
+    plant : AugmentedSystem
+        Made by `augment`.
+    cost : {"filtered", "smoothed"}
+        The error that the bound is for, as in `design_smoother`.
+    starts : int
+        Number of starting points to descend from, the best of a random sample over decades.
+    seed : int
+        Seed of that sample.
+
+    Returns
+    -------
+    RobustSmoother
+        The best design found. Where the least bound is not attained, its `bound_infimum` is the
+        infimum, and the vanishing multipliers are `VANISHING` of the largest; otherwise
+        `bound_infimum` is None.
+
+    Raises
+    ------
+    InfeasibleDesignError
+        Where no feasible design was found; it names the condition that failed most often.
+    """
+    if not isinstance(plant, AugmentedSystem):
+        raise TypeError(f"plant must be an AugmentedSystem, got {type(plant).__name__}")
+    cost = validation.choice("cost", cost, COSTS)
+    starts = validation.integer("starts", starts, low=1)
+    seed = validation.integer("seed", seed, low=0)
+    points = _starting_points(plant, cost, starts, seed)
+    ends = [_polish(plant, cost, _descend(plant, cost, point)) for point in points]
+    best = min(ends, key=lambda point: _try_bound(plant, cost, point))
+    return _certified(plant, cost, best)
+
+
+def _split(point: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return tau and lambda from a point of the search, which holds log tau and lambda."""
+    return math.exp(point[0]), point[1:]
+
+
+def _onto_boundary(plant: AugmentedSystem, point: np.ndarray) -> np.ndarray:
+    """Scale lambda up to the constraint, and tau down with it, which lowers V by the same factor."""
+    level = multiplier_level(plant, plant.M(point[1:]))
+    return np.concatenate([point[:1] + math.log(level), point[1:] / level])
+
+
+def _try_bound(plant: AugmentedSystem, cost: str, point: np.ndarray) -> float:
+    """Return V at a point, or infinity where there is no design."""
+    try:
+        return design_smoother(plant, *_split(point), cost).bound
+    except (InfeasibleDesignError, RiccatiError):
+        return math.inf
+
+
+def _objective(plant: AugmentedSystem, cost: str, point: np.ndarray) -> float:
+    bound = _try_bound(plant, cost, point)
+    return math.log(bound) if math.isfinite(bound) else _REFUSED
+
+
+def _gap(plant: AugmentedSystem, point: np.ndarray) -> np.ndarray:
+    """Return I - J'M(lambda)J, which the constraint wants nonnegative definite."""
+    return np.eye(plant.J.shape[1]) - plant.J.T @ plant.M(point[1:]) @ plant.J
+
+
+def _box(point: np.ndarray) -> list[tuple[float, float]]:
+    """Return the bounds of a search from a point: no multiplier below `VANISHING`."""
+    largest = point[1:].max()
+    tau = (point[0] - _REACH, point[0] + _REACH)
+    return [tau, *((min(VANISHING * largest, value), 10.0 * largest) for value in point[1:])]
+
+
+def _starting_points(
+    plant: AugmentedSystem, cost: str, starts: int, seed: int
+) -> list[np.ndarray]:
+    """Return the best feasible points of a random sample of multipliers and a grid of tau."""
+    k, g = plant.system.k, plant.system.g
+    rng = np.random.default_rng(seed)
+    found: list[tuple[float, np.ndarray]] = []
+    failures: Counter[str] = Counter()
+    for _ in range(_SAMPLES):
+        exponents = np.concatenate([rng.uniform(-4, 0, k + g), rng.uniform(-6, -1, 2 * g)])
+        multipliers = 10.0**exponents
+        multipliers *= 0.5 / multiplier_level(plant, plant.M(multipliers))
+        unit = _natural_tau(plant, cost, multipliers)
+        along = []
+        for tau in unit * 10.0**_TAU_DECADES:
+            try:
+                bound = design_smoother(plant, tau, multipliers, cost).bound
+            except InfeasibleDesignError as error:
+                failures[error.condition] += 1
+                continue
+            along.append((bound, np.array([math.log(tau), *multipliers])))
+        if along:
+            found.append(min(along, key=lambda entry: entry[0]))
+    if not found:
+        condition, times = failures.most_common(1)[0]
+        raise InfeasibleDesignError(
+            condition,
+            f"no design was found at any of {failures.total()} values of tau and lambda, and this "
+            f"condition failed at {times} of them; the uncertainty may be too large (scale the "
+            "uncertainty outputs or Lipschitz constants down) or the system's A not stable",
+        )
+    found.sort(key=lambda entry: entry[0])
+    return [point for _, point in found[:starts]]
+
+
+def _natural_tau(plant: AugmentedSystem, cost: str, multipliers: np.ndarray) -> float:
+    """Return the tau at which the cost weighs as much as the measurement in the Y equation."""
+    equations = design_equations(plant, 1.0, multipliers, cost)
+    C2 = plant.C2_tilde
+    information = np.linalg.norm(C2.T @ np.linalg.solve(equations.E, C2), 2)
+    return float(np.linalg.norm(plant.C_p0, 2) ** 2 / information) if information > 0.0 else 1.0
+
+
+def _descend(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:
+    """Follow the central path: minimise log V - weight log det(I - J'MJ) for falling weights."""
+
+    def with_barrier(at: np.ndarray, weight: float) -> float:
+        spectrum = np.linalg.eigvalsh(_gap(plant, at))
+        if spectrum.min() <= 0.0:
+            return _REFUSED
+        return _objective(plant, cost, at) - weight * np.log(spectrum).sum()
+
+    for weight in _BARRIERS:
+        options = {"maxiter": 15}  # each weight only brings the next one's start near
+        result = minimize(
+            with_barrier,
+            point,
+            args=(weight,),
+            method="L-BFGS-B",
+            bounds=_box(point),
+            options=options,
+        )
+        if result.fun < with_barrier(point, weight):
+            point = result.x
+    return point
+
+
+def _polish(
+    plant: AugmentedSystem, cost: str, point: np.ndarray, fixed: np.ndarray | None = None
+) -> np.ndarray:
+    """Minimise log V under the constraint itself, with the multipliers at the indices `fixed` held."""
+    point = _onto_boundary(plant, point)
+    free = np.setdiff1d(np.arange(point.size), [] if fixed is None else fixed)
+
+    def at(values: np.ndarray) -> np.ndarray:
+        whole = point.copy()
+        whole[free] = values
+        return whole
+
+    def objective(values: np.ndarray) -> float:
+        trial = at(values)  # SQP steps outside the constraint now and then: judge them on it
+        if np.linalg.eigvalsh(_gap(plant, trial)).min() < 0.0:
+            trial = _onto_boundary(plant, trial)
+        return _objective(plant, cost, trial)
+
+    result = minimize(
+        objective,
+        point[free],
+        method="SLSQP",
+        jac="3-point",
+        bounds=[_box(point)[index] for index in free],
+        constraints={"type": "ineq", "fun": lambda v: np.linalg.eigvalsh(_gap(plant, at(v)))},
+        options={"ftol": 1e-10, "maxiter": 60},
+    )
+    found = _onto_boundary(plant, at(result.x))
+    return found if _objective(plant, cost, found) < _objective(plant, cost, point) else point
+
+
+def _certified(plant: AugmentedSystem, cost: str, point: np.ndarray) -> RobustSmoother:
+    """Return the design at a point, or beside the edge where the bound falls towards the edge."""
+    point = _best_tau(plant, cost, point)
+    design = design_smoother(plant, *_split(point), cost)
+    small = np.flatnonzero(point[1:] < _CANDIDATE * point[1:].max()) + 1
+    if not small.size:
+        return design
+
+    def near_edge(fraction: float) -> np.ndarray:
+        edge = point.copy()
+        edge[small] = fraction * point[1:].max()
+        return _best_tau(plant, cost, _polish(plant, cost, edge, fixed=small))
+
+    edge = near_edge(VANISHING)
+    bound, beside = (_try_bound(plant, cost, at) for at in (edge, near_edge(10 * VANISHING)))
+    if not bound < min(beside, design.bound * (1.0 + _AT_EDGE)):
+        return design
+    at_edge = design_smoother(plant, *_split(edge), cost)
+    return replace(at_edge, bound_infimum=bound - (beside - bound) / 9.0)
+
+
+def _best_tau(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:
+    """Minimise over tau alone, to more digits than a search over everything gives."""
+
+    def at(log_tau: float) -> np.ndarray:
+        return np.concatenate([[log_tau], point[1:]])
+
+    result = minimize_scalar(
+        lambda log_tau: _objective(plant, cost, at(log_tau)),
+        bounds=(point[0] - 0.1, point[0] + 0.1),
+        method="bounded",
+        options={"xatol": 1e-9},
+    )
+    found = at(result.x)
+    return found if _objective(plant, cost, found) < _objective(plant, cost, point) else point

@@ -1,0 +1,126 @@
+r"""The algebraic Riccati equation, solved by scipy and certified before its answer is used.
+
+.. math:: A'X + XA + Q - X S X = 0
+
+with symmetric `Q` and `S` of any sign; wanted is the stabilising solution, for which
+:math:`A - SX` is stable. `scipy.linalg.solve_continuous_are` can return nonsense past the boundary
+where no such solution exists, so the answer counts only with its certificate: a small residual,
+symmetry, and a stable closed loop.
+
+The data are first brought to units in which they are of order one: with :math:`X = p X'`,
+:math:`p^2 = |Q|/|S|` and time in units of :math:`1/(|A| + \sqrt{|Q||S|})`. No result depends on the
+units of time or of the signals.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lyapunov
+from threadpoolctl import ThreadpoolController
+
+from robsmooth.validation import Matrix
+
+RESIDUAL_TOLERANCE = 1e-8
+_BLAS = ThreadpoolController()  # on small matrices BLAS threads cost ten times what they save
+_EMPTY = 1e-14  # directions of S below this, relative to its norm, are rounding
+
+
+class RiccatiError(ArithmeticError):
+    """The equation has no stabilising solution, as far as the certificate can tell."""
+
+
+@dataclass(frozen=True, eq=False)
+class RiccatiSolution:
+    """A stabilising solution with its certificate.
+
+    Attributes
+    ----------
+    X : (n, n) array
+        The solution, symmetric.
+    residual : float
+        Norm of the equation's residual, relative to the sum of the norms of its terms.
+    smallest_eigenvalue : float
+        Smallest eigenvalue of X, relative to its norm.
+    decay_rate : float
+        How far the spectrum of A - S X lies left of the imaginary axis, 1/(unit of time).
+    """
+
+    X: Matrix
+    residual: float
+    smallest_eigenvalue: float
+    decay_rate: float
+
+
+def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
+    """Return the stabilising solution of A'X + XA + Q - XSX = 0, certified.
+
+    Parameters
+    ----------
+    A, Q, S : (n, n) arrays
+        `Q` and `S` symmetric, of any sign.
+
+    Returns
+    -------
+    RiccatiSolution
+
+    Raises
+    ------
+    RiccatiError
+        Where scipy finds none, or what it returns fails the certificate; the message has the figures.
+    """
+    Q, S = (Q + Q.T) / 2, (S + S.T) / 2
+    size_A, size_Q, size_S = (np.linalg.norm(value, 2) for value in (A, Q, S))
+    speed = np.sqrt(size_Q) * np.sqrt(size_S)
+    time = 1.0 / (size_A + speed or 1.0)
+    if speed * time > _EMPTY:
+        unit = np.sqrt(size_Q) / np.sqrt(size_S)
+    else:  # all but linear
+        unit = size_Q * time or 1.0
+    time, unit = np.exp2(np.rint(np.log2([time, unit])))  # powers of two scale without rounding
+    A, Q, S = A * time, Q * (time / unit), S * (time * unit)
+
+    weights, directions = np.linalg.eigh(S)
+    used = np.abs(weights) > _EMPTY * max(np.abs(weights).max(), np.finfo(float).tiny)
+    try:
+        with _BLAS.limit(limits=1, user_api="blas"):
+            X = _stabilising(A, Q, weights[used], directions[:, used])
+    except (LinAlgError, ValueError) as error:
+        raise RiccatiError(f"no stabilising solution found ({_sentence(error)})") from None
+    return _certify(A, Q, S, X, time, unit)
+
+
+def _stabilising(A: Matrix, Q: Matrix, weights: np.ndarray, directions: Matrix) -> Matrix:
+    """Return what scipy finds for S = directions diag(weights) directions'."""
+    if not weights.size:
+        return solve_continuous_lyapunov(A.T, -Q)
+    B = directions * np.sqrt(np.abs(weights))
+    return solve_continuous_are(A, B, Q, np.diag(np.sign(weights)))
+
+
+def _certify(
+    A: Matrix, Q: Matrix, S: Matrix, X: Matrix, time: float, unit: float
+) -> RiccatiSolution:
+    """Check a solution of the scaled equation and return it in the user's units."""
+    size = np.linalg.norm(X)
+    if not np.isfinite(size):
+        raise RiccatiError("the solver returned entries that are not finite")
+    if np.linalg.norm(X - X.T) > RESIDUAL_TOLERANCE * size:
+        raise RiccatiError("the solver's answer is not symmetric")
+    X = (X + X.T) / 2
+    terms = (A.T @ X, X @ A, Q, -X @ S @ X)
+    scale = sum(np.linalg.norm(term) for term in terms)
+    residual = float(np.linalg.norm(sum(terms)) / scale) if scale > 0.0 else 0.0
+    if residual > RESIDUAL_TOLERANCE:
+        raise RiccatiError(f"the solver's answer has a relative residual of {residual:.2g}")
+    abscissa = float(np.linalg.eigvals(A - S @ X).real.max())
+    if not abscissa < 0.0:
+        raise RiccatiError(
+            "the solver's answer does not stabilise: the closed loop has an eigenvalue with real "
+            f"part {abscissa / time:.3g}"
+        )
+    smallest = float(np.linalg.eigvalsh(X).min() / size) if size > 0.0 else 0.0
+    return RiccatiSolution(unit * X, residual, smallest, -abscissa / time)
+
+
+def _sentence(error: Exception) -> str:
+    return " ".join(str(error).split()).rstrip(".")

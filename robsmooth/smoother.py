@@ -1,0 +1,331 @@
+r"""The robust fixed-lag smoother: two Riccati equations, gains and bound (Section III).
+
+With :math:`M = \tilde M(\lambda)`, :math:`N = \tilde N(\lambda)` and
+:math:`E_\lambda = \tilde D_{21} M^{-1} \tilde D_{21}'`, which the paper uses but does not define
+(it is in Petersen, Ugrinovskii and Savkin, *Robust Control Design Using H-infinity Methods*):
+
+.. math::
+
+    R &= C'C + \tau \tilde C_1' N \tilde C_1, \qquad
+    G = \begin{bmatrix} I_m & 0\\ 0 & 0\end{bmatrix} + \tau \tilde D_{12}' N \tilde D_{12}, \qquad
+    \Gamma = -[C'\; 0] + \tau \tilde C_1' N \tilde D_{12},\\
+    0 &= A_Y Y + Y A_Y' - Y(\tilde C_2' E_\lambda^{-1} \tilde C_2 - R/\tau) Y
+         + \tilde B_1 (M^{-1} - M^{-1}\tilde D_{21}' E_\lambda^{-1} \tilde D_{21} M^{-1}) \tilde B_1',
+         \quad A_Y = A_p - \tilde B_1 M^{-1} \tilde D_{21}' E_\lambda^{-1} \tilde C_2,\\
+    0 &= X A_p + A_p' X + (R - \Gamma G^{-1} \Gamma')
+         + \tfrac{1}{\tau} X \tilde B_1 M^{-1} \tilde B_1' X,
+
+where `C` is :math:`C_{p0}` when the cost is on the filtered error, as in the paper's example, and
+:math:`C_a` when it is on the smoothed error, as in its text. Two slips of the printed equations are
+put right here: the constant term of the second Riccati equation, and :math:`A_c = A_p + \dots`, not
+:math:`A + \dots`. The Y equation is the paper's with its inner signs kept; the quadratic term of
+the X equation has the sign as printed (the paper's numbers follow from the other one, see
+`robsmooth.published`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from robsmooth import validation
+from robsmooth.augmented import AugmentedSystem
+from robsmooth.errors import InfeasibleDesignError
+from robsmooth.estimator import Estimator
+from robsmooth.riccati import RiccatiError, RiccatiSolution, solve_riccati
+from robsmooth.validation import Matrix
+
+COSTS = ("filtered", "smoothed")
+_ROUNDING = 1e-9  # slack for conditions that hold with equality at an optimum
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobustSmoother(Estimator):
+    """A robust fixed-lag smoother with its guarantee.
+
+    Attributes
+    ----------
+    tau : float
+        The scaling constant, in seconds times the squared unit of w.
+    multipliers : (k + 3g,) array
+        The paper's lambda: k uncertainties, then for the g nonlinearities those of the difference
+        constraints, of the mu constraints and of the mu-tilde constraints.
+    cost : str
+        "filtered" or "smoothed": the error that the bound is for.
+    X, Y : (n, n) arrays
+        The solutions of the Riccati equations.
+    certificates : dict of RiccatiSolution
+        Residual, definiteness and stability of each.
+    bound : float
+        V: half the mean square error is below it for every admissible uncertainty.
+    bound_infimum : float or None
+        Where `minimize_bound` made the design and the least bound is approached but not attained:
+        its infimum.
+    spectral_radius : float
+        rho(YX), below tau.
+    """
+
+    tau: float
+    multipliers: np.ndarray
+    cost: str
+    X: Matrix
+    Y: Matrix
+    certificates: dict[str, RiccatiSolution]
+    bound: float
+    spectral_radius: float
+    bound_infimum: float | None = None
+
+    def __repr__(self) -> str:
+        weights = ", ".join(f"{value:.4g}" for value in self.multipliers)
+        return (
+            f"RobustSmoother(bound={self.bound:.4g}, cost={self.cost!r}, tau={self.tau:.4g}, "
+            f"multipliers=[{weights}], delay={self.plant.delay:g} s, order={self.plant.order}, "
+            f"spectral_radius/tau={self.spectral_radius / self.tau:.3g})"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class DesignEquations:
+    """The data of the two Riccati equations and of the gains at one tau and lambda.
+
+    Attributes
+    ----------
+    R, G, Gamma : arrays
+        (n, n), (m + g, m + g) and (n, m + g), as in Assumption 3.
+    Q_X : (n, n) array
+        The constant term of the X equation, R - Gamma G^{-1} Gamma'.
+    worst_noise : (n, n) array
+        B1_tilde M^{-1} B1_tilde'.
+    correlation : (n, l + g) array
+        B1_tilde M^{-1} D21_tilde'.
+    E : (l + g, l + g) array
+        E_lambda.
+    """
+
+    plant: AugmentedSystem
+    tau: float
+    multipliers: np.ndarray
+    cost: str
+    R: Matrix
+    G: Matrix
+    Gamma: Matrix
+    Q_X: Matrix
+    worst_noise: Matrix
+    correlation: Matrix
+    E: Matrix
+
+    def solve_X(self, quadratic_sign: float = 1.0) -> RiccatiSolution:
+        """Return the solution of X A_p + A_p' X + Q_X + sign/tau X worst_noise X = 0.
+
+        The theory has `quadratic_sign` 1.
+        """
+        return solve_riccati(self.plant.A_p, self.Q_X, -quadratic_sign / self.tau * self.worst_noise)
+
+    def solve_Y(self) -> RiccatiSolution:
+        """Return the solution of the first Riccati equation of Assumption 3."""
+        C2 = self.plant.C2_tilde
+        gain = np.linalg.solve(self.E, self.correlation.T)
+        return solve_riccati(
+            (self.plant.A_p - self.correlation @ np.linalg.solve(self.E, C2)).T,
+            self.worst_noise - self.correlation @ gain,
+            C2.T @ np.linalg.solve(self.E, C2) - self.R / self.tau,
+        )
+
+    def gains(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, Matrix, float]:
+        """Return A_c, B_c, C_c and V of (eqCparams) and (eqbound)."""
+        plant, tau = self.plant, self.tau
+        innovation = Y @ plant.C2_tilde.T + self.correlation
+        B_c = np.linalg.solve(self.E, innovation.T).T
+        coupling = np.linalg.inv(np.eye(plant.n) - Y @ X / tau)
+        C_c = -np.linalg.solve(self.G, self.Gamma.T) @ coupling
+        A_c = plant.A_p + Y @ self.R / tau - B_c @ plant.C2_tilde + Y @ self.Gamma @ C_c / tau
+        bound = 0.5 * np.trace(Y @ self.R + B_c @ innovation.T @ X @ coupling)
+        return A_c, B_c, C_c, float(bound)
+
+
+def design_equations(
+    plant: AugmentedSystem, tau: float, multipliers: Sequence[float], cost: str = "filtered"
+) -> DesignEquations:
+    """Return the data of Assumption 3 at one tau and lambda, after checking all but Assumption 3.
+
+    Raises
+    ------
+    InfeasibleDesignError
+        Where Assumption 2, M(lambda) > 0 or the constraint (eqcons) fails.
+    ValueError, TypeError
+        For a tau that is not positive, multipliers of the wrong length or sign, an unknown cost.
+    """
+    if not isinstance(plant, AugmentedSystem):
+        raise TypeError(f"plant must be an AugmentedSystem, got {type(plant).__name__}")
+    tau = validation.positive("tau", tau)
+    multipliers = _multipliers(plant, multipliers)
+    cost = validation.choice("cost", cost, COSTS)
+    _check_measurement_noise(plant)
+    M, N = plant.M(multipliers), plant.N(multipliers)
+    M_inverse = _inverse(M)
+    _check_multipliers(plant, M)
+
+    g, m, n = plant.system.g, plant.system.m, plant.n
+    B1, C1, D12, D21 = plant.B1_tilde, plant.C1_tilde, plant.D12_tilde, plant.D21_tilde
+    C = plant.C_p0 if cost == "filtered" else plant.C_a
+    R = C.T @ C + tau * C1.T @ N @ C1
+    G = np.diag([1.0] * m + [0.0] * g) + tau * D12.T @ N @ D12
+    Gamma = -np.hstack([C.T, np.zeros((n, g))]) + tau * C1.T @ N @ D12
+    return DesignEquations(
+        plant=plant,
+        tau=tau,
+        multipliers=multipliers,
+        cost=cost,
+        R=R,
+        G=G,
+        Gamma=Gamma,
+        Q_X=R - Gamma @ np.linalg.solve(G, Gamma.T),
+        worst_noise=B1 @ M_inverse @ B1.T,
+        correlation=B1 @ M_inverse @ D21.T,
+        E=D21 @ M_inverse @ D21.T,
+    )
+
+
+def design_smoother(
+    plant: AugmentedSystem, tau: float, multipliers: Sequence[float], cost: str = "filtered"
+) -> RobustSmoother:
+    r"""Design the robust fixed-lag smoother at given :math:`\tau` and :math:`\lambda`.
+
+    Parameters
+    ----------
+    plant : AugmentedSystem
+        Made by `augment`.
+    tau : float
+        :math:`\bar\tau > 0`, in seconds times the squared unit of w.
+    multipliers : (k + 3g,) sequence
+        lambda, not negative: those of the k uncertainties, then for the g nonlinearities those of
+        the difference constraints, of the mu constraints and of the mu-tilde constraints.
+    cost : {"filtered", "smoothed"}
+        Whether the bound is for the filtered error, with :math:`C_{p0}` in R and Gamma as the
+        paper's example has it, or for the smoothed error, with :math:`C_a` as its text has it.
+
+    Returns
+    -------
+    RobustSmoother
+
+    Raises
+    ------
+    InfeasibleDesignError
+        Where Assumption 2 or 3, M(lambda) > 0 or the constraint (eqcons) fails; the message says
+        which and by how much.
+    ValueError, TypeError
+        For a tau that is not positive, multipliers of the wrong length or sign, an unknown cost.
+
+    References
+    ----------
+    Section III: Assumptions 2 and 3, equations (eqcons), (eqCparams) and (eqbound).
+    """
+    equations = design_equations(plant, tau, multipliers, cost)
+    _check_stable_plant(plant)
+    Y = _solution("Assumption 3.1 (Riccati equation for Y)", equations.solve_Y)
+    X = _solution("Assumption 3.2 (Riccati equation for X)", equations.solve_X)
+    radius = float(np.abs(np.linalg.eigvals(Y.X @ X.X)).max())
+    if not radius < equations.tau:
+        raise InfeasibleDesignError(
+            "Assumption 3.3", f"rho(YX) = {radius:.4g} is not below tau = {equations.tau:.4g}"
+        )
+    A_c, B_c, C_c, bound = equations.gains(X.X, Y.X)
+    return RobustSmoother(
+        plant=plant,
+        A_c=A_c,
+        B_c=B_c,
+        C_c=C_c,
+        C_a=plant.C_a,
+        C_f=C_c[: plant.system.m] if cost == "filtered" else plant.C_p0,
+        tau=equations.tau,
+        multipliers=equations.multipliers,
+        cost=equations.cost,
+        X=X.X,
+        Y=Y.X,
+        certificates={"X": X, "Y": Y},
+        bound=bound,
+        spectral_radius=radius,
+    )
+
+
+def _multipliers(plant: AugmentedSystem, given: Sequence[float]) -> np.ndarray:
+    result = validation.array("multipliers", given, ndim=1)
+    k, g = plant.system.k, plant.system.g
+    if result.size != k + 3 * g:
+        raise ValueError(
+            f"multipliers must have k + 3g = {k} + 3*{g} = {k + 3 * g} entries, got {result.size}"
+        )
+    if (result < 0.0).any():
+        raise ValueError(f"multipliers must not be negative, got {result.tolist()}")
+    return result
+
+
+def _check_measurement_noise(plant: AugmentedSystem) -> None:
+    """Check Assumption 2 in a form free of units: no measurement without noise of its own."""
+    intensity = plant.D21_bar @ plant.D21_bar.T
+    size = np.sqrt(np.diag(intensity))
+    if (size == 0.0).any():
+        raise InfeasibleDesignError(
+            "Assumption 2", f"measurement {int(np.argmin(size))} has no noise"
+        )
+    smallest = np.linalg.eigvalsh(intensity / np.outer(size, size)).min()
+    if not smallest > 1e-12:
+        raise InfeasibleDesignError(
+            "Assumption 2",
+            "some combination of the measurements has no noise: the smallest eigenvalue of the "
+            f"noise's correlation matrix is {smallest:.2g}",
+        )
+
+
+def _inverse(M: Matrix) -> Matrix:
+    """Return the inverse of M(lambda), or refuse multipliers that make it singular."""
+    try:
+        return cho_solve(cho_factor(M), np.eye(M.shape[0]))
+    except np.linalg.LinAlgError:
+        smallest = np.linalg.eigvalsh(M).min()
+        raise InfeasibleDesignError(
+            "M(lambda) > 0",
+            f"its smallest eigenvalue is {smallest:.3g}; every uncertainty needs a positive "
+            "multiplier and every nonlinearity two positive ones",
+        ) from None
+
+
+def multiplier_level(plant: AugmentedSystem, M: Matrix) -> float:
+    """Return the largest eigenvalue of J'M J; (eqcons), M^{-1} >= J J', says that it is at most 1."""
+    return float(np.linalg.eigvalsh(plant.J.T @ M @ plant.J).max(initial=0.0))
+
+
+def _check_multipliers(plant: AugmentedSystem, M: Matrix) -> None:
+    level = multiplier_level(plant, M)
+    if level > 1.0 + _ROUNDING:
+        raise InfeasibleDesignError(
+            "The multiplier constraint M(lambda)^-1 >= J J'",
+            f"the largest eigenvalue of J'M(lambda)J is {level:.6g}, above 1; divide the "
+            f"multipliers by {level:.6g}",
+        )
+
+
+def _check_stable_plant(plant: AugmentedSystem) -> None:
+    abscissa = float(np.linalg.eigvals(plant.system.A).real.max())
+    if not abscissa < 0.0:
+        raise InfeasibleDesignError(
+            "Assumption 3.2 (Riccati equation for X)",
+            "the system's A must be stable for a nonnegative solution to exist, but it has an "
+            f"eigenvalue with real part {abscissa:.3g}",
+        )
+
+
+def _solution(condition: str, solve) -> RiccatiSolution:
+    """Solve one Riccati equation; name the assumption where there is no nonnegative solution."""
+    try:
+        solution = solve()
+    except RiccatiError as error:
+        raise InfeasibleDesignError(condition, str(error)) from None
+    if solution.smallest_eigenvalue < -_ROUNDING:
+        raise InfeasibleDesignError(
+            condition,
+            "its stabilising solution is not nonnegative definite: smallest eigenvalue "
+            f"{solution.smallest_eigenvalue:.3g} of its norm",
+        )
+    return solution
