@@ -1,0 +1,10 @@
+"""robsmooth: robust continuous-time fixed-lag smoothing for nonlinear uncertain systems."""
+
+from robsmooth import baselines, homodyne
+from robsmooth.augmented import AugmentedSystem, augment
+from robsmooth.bound import minimize_bound
+from robsmooth.covariance import delta_sweep, error_covariance, statistical_linearisation
+from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
+from robsmooth.estimator import Estimator
+from robsmooth.smoother import RobustSmoother, design_smoother
+from robsmooth.systems import Nonlinearity, Uncertainty, UncertainSystem

@@ -1,0 +1,135 @@
+r"""The example of Section IV: adaptive homodyne estimation of a varying optical phase.
+
+.. math::
+
+    d\phi = -\lambda\phi\,dt + \sqrt\kappa\,dV, \qquad
+    I\,dt = 2\alpha\sin(\phi - \hat\phi)\,dt + dW,
+
+with the phase of the local oscillator at :math:`\hat\phi + \pi/2`. With :math:`e = \phi-\hat\phi`
+and :math:`\sin e = \beta e + f(e)`, the measurement is
+:math:`\bar y = (I + 2\alpha\beta\hat\phi)/2\alpha\beta`, which is linear in :math:`\phi` but for
+:math:`f(e)/\beta`, with :math:`|f(e)| \le \gamma|e|` as long as the loop stays in the sector.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import erf
+
+from robsmooth import validation
+from robsmooth.systems import Nonlinearity, Uncertainty, UncertainSystem
+
+
+@dataclass(frozen=True)
+class HomodyneParameters:
+    r"""The parameters of Table I.
+
+    Attributes
+    ----------
+    lam : float
+        :math:`\lambda > 0`, decay rate of the phase, rad/s.
+    kappa : float
+        :math:`\kappa > 0`, diffusion of the phase, rad^2/s (Table I prints rad/s).
+    alpha : float
+        :math:`\alpha > 0`, amplitude of the coherent beam, s^(-1/2) (Table I prints 1/s).
+    beta : float
+        :math:`\beta > 0`, slope of the tangent of the sine.
+    gamma : float
+        :math:`\gamma` in (0, 1), half width of the sector.
+    """
+
+    lam: float
+    kappa: float
+    alpha: float
+    beta: float
+    gamma: float
+
+    def __post_init__(self):
+        for name in ("lam", "kappa", "alpha", "beta"):
+            object.__setattr__(self, name, validation.positive(name, getattr(self, name)))
+        gamma = validation.real("gamma", self.gamma, low=0, high=1, low_open=True, high_open=True)
+        object.__setattr__(self, "gamma", gamma)
+
+    def uncertain_system(self) -> UncertainSystem:
+        r"""Return the example in the form of Section II, as (eqsystem1).
+
+        One state, the phase; one uncertainty channel with zero output, for the process noise
+        (:math:`\Delta_1 = 0`); one nonlinearity
+        :math:`\psi(\nu) = 2\alpha f(\nu/2\alpha\gamma)` of :math:`\nu = 2\alpha\gamma\phi`, with
+        Lipschitz constant 1 in the sector.
+        """
+        drive = math.sqrt(self.kappa)
+        noise = 1.0 / (2.0 * self.alpha * self.beta)
+        return UncertainSystem(
+            A=[[-self.lam]],
+            B1=[[drive, 0.0]],
+            C0=[[1.0]],
+            C2=[[1.0]],
+            D21=[[0.0, noise]],
+            uncertainties=(Uncertainty(B=[[drive]], C=[[0.0]], D=[[0.0]]),),
+            nonlinearities=(
+                Nonlinearity(
+                    B=[[0.0]],
+                    C=[[2.0 * self.alpha * self.gamma]],
+                    D=[[noise]],
+                    lipschitz=1.0,
+                    function=self.channel,
+                ),
+            ),
+        )
+
+    def remainder(self, error: np.ndarray) -> np.ndarray:
+        r"""Return :math:`f(e) = \sin e - \beta e` at errors in rad."""
+        return np.sin(error) - self.beta * np.asarray(error)
+
+    def channel(self, nu: np.ndarray) -> np.ndarray:
+        r"""Return :math:`\psi(\nu) = 2\alpha f(\nu/2\alpha\gamma)`."""
+        scale = 2.0 * self.alpha * self.gamma
+        return 2.0 * self.alpha * self.remainder(np.asarray(nu) / scale)
+
+    @property
+    def sector_slope(self) -> float:
+        r"""The slope m of the sector's lower edge as the paper relates it, gamma = (1 - m)/2."""
+        return 1.0 - 2.0 * self.gamma
+
+    @property
+    def lower_slope(self) -> float:
+        r"""The lower edge that the design uses, :math:`\beta - \gamma`: Delta_2 = -1."""
+        return self.beta - self.gamma
+
+    def sector_range(self, slope: float | None = None) -> float:
+        r"""Return the largest error (rad) with :math:`|\sin e| \ge` slope :math:`\cdot |e|`.
+
+        Parameters
+        ----------
+        slope : float, optional
+            Lower edge of the sector, in (0, 1); by default `lower_slope`.
+        """
+        slope = self.lower_slope if slope is None else slope
+        slope = validation.real("slope", slope, low=0, high=1, low_open=True, high_open=True)
+        return float(brentq(lambda e: math.sin(e) / e - slope, 1e-9, math.pi))
+
+    @property
+    def lipschitz_range(self) -> float:
+        r"""The largest error (rad) up to which f is Lipschitz with constant gamma.
+
+        Where :math:`|\cos e - \beta| \le \gamma` ends, from zero; zero where it does not hold there.
+        """
+        if abs(1.0 - self.beta) > self.gamma:
+            return 0.0
+        return math.acos(max(self.lower_slope, -1.0))
+
+    def equivalent_slope(self, variance: float) -> float:
+        r"""Return the statistically equivalent :math:`\Delta_2`, :math:`(e^{-P/2} - \beta)/\gamma`."""
+        return (math.exp(-0.5 * variance) - self.beta) / self.gamma
+
+
+def fraction_inside(error_range: float, variance: float) -> float:
+    """Return the fraction of time that a Gaussian error of this variance is within the range."""
+    return float(erf(error_range / math.sqrt(2.0 * variance)))
+
+
+PAPER = HomodyneParameters(lam=9.14e3, kappa=4e4, alpha=1162.0, beta=1.0, gamma=0.4)
+"""Table I."""
