@@ -1,0 +1,82 @@
+"""Tables, written once and shown in notebooks, Markdown, CSV and LaTeX."""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tabulate import tabulate
+
+from robsmooth import files
+
+Cell = str | int | float | None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a caption. Text cells may hold mathematics between dollar signs.
+
+    Attributes
+    ----------
+    columns : sequence of str
+        Column headers.
+    rows : sequence of sequences
+        Cells: words, numbers, or None for an empty one.
+    caption : str
+        What the table shows.
+    digits : int
+        Significant digits of the numbers in print; CSV keeps them all.
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    caption: str
+    digits: int = 4
+
+    def markdown(self) -> str:
+        """Return the table for Markdown."""
+        rows = [[self._text(cell).replace("|", r"\|") for cell in row] for row in self.rows]
+        body = tabulate(rows, self.columns, "pipe", disable_numparse=True)
+        return f"{body}\n\n*{self.caption}*\n"
+
+    def latex(self) -> str:
+        """Return a LaTeX table for the booktabs package."""
+        rows = [[_latex(self._text(cell)) for cell in row] for row in self.rows]
+        columns = [_latex(name) for name in self.columns]
+        body = tabulate(rows, columns, "latex_raw", disable_numparse=True)
+        caption = _latex(self.caption)
+        return f"\\begin{{table}}\n\\centering\n\\caption{{{caption}}}\n{body}\n\\end{{table}}\n"
+
+    def csv(self) -> str:
+        """Return the table as comma-separated values, numbers in full."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.columns)
+        writer.writerows(["" if cell is None else cell for cell in row] for row in self.rows)
+        return text.getvalue()
+
+    def save(self, directory: Path | str, name: str) -> None:
+        """Write the table as `name`.md, .csv and .tex."""
+        for suffix, text in (("md", self.markdown()), ("csv", self.csv()), ("tex", self.latex())):
+            files.write_text(Path(directory) / f"{name}.{suffix}", text)
+
+    def _repr_markdown_(self) -> str:
+        return self.markdown()
+
+    def _text(self, cell: Cell) -> str:
+        if cell is None:
+            return ""
+        return f"{cell:.{self.digits}g}" if isinstance(cell, float) else str(cell)
+
+
+_LATEX = {"±": r"$\pm$", "µ": r"$\mu$", "%": r"\%", "&": r"\&", "#": r"\#", "_": r"\_"}
+_LATEX |= {"<": "$<$", ">": "$>$", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"}
+
+
+def _latex(text: str) -> str:
+    """Escape what LaTeX would misread, outside of mathematics."""
+    parts = text.split("$")
+    for outside in range(0, len(parts), 2):
+        parts[outside] = "".join(_LATEX.get(letter, letter) for letter in parts[outside])
+    return "$".join(parts)
