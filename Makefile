@@ -1,0 +1,108 @@
+# Reproduce the paper: `make figures`. Check everything: `make test`. `make` alone lists the rest.
+
+PYTHON  = python3
+PROFILE = paper
+ONLY    =
+
+UV      = .uv/bin/uv
+BIN     = .venv/bin
+
+# A development environment holds everything that a run needs, so it is kept where there is one.
+ENVIRONMENT := $(if $(wildcard .venv/dev.stamp),.venv/dev.stamp,.venv/run.stamp)
+
+# Only this environment's Python and kernel are used, whatever the user's shell has active.
+export JUPYTER_PREFER_ENV_PATH = 1
+export UV_PYTHON_DOWNLOADS = never
+unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
+# Without bytecode each kernel would take seconds longer to import what it needs.
+unexport PYTHONDONTWRITEBYTECODE
+
+.NOTPARALLEL:
+.PHONY: help setup figures lab test format lock upgrade clean distclean
+
+help:  ## list the targets and variables
+	@echo 'Targets:'
+	@sed -n 's/^\([a-z]*\):.*## /  \1	/p' Makefile | expand -t 14
+	@echo 'Variables:'
+	@echo '  PROFILE     paper (default) or quick: the scale of the Monte Carlo and of the sweeps'
+	@echo '  ONLY        notebooks to run, for example ONLY=03 or ONLY=02,sweep (default: all)'
+	@echo '  PYTHON      the Python, 3.11 or newer, to make .venv with (default: python3)'
+
+setup: $(ENVIRONMENT)  ## make .venv from the lock, hash-checked (the other targets do it as needed)
+
+figures: $(ENVIRONMENT)  ## run the notebooks that are not fresh; write figures/ and data/
+	@$(BIN)/robsmooth figures --profile '$(PROFILE)' $(if $(ONLY),--only '$(ONLY)')
+
+lab: $(ENVIRONMENT)  ## open the notebooks in JupyterLab
+	$(BIN)/jupyter lab --notebook-dir=notebooks
+
+test: .venv/dev.stamp  ## lint, format check, and all tests
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+format: .venv/dev.stamp  ## format code and notebooks; take out notebook outputs
+	$(BIN)/ruff check --fix-only .
+	$(BIN)/ruff format .
+	$(BIN)/nbstripout --keep-id --extra-keys metadata.papermill $(wildcard notebooks/*.ipynb)
+
+clean:  ## remove build/ and caches; figures/ and data/ stay
+	rm -rf build .pytest_cache .ruff_cache .hypothesis
+	find . -path './.?*' -prune -o -name __pycache__ -prune -exec rm -rf {} +
+
+distclean: clean  ## clean, and remove .venv and .uv
+	rm -rf .venv .uv
+
+# --- the environment -----------------------------------------------------------------------------
+
+# $(call install,LOCK): make .venv exactly LOCK, and put this project into it.
+# uv does it in seconds; pip, for machines that uv has no wheel for, in minutes.
+define install
+	@rm -f .venv/*.stamp
+	@set -e; if [ -x $(UV) ]; then \
+	  [ -x $(BIN)/python ] || $(UV) venv --quiet --clear --python '$(PYTHON)' .venv; \
+	  $(UV) pip sync --quiet --python $(BIN)/python --require-hashes $(1); \
+	  $(UV) pip install --quiet --python $(BIN)/python $(PROJECT); \
+	else \
+	  $(PYTHON) -m venv --clear .venv \
+	    && $(BIN)/python -m pip install --quiet --require-hashes --requirement $(1) \
+	    && $(BIN)/python -m pip install --quiet $(PROJECT) \
+	    || { rm -rf .uv; echo '$(NO_ENVIRONMENT)' >&2; exit 1; }; \
+	fi
+endef
+
+PROJECT        = --no-deps --no-build-isolation --editable .
+PIP_UV         = pip install --quiet --require-hashes --only-binary :all: --requirement requirements-uv.lock
+NO_PYTHON      = robsmooth needs Python 3.11 or newer; say which with make PYTHON=... (given: $(PYTHON))
+NO_ENVIRONMENT = The environment could not be made; as root, apt-get install python3-venv, and run make again.
+
+.venv/run.stamp: requirements.lock pyproject.toml .uv/stamp
+	$(call install,requirements.lock)
+	@touch $@
+
+.venv/dev.stamp: requirements-dev.lock requirements.lock pyproject.toml .uv/stamp
+	$(call install,requirements-dev.lock)
+	@touch $@
+
+.uv/stamp: requirements-uv.lock
+	@rm -rf .uv
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo '$(NO_PYTHON)' >&2; exit 1; }
+	@$(PYTHON) -m $(PIP_UV) --target .uv 2>/dev/null \
+	  || { $(PYTHON) -m venv --clear .uv >/dev/null && .uv/bin/python -m $(PIP_UV); } \
+	  || echo 'uv cannot be installed here; pip takes its place, which is slower.' >&2
+	@mkdir -p .uv && touch $@
+
+# --- the locks -----------------------------------------------------------------------------------
+
+COMPILE = $(UV) pip compile --quiet --universal --fork-strategy fewest --python-version 3.11 \
+          --generate-hashes --custom-compile-command 'make lock' $(LOCK_OPTIONS)
+
+lock: .uv/stamp  ## write the locks anew after pyproject.toml changed; versions that fit stay
+	$(COMPILE) pyproject.toml --group build --output-file requirements.lock
+	$(COMPILE) pyproject.toml --group build --group dev --constraint requirements.lock \
+	  --output-file requirements-dev.lock
+	echo uv | $(COMPILE) --no-annotate - --output-file requirements-uv.lock
+
+upgrade: LOCK_OPTIONS = --upgrade
+upgrade: lock  ## write the locks anew with the newest versions

@@ -1,0 +1,158 @@
+"""One notebook in a process of its own, watched from outside, and judged by what it left.
+
+A process a notebook: several through one process have been seen to hang. papermill's word is not
+enough: it takes `sys.exit(0)` in a cell for success, so the executed copy is read instead.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import nbformat
+import psutil
+
+_ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
+_ADDED_BY_PAPERMILL = {"injected-parameters", "papermill-error-cell-tag"}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a notebook failed: the cell, numbered from 1 as in its source, and the traceback."""
+
+    cell: int | None
+    text: str
+
+    def __str__(self) -> str:
+        return self.text if self.cell is None else f"cell {self.cell}\n{self.text}"
+
+
+class Execution:
+    """A running notebook: poll it until it is finished, then ask for its failure, if any."""
+
+    def __init__(
+        self,
+        notebook: Path,
+        executed: Path,
+        parameters: Mapping[str, object],
+        scratch: Path,
+        time_limit: float,
+    ) -> None:
+        """Start; the run may take `time_limit` seconds, and one cell of it half as long."""
+        self.executed = executed
+        self.started = time.perf_counter()
+        self._time_limit = time_limit
+        self._timed_out = False
+        self._said, self._log = scratch / "said.txt", scratch / "log.txt"
+        job = {
+            "notebook": str(notebook),
+            "executed": str(executed),
+            "folder": str(notebook.parent),
+            "parameters": dict(parameters),
+            "cell_limit": max(1, round(time_limit / 2)),
+        }
+        executed.parent.mkdir(parents=True, exist_ok=True)
+        executed.unlink(missing_ok=True)
+        with open(self._said, "wb") as said, open(self._log, "wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", str(Path(__file__).with_name("worker.py"))],
+                stdin=subprocess.PIPE,
+                stdout=said,
+                stderr=log,
+                env=_environment(scratch),
+                start_new_session=True,  # Ctrl-C is ours to hand on
+            )
+        with self._process.stdin as stdin:
+            stdin.write(json.dumps(job).encode())
+
+    @property
+    def seconds(self) -> float:
+        """Time since the start."""
+        return time.perf_counter() - self.started
+
+    def finished(self) -> bool:
+        """Whether it has ended; one that is over its time limit is ended here."""
+        if self._process.poll() is None and self.seconds > self._time_limit:
+            self._timed_out = True
+            self.kill()
+        return self._process.poll() is not None
+
+    def kill(self) -> None:
+        """End the process, its kernel, and all that the kernel has started."""
+        # The kernel has a session of its own, so a signal to the process group would miss it.
+        try:
+            worker = psutil.Process(self._process.pid)
+            family = [worker, *worker.children(recursive=True)]
+        except psutil.NoSuchProcess:
+            family = []
+        for process in family:
+            try:
+                process.kill()
+            except psutil.NoSuchProcess:
+                continue
+        self._process.wait()
+        psutil.wait_procs(family, timeout=10)
+
+    def failure(self) -> Failure | None:
+        """Why the finished run failed, or None where every cell was run and none failed."""
+        reason, cells = self._reason(), self._cells()
+        for number, cell in cells:
+            if traceback := _traceback(cell):
+                return Failure(number, reason or traceback)
+            if not _completed(cell):
+                return Failure(number, reason or "the cell was not run to its end")
+        if reason or self._process.returncode or not cells:
+            log = self._log.read_text(errors="replace").strip().splitlines()
+            return Failure(None, reason or "\n".join(log[-20:]) or "its process died")
+        return None
+
+    def _reason(self) -> str:
+        if self._timed_out:
+            return f"the time limit of {self._time_limit:g} s for the notebook was reached"
+        return self._said.read_text(errors="replace").strip()
+
+    def _cells(self) -> list[tuple[int | None, nbformat.NotebookNode]]:
+        """Code cells of the executed copy that hold code, with their numbers in the source."""
+        number, found = 0, []
+        for cell in self._executed_cells():
+            added = _ADDED_BY_PAPERMILL.intersection(cell.metadata.get("tags", []))
+            number += not added
+            if cell.cell_type == "code" and cell.source.strip():
+                found.append((number, cell))
+        return found
+
+    def _executed_cells(self) -> list[nbformat.NotebookNode]:
+        try:
+            return nbformat.read(self.executed, as_version=4).cells
+        except (FileNotFoundError, nbformat.reader.NotJSONError):  # killed before or while saving
+            return []
+
+
+def _traceback(cell: nbformat.NotebookNode) -> str:
+    errors = [output for output in cell.outputs if output.output_type == "error"]
+    lines = [line for error in errors for line in error.traceback or [error.ename]]
+    return _ANSI.sub("", "\n".join(lines)).strip()
+
+
+def _completed(cell: nbformat.NotebookNode) -> bool:
+    # papermill marks even the cell that its kernel died in as completed: go by the kernel's reply.
+    return "shell.execute_reply" in cell.metadata.get("execution", {})
+
+
+def _environment(scratch: Path) -> dict[str, str]:
+    """Our environment, less what would make a figure depend on its user."""
+    left_out = {"MPLBACKEND", "PYTHONPATH"}
+    environment = {name: value for name, value in os.environ.items() if name not in left_out}
+    return environment | {
+        "JUPYTER_PREFER_ENV_PATH": "1",  # this environment's kernel, not the user's
+        "JUPYTER_RUNTIME_DIR": str(scratch / "jupyter"),
+        "IPYTHONDIR": str(scratch / "ipython"),  # no start-up files of the user's
+        "MATPLOTLIBRC": str(Path(find_spec("matplotlib").origin).with_name("mpl-data")),
+        "PYTHONHASHSEED": "0",
+    }

@@ -1,0 +1,170 @@
+"""A notebook's parameters: read from its tagged cell, checked against what that cell allows.
+
+The cell tagged `parameters` holds one typed, commented value a line; the comment may open with the
+values allowed, an interval (with `inf`, too) or a set::
+
+    runs: int = 50_000  # [1, 1e9] runs of the Monte Carlo
+    lag: float = 3.1e-6  # (0, 1e-3] s, delay of the smoothed estimate
+    profile: str = "paper"  # {paper, quick} scale of the run
+
+papermill itself only warns of an unknown name and checks no type. Its own reader of this cell is
+not used: it skips a line whose comment holds an equals sign.
+"""
+
+import ast
+import difflib
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import nbformat
+
+TYPES = {"bool": bool, "int": int, "float": float, "str": str}
+# Set by the pipeline, for each run anew: the folders that figures, and data, are written to.
+FOLDERS = ("output_dir", "data_dir")
+
+_INTERVAL = re.compile(r"([\[(])\s*([^\s,]+)\s*,\s*([^\s,]+?)\s*([\])])\s*")
+_CHOICES = re.compile(r"\{\s*([^{}]+?)\s*\}\s*")
+
+
+class PipelineError(ValueError):
+    """A run was asked for that cannot be made; nothing has been run."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Numbers from `low` to `high`, each end included or not."""
+
+    low: float
+    high: float
+    low_included: bool
+    high_included: bool
+
+    def __contains__(self, value: float) -> bool:
+        above = value >= self.low if self.low_included else value > self.low
+        below = value <= self.high if self.high_included else value < self.high
+        return above and below
+
+    def __str__(self) -> str:
+        left, right = "(["[self.low_included], ")]"[self.high_included]
+        return f"{left}{self.low:g}, {self.high:g}{right}"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One line of the parameters cell."""
+
+    name: str
+    type: str
+    default: object
+    allowed: Interval | tuple[str, ...] | None
+    help: str
+
+    def check(self, value: object, where: str) -> object:
+        """Return `value` in this parameter's type, or raise a `PipelineError` that says why not."""
+        if self.type == "float" and type(value) is int:
+            value = float(value)
+        if type(value) is not TYPES[self.type]:
+            given = f"{value!r} ({type(value).__name__})"
+            raise PipelineError(f"{where}: {self.name} must be of type {self.type}, not {given}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise PipelineError(f"{where}: {self.name} must be finite, not {value}")
+        if isinstance(self.allowed, Interval) and value not in self.allowed:
+            raise PipelineError(f"{where}: {self.name} must be in {self.allowed}, not {value}")
+        if isinstance(self.allowed, tuple) and str(value) not in self.allowed:
+            allowed = ", ".join(self.allowed)
+            raise PipelineError(f"{where}: {self.name} must be one of {allowed}, not {value}")
+        return value
+
+
+def read(notebook: Path) -> dict[str, Parameter]:
+    """Parameters of a notebook by name, their defaults checked.
+
+    Raises
+    ------
+    PipelineError
+        Unless the file is a notebook with exactly one code cell tagged `parameters` that holds
+        nothing but `name: type = value  # comment` lines, `output_dir` and `data_dir` among them.
+    """
+    try:
+        cells = nbformat.read(notebook, as_version=4).cells
+    except (OSError, ValueError, AttributeError, nbformat.ValidationError) as error:
+        raise PipelineError(f"{notebook.name}: not a readable notebook ({error})") from error
+    tagged = [
+        cell
+        for cell in cells
+        if cell.cell_type == "code" and "parameters" in cell.metadata.get("tags", [])
+    ]
+    if len(tagged) != 1:
+        message = f"{notebook.name}: exactly one code cell must be tagged parameters, not"
+        raise PipelineError(f"{message} {len(tagged)}")
+    parameters = {parameter.name: parameter for parameter in _lines(tagged[0].source, notebook)}
+    for parameter in parameters.values():
+        parameter.check(parameter.default, f"{notebook.name}, default")
+    for name in FOLDERS:
+        if name not in parameters or parameters[name].type != "str":
+            raise PipelineError(f"{notebook.name}: the parameters cell must hold {name}: str")
+    return parameters
+
+
+def check(
+    parameters: Mapping[str, Parameter], values: Mapping[str, object], where: str
+) -> dict[str, object]:
+    """Check `values`, given for a notebook's `parameters`, by name, type and range."""
+    for name in values:
+        if name in FOLDERS:
+            raise PipelineError(f"{where}: {name} is set by the pipeline and cannot be given")
+        if name not in parameters:
+            raise unknown(f"{where}: parameter", name, sorted(set(parameters) - set(FOLDERS)))
+    return {name: parameters[name].check(value, where) for name, value in values.items()}
+
+
+def unknown(what: str, name: str, known: Iterable[str]) -> PipelineError:
+    """Error for a name that is none of `known`, with the nearest of them if one is near."""
+    known = list(known)
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known) or 'none'}"
+    return PipelineError(f"{what} {name} is unknown; {hint}")
+
+
+def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
+    where = f"{notebook.name}, parameters cell"
+    try:
+        statements = ast.parse(source).body
+    except SyntaxError as error:
+        raise PipelineError(f"{where}: line {error.lineno} is not Python") from error
+    for statement in statements:
+        match statement:
+            case ast.AnnAssign(ast.Name(name), ast.Name(type_), ast.expr() as value) if (
+                type_ in TYPES
+            ):
+                line = source.splitlines()[statement.end_lineno - 1].encode()
+                comment = line[statement.end_col_offset :].decode().strip().lstrip("# ")
+                try:
+                    default = ast.literal_eval(value)
+                    allowed, help_ = _allowed(comment)
+                except ValueError as error:
+                    raise PipelineError(f"{where}: {name}: {error}") from error
+                yield Parameter(name, type_, default, allowed, help_)
+            case _:
+                form = "name: type = value  # comment"
+                types = ", ".join(TYPES)
+                raise PipelineError(
+                    f"{where}: line {statement.lineno} must read {form}, with type one of {types}"
+                )
+
+
+def _allowed(comment: str) -> tuple[Interval | tuple[str, ...] | None, str]:
+    """Split a comment into the values allowed, if it opens with them, and the rest."""
+    if found := _CHOICES.match(comment):
+        choices = tuple(choice.strip(" \"'") for choice in found[1].split(","))
+        return choices, comment[found.end() :]
+    if found := _INTERVAL.match(comment):
+        left, low, high, right = found.groups()
+        interval = Interval(float(low), float(high), left == "[", right == "]")
+        return interval, comment[found.end() :]
+    if comment[:1] in set("([{"):
+        raise ValueError(f"the comment must open with [low, high] or {{one, other}}, not {comment}")
+    return None, comment
