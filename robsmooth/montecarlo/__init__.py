@@ -1,0 +1,10 @@
+"""Monte Carlo simulation of the nonlinear loop (Section IV-E).
+
+`loop` writes the loop down, `noise` draws the noise, `kernels` takes the steps, `protocols` says
+what is collected, and `run` puts them together.
+"""
+
+from robsmooth.montecarlo.protocols import MeanSquare
+from robsmooth.montecarlo.run import MonteCarloResult, monte_carlo
+
+__all__ = ["MeanSquare", "MonteCarloResult", "monte_carlo"]

@@ -1,0 +1,237 @@
+r"""The adaptive homodyne loop of Section IV with a linear estimator in it.
+
+The phase drifts and the photocurrent measures it against the local oscillator's phase :math:`u`,
+
+.. math::
+
+    d\varphi &= -\lambda\varphi\,dt + \sqrt\kappa\,dV,\\
+    I\,dt &= 2\alpha\sin(\varphi - u)\,dt + \sqrt s\,dW .
+
+The estimator is driven by the measurement and by its own copy of the nonlinearity,
+
+.. math::
+
+    dy &= \frac{I\,dt + 2\alpha\beta u\,dt}{2\alpha\beta}
+        = \Bigl[\frac{\sin(\varphi - u)}{\beta} + u\Bigr]dt + \frac{\sqrt s}{2\alpha\beta}\,dW,\\
+    d\hat x &= \bigl[A_c\hat x + B_\mu\,\psi(\tilde\nu - 2\alpha\gamma u)\bigr]dt + B_y\,dy,
+    \qquad \psi(v) = 2\alpha f\Bigl(\frac{v}{2\alpha\gamma}\Bigr),\quad f(e) = \sin e - \beta e .
+
+With :math:`u`, :math:`\tilde\nu` and the estimates linear in :math:`\hat x` this is
+
+.. math::
+
+    d\hat x = \bigl[G\hat x + b_s\sin(\varphi - r\hat x) + b_c\sin(c\hat x)\bigr]dt + b_w\,dW,
+
+which is what is simulated: the options of the loop differ in :math:`G`, :math:`r`, :math:`c` and
+:math:`b_c` only.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robsmooth import validation
+
+OSCILLATORS = ("filtered", "smoothed")
+NONLINEARITIES = ("difference", "literal")
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    r"""The loop in the form that is simulated (the last equation of the module's docstring).
+
+    Parameters
+    ----------
+    phase_decay : float
+        :math:`\lambda`, 1/s.
+    phase_diffusion : float
+        :math:`\sqrt\kappa`, rad/s^(1/2).
+    drift : (n, n) array
+        :math:`G`, 1/s.
+    reference : (n,) array
+        :math:`r`: the phase that the sine's argument is measured from is :math:`r\hat x`.
+    copy : (n,) array
+        :math:`c`: the argument of the copy's sine is :math:`c\hat x`.
+    sine_gain, copy_gain, noise_gain : (n,) arrays
+        :math:`b_s`, :math:`b_c`, :math:`b_w`.
+    filtered, smoothed, oscillator : (n,) arrays
+        Rows that read the two estimates and the oscillator's phase, rad, out of the state.
+    delay : float
+        Lag of the smoothed estimate, s.
+    """
+
+    phase_decay: float
+    phase_diffusion: float
+    drift: NDArray[np.float64]
+    reference: NDArray[np.float64]
+    copy: NDArray[np.float64]
+    sine_gain: NDArray[np.float64]
+    copy_gain: NDArray[np.float64]
+    noise_gain: NDArray[np.float64]
+    filtered: NDArray[np.float64]
+    smoothed: NDArray[np.float64]
+    oscillator: NDArray[np.float64]
+    delay: float
+
+    @property
+    def order(self) -> int:
+        """Number of states of the estimator."""
+        return len(self.filtered)
+
+    def linearised_drift(self) -> NDArray[np.float64]:
+        r"""Drift of :math:`(\varphi, \hat x)` with :math:`\sin e` replaced by :math:`e`, 1/s."""
+        estimator = (
+            self.drift
+            - np.outer(self.sine_gain, self.reference)
+            + np.outer(self.copy_gain, self.copy)
+        )
+        drift = np.zeros((1 + self.order, 1 + self.order))
+        drift[0, 0] = -self.phase_decay
+        drift[1:, 0] = self.sine_gain
+        drift[1:, 1:] = estimator
+        return drift
+
+    def noise_covariance(self) -> NDArray[np.float64]:
+        r"""Covariance rate of the noise that drives :math:`(\varphi, \hat x)`."""
+        covariance = np.zeros((1 + self.order, 1 + self.order))
+        covariance[0, 0] = self.phase_diffusion**2
+        covariance[1:, 1:] = np.outer(self.noise_gain, self.noise_gain)
+        return covariance
+
+    def rates(self) -> tuple[float, float]:
+        """Slowest decay rate and largest eigenvalue magnitude of the linearised estimator, 1/s.
+
+        The slowest decay rate is negative where the estimator is unstable in the loop.
+        """
+        eigenvalues = np.linalg.eigvals(self.linearised_drift()[1:, 1:])
+        return float(-eigenvalues.real.max()), float(np.abs(eigenvalues).max())
+
+
+@dataclass(frozen=True, eq=False)
+class EulerLoop:
+    """The coefficients of an Euler-Maruyama step, as `robsmooth.montecarlo.kernels` takes them.
+
+    Parameters
+    ----------
+    phase_step : (2,) array
+        Decay and diffusion of the phase in a step.
+    estimator_step : (n + 5, n) array
+        Increments of the estimator (n rows), reference, copy, and the gains of the measured sine,
+        of the copied sine and of the noise.
+    readout : (3, n) array
+        Rows of the filtered estimate, the smoothed estimate and the oscillator's phase.
+    """
+
+    phase_step: NDArray[np.float64]
+    estimator_step: NDArray[np.float64]
+    readout: NDArray[np.float64]
+
+
+def euler(loop: Loop, step: float) -> EulerLoop:
+    """Coefficients of the Euler-Maruyama scheme with steps of `step` seconds."""
+    root = np.sqrt(step)
+    return EulerLoop(
+        phase_step=np.array([-step * loop.phase_decay, root * loop.phase_diffusion]),
+        estimator_step=np.vstack(
+            [
+                step * loop.drift,
+                loop.reference,
+                loop.copy,
+                step * loop.sine_gain,
+                step * loop.copy_gain,
+                root * loop.noise_gain,
+            ]
+        ),
+        readout=np.vstack([loop.filtered, loop.smoothed, loop.oscillator]),
+    )
+
+
+def homodyne_loop(
+    parameters,
+    smoother,
+    *,
+    oscillator: str = "filtered",
+    copy: bool = True,
+    nonlinearity: str = "difference",
+    shot_noise: float = 1.0,
+) -> Loop:
+    """Close the loop of the module's docstring; see `monte_carlo` for the arguments."""
+    lam = _parameter(parameters, "lam", low=0.0)
+    kappa = _parameter(parameters, "kappa", low=0.0)
+    alpha = _parameter(parameters, "alpha", low=0.0, low_open=True)
+    beta = _parameter(parameters, "beta", low=0.0, low_open=True)
+    gamma = _parameter(parameters, "gamma", low=0.0, low_open=True)
+    A_c, B_c, C_c, C_f, C_a, delay = _estimator(smoother)
+    validation.choice("oscillator", oscillator, OSCILLATORS)
+    validation.choice("nonlinearity", nonlinearity, NONLINEARITIES)
+    if not isinstance(copy, bool | np.bool_):
+        raise TypeError(f"copy must be True or False, got {copy!r}")
+    shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
+
+    filtered, smoothed = C_f[0], C_a[0]
+    u = filtered if oscillator == "filtered" else smoothed
+    # "literal" takes sin(phi) - beta phi at its word: the nonlinearity is not of the difference.
+    reference = u if nonlinearity == "difference" else np.zeros_like(u)
+    measurement_gain = B_c[:, 0]
+    drift = A_c + np.outer(measurement_gain, reference)
+    if copy and C_c.shape[0] == 2:
+        copy_argument = C_c[1] / (2 * alpha * gamma) - reference
+        copy_gain = 2 * alpha * B_c[:, 1]
+        drift -= beta * np.outer(copy_gain, copy_argument)
+    else:
+        copy_argument = copy_gain = np.zeros_like(u)
+    return Loop(
+        phase_decay=lam,
+        phase_diffusion=np.sqrt(kappa),
+        drift=drift,
+        reference=reference,
+        copy=copy_argument,
+        sine_gain=measurement_gain / beta,
+        copy_gain=copy_gain,
+        noise_gain=np.sqrt(shot_noise) / (2 * alpha * beta) * measurement_gain,
+        filtered=filtered,
+        smoothed=smoothed,
+        oscillator=u,
+        delay=delay,
+    )
+
+
+def _parameter(parameters, name: str, **interval) -> float:
+    try:
+        value = getattr(parameters, name)
+    except AttributeError:
+        raise TypeError(
+            f"parameters must be HomodyneParameters, got {parameters!r} without {name}"
+        ) from None
+    return validation.real(f"parameters.{name}", value, **interval)
+
+
+def _estimator(smoother) -> tuple:
+    """Checked matrices and delay of an estimator with one measurement and g <= 1.
+
+    The filtered estimate is C_f x_hat, or w-hat where the estimator has no such row.
+    """
+    try:
+        A_c, B_c, C_c, C_a = (getattr(smoother, name) for name in ("A_c", "B_c", "C_c", "C_a"))
+        delay = smoother.plant.delay
+    except AttributeError as error:
+        raise TypeError(
+            f"smoother must be an estimator with A_c, B_c, C_c, C_a and plant.delay: {error}"
+        ) from None
+    A_c = validation.matrix("smoother.A_c", A_c, (None, None))
+    n = A_c.shape[0]
+    if n == 0 or A_c.shape[1] != n:
+        raise ValueError(f"smoother.A_c must be square and not empty, got shape {A_c.shape}")
+    B_c = validation.matrix("smoother.B_c", B_c, (n, None))
+    C_c = validation.matrix("smoother.C_c", C_c, (None, n))
+    C_f = validation.matrix("smoother.C_f", getattr(smoother, "C_f", C_c[:1]), (None, n))
+    C_a = validation.matrix("smoother.C_a", C_a, (None, n))
+    outputs, inputs = C_c.shape[0], B_c.shape[1]
+    if (C_f.shape[0], C_a.shape[0]) != (1, 1) or outputs != inputs or inputs not in (1, 2):
+        raise ValueError(
+            "smoother must have one output, one measurement and at most one nonlinearity "
+            "(1 row in C_a and C_f, 1 or 2 columns in B_c, and as many rows in C_c), got "
+            f"C_a {C_a.shape}, C_f {C_f.shape}, B_c {B_c.shape}, C_c {C_c.shape}"
+        )
+    return A_c, B_c, C_c, C_f, C_a, validation.real("smoother.plant.delay", delay, low=0.0)
