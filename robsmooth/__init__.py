@@ -6,5 +6,29 @@ from robsmooth.bound import minimize_bound
 from robsmooth.covariance import delta_sweep, error_covariance, statistical_linearisation
 from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.estimator import Estimator
+from robsmooth.montecarlo import MonteCarloResult, monte_carlo
+from robsmooth.published import verdicts
 from robsmooth.smoother import RobustSmoother, design_smoother
-from robsmooth.systems import Nonlinearity, Uncertainty, UncertainSystem
+from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
+
+__all__ = [
+    "AugmentedSystem",
+    "Estimator",
+    "InfeasibleDesignError",
+    "MonteCarloResult",
+    "Nonlinearity",
+    "RobustSmoother",
+    "UncertainSystem",
+    "Uncertainty",
+    "UnstableLoopError",
+    "augment",
+    "baselines",
+    "delta_sweep",
+    "design_smoother",
+    "error_covariance",
+    "homodyne",
+    "minimize_bound",
+    "monte_carlo",
+    "statistical_linearisation",
+    "verdicts",
+]

@@ -122,7 +122,9 @@ class AugmentedSystem:
     @cached_property
     def C2_tilde(self) -> Matrix:
         """(l + g, n) the measurement, then zero rows: the copies' outputs carry no state."""
-        return self._state_columns(np.vstack([self.system.C2, np.zeros((self.system.g, self.system.n))]))
+        return self._state_columns(
+            np.vstack([self.system.C2, np.zeros((self.system.g, self.system.n))])
+        )
 
     @cached_property
     def D21_tilde(self) -> Matrix:
@@ -165,13 +167,15 @@ class AugmentedSystem:
         """
         channels = np.vstack([self.B1_tilde, self.D21_tilde])
         noise = np.vstack([self.B_p1, self.D21_bar])
-        size = np.maximum(np.abs(channels).max(axis=1, initial=0.0), np.abs(noise).max(axis=1))
+        size = np.maximum(
+            np.abs(channels).max(axis=1, initial=0.0), np.abs(noise).max(axis=1, initial=0.0)
+        )
         size[size == 0.0] = 1.0
         channels, noise = channels / size[:, None], noise / size[:, None]
         J = np.linalg.lstsq(channels, noise, rcond=None)[0]
         misfit = np.abs(channels @ J - noise).max(axis=0)
-        worst = int(misfit.argmax())
-        if misfit[worst] > _J_RESIDUAL:
+        if misfit.max(initial=0.0) > _J_RESIDUAL:
+            worst = int(misfit.argmax())
             raise InfeasibleDesignError(
                 "Assumption 1",
                 f"noise {worst} of {self.system.q} does not enter through the uncertainty channels "
@@ -211,8 +215,10 @@ class AugmentedSystem:
         values = [*uncertainties, *nonlinearities, *nonlinearities]
         blocks = []
         for value, rows, columns in zip(values, self.input_sizes, self.output_sizes, strict=True):
-            scalar = np.ndim(value) == 0
-            blocks.append(value * np.eye(rows, columns) if scalar else np.asarray(value))
+            if np.ndim(value) == 0:
+                blocks.append(validation.real("a Delta", value) * np.eye(rows, columns))
+            else:
+                blocks.append(validation.matrix("a block of Delta", value, (rows, columns)))
         return block_diag(np.zeros((0, 0)), *blocks)
 
     def __repr__(self) -> str:
@@ -291,8 +297,7 @@ def compact(
 
     Estimators of other theories, a Kalman filter say, live on such a plant.
     """
-    if not isinstance(system, UncertainSystem):
-        raise TypeError(f"system must be an UncertainSystem, got {type(system).__name__}")
+    validation.instance("system", system, UncertainSystem)
     if np.ndim(J_21) == 0:
         J_21 = validation.positive("J_21", J_21) * np.eye(system.g)
     J_21 = validation.matrix("J_21", J_21, (system.g, system.g))
@@ -302,6 +307,8 @@ def compact(
 
 
 def _combination(weights: Sequence[float], matrices: Sequence[Matrix], size: int) -> Matrix:
+    if len(weights) != len(matrices):
+        raise ValueError(f"multipliers must have {len(matrices)} entries, got {len(weights)}")
     return sum(
         (w * matrix for w, matrix in zip(weights, matrices, strict=True)), np.zeros((size, size))
     )

@@ -23,7 +23,7 @@ from robsmooth.errors import InfeasibleDesignError
 from robsmooth.estimator import Estimator
 from robsmooth.riccati import RiccatiError, solve_riccati
 from robsmooth.smoother import RobustSmoother
-from robsmooth.systems import Uncertainty, UncertainSystem
+from robsmooth.systems import UncertainSystem, Uncertainty
 from robsmooth.validation import Matrix
 
 
@@ -81,9 +81,8 @@ def fixed_lag_smoother(
     processes", IEEE Trans. Inf. Theory 20(1), 1974.
     """
     plant = compact(system, delay, order)
-    l, q = system.l, system.q
-    A, C2 = plant.A_p, plant.C2_tilde[:l]
-    _, gain = _kalman(A, plant.B_p1[:, :q], C2, system.D21)
+    A, C2 = plant.A_p, plant.C2_tilde[: system.l]
+    _, gain = _kalman(A, plant.B_p1[:, : system.q], C2, system.D21)
     estimator = _linear_estimator(plant, A - gain @ C2, gain, plant.C_p0)
     return _with_copies(estimator, gain) if copies else estimator
 
@@ -114,10 +113,9 @@ def linear_robust_filter(
     InfeasibleDesignError
         Where no design was found.
     """
+    validation.instance("system", system, UncertainSystem)
     sectors = tuple(Uncertainty(c.B, c.lipschitz * c.C, c.D) for c in system.nonlinearities)
-    linear = replace(
-        system, uncertainties=(*system.uncertainties, *sectors), nonlinearities=()
-    )
+    linear = replace(system, uncertainties=(*system.uncertainties, *sectors), nonlinearities=())
     design = minimize_bound(augment(linear, delay, order))
     plant = compact(system, delay, order)
     return _linear_estimator(plant, design.A_c, design.B_c, design.C_c), design
@@ -164,13 +162,15 @@ def optimal_fixed_lag_error(system: UncertainSystem, lag: float) -> Matrix:
     T. Kailath and P. Frost, "An innovations approach to least-squares estimation, part II", IEEE
     Trans. Autom. Control 13(6), 1968.
     """
-    if lag != np.inf:
+    validation.instance("system", system, UncertainSystem)
+    two_sided = np.ndim(lag) == 0 and lag == np.inf
+    if not two_sided:
         lag = validation.real("lag", lag, low=0.0)
     P, gain = _kalman(system.A, system.B1, system.C2, system.D21)
     A_f = system.A - gain @ system.C2
     R = system.D21 @ system.D21.T
     information = solve_continuous_lyapunov(A_f.T, -system.C2.T @ np.linalg.solve(R, system.C2))
-    if lag != np.inf:
+    if not two_sided:
         decay = expm(A_f * lag)
         information = information - decay.T @ information @ decay
     return system.C0 @ (P - P @ information @ P) @ system.C0.T
@@ -220,7 +220,7 @@ def _linear_estimator(plant: AugmentedSystem, A_c: Matrix, gain: Matrix, C_w: Ma
 
 
 def _with_copies(estimator: Estimator, gain: Matrix) -> Estimator:
-    """Return the linear estimator with each nonlinearity run at the estimate, as an observer does."""
+    """Return the linear estimator with each nonlinearity run at the estimate."""
     plant, g = estimator.plant, estimator.plant.system.g
     nonlinearities = plant.system.nonlinearities
     first = sum(plant.input_sizes) - 2 * g

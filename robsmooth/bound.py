@@ -28,6 +28,7 @@ from robsmooth.riccati import RiccatiError
 from robsmooth.smoother import (
     COSTS,
     RobustSmoother,
+    check_measurement_noise,
     design_equations,
     design_smoother,
     multiplier_level,
@@ -71,11 +72,11 @@ def minimize_bound(
     InfeasibleDesignError
         Where no feasible design was found; it names the condition that failed most often.
     """
-    if not isinstance(plant, AugmentedSystem):
-        raise TypeError(f"plant must be an AugmentedSystem, got {type(plant).__name__}")
+    validation.instance("plant", plant, AugmentedSystem)
     cost = validation.choice("cost", cost, COSTS)
     starts = validation.integer("starts", starts, low=1)
     seed = validation.integer("seed", seed, low=0)
+    check_measurement_noise(plant)
     points = _starting_points(plant, cost, starts, seed)
     ends = [_polish(plant, cost, _descend(plant, cost, point)) for point in points]
     best = min(ends, key=lambda point: _try_bound(plant, cost, point))
@@ -88,7 +89,7 @@ def _split(point: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def _onto_boundary(plant: AugmentedSystem, point: np.ndarray) -> np.ndarray:
-    """Scale lambda up to the constraint, and tau down with it, which lowers V by the same factor."""
+    """Scale lambda up to the constraint and tau down with it, which lowers V by that factor."""
     level = multiplier_level(plant, plant.M(point[1:]))
     return np.concatenate([point[:1] + math.log(level), point[1:] / level])
 
@@ -118,9 +119,7 @@ def _box(point: np.ndarray) -> list[tuple[float, float]]:
     return [tau, *((min(VANISHING * largest, value), 10.0 * largest) for value in point[1:])]
 
 
-def _starting_points(
-    plant: AugmentedSystem, cost: str, starts: int, seed: int
-) -> list[np.ndarray]:
+def _starting_points(plant: AugmentedSystem, cost: str, starts: int, seed: int) -> list[np.ndarray]:
     """Return the best feasible points of a random sample of multipliers and a grid of tau."""
     k, g = plant.system.k, plant.system.g
     rng = np.random.default_rng(seed)
@@ -171,7 +170,7 @@ def _descend(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray
         return _objective(plant, cost, at) - weight * np.log(spectrum).sum()
 
     for weight in _BARRIERS:
-        options = {"maxiter": 15}  # each weight only brings the next one's start near
+        options = {"maxiter": 8}  # each weight only brings the next one's start near
         result = minimize(
             with_barrier,
             point,
@@ -188,7 +187,7 @@ def _descend(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray
 def _polish(
     plant: AugmentedSystem, cost: str, point: np.ndarray, fixed: np.ndarray | None = None
 ) -> np.ndarray:
-    """Minimise log V under the constraint itself, with the multipliers at the indices `fixed` held."""
+    """Minimise log V under the constraint itself, with the entries at `fixed` held."""
     point = _onto_boundary(plant, point)
     free = np.setdiff1d(np.arange(point.size), [] if fixed is None else fixed)
 

@@ -66,19 +66,22 @@ def figures(options: argparse.Namespace) -> int:
         print(_summary(failed, len(results)), file=sys.stderr)
         return 1
     if not parameters:
-        write_report(places.figures, places.data)
+        write_report(root, places)
     print(f"figures and tables are in {_short(places.figures)}")
     return 0
 
 
-def write_report(figures: Path, data: Path) -> None:
-    """Write the report of the reproduction from the results in these folders."""
+def write_report(root: Path, places: Places) -> None:
+    """Write the report of the reproduction; the README shows its scorecard at the paper's scale."""
     from robsmooth import report
 
-    if (data / "monte_carlo.json").exists():
-        report.write(figures, data)
-    else:  # a part of the notebooks was run, in a new place
+    if not (places.data / "monte_carlo.json").exists():
+        # a part of the notebooks was run, in a new place
         print("no report yet: it needs the results of 04_nonlinear_monte_carlo")
+        return
+    verdicts = report.write(places.figures, places.data)
+    if places.figures == root / "figures":
+        report.write_scorecard(root / "README.md", verdicts)
 
 
 def verdicts(options: argparse.Namespace) -> int:

@@ -24,6 +24,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import brentq
 
 from robsmooth import validation
+from robsmooth.augmented import AugmentedSystem
 from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.validation import Matrix
@@ -87,8 +88,10 @@ def closed_loop(
     estimator : Estimator
         Any design of this package.
     Delta : (r + 2g, h + 2g) array
-        :math:`\tilde\xi = \Delta\tilde\zeta`, of norm at most one. `AugmentedSystem.structured_delta`
-        makes the block-diagonal ones.
+        :math:`\tilde\xi = \Delta\tilde\zeta`, of norm at most one with the outputs of the
+        nonlinearities weighted by their Lipschitz constants. That is necessary to be
+        admissible, not sufficient: the bound of a design is for the block-diagonal ones with the
+        same slope for a nonlinearity and its copy, which `AugmentedSystem.structured_delta` makes.
     copy_noise : bool
         Whether the design's fictitious noise drives the copies of the nonlinearities.
     allow_inadmissible : bool
@@ -109,12 +112,11 @@ def closed_loop(
     ----------
     Section III-A, equation (eqclosed).
     """
-    if not isinstance(estimator, Estimator):
-        raise TypeError(f"smoother must be an Estimator, got {type(estimator).__name__}")
+    validation.instance("smoother", estimator, Estimator)
     plant = estimator.plant
     B1, C1, D12 = plant.B1_tilde, plant.C1_tilde, plant.D12_tilde
     Delta = validation.matrix("Delta", Delta, (B1.shape[1], C1.shape[0]))
-    norm = np.linalg.norm(Delta, 2) if Delta.size else 0.0
+    norm = np.linalg.norm(Delta / _output_weights(plant), 2) if Delta.size else 0.0
     if norm > 1.0 + 1e-12 and not allow_inadmissible:
         raise ValueError(
             f"Delta must have norm at most 1 to be admissible, got {norm:.6g}; "
@@ -141,6 +143,13 @@ def closed_loop(
     return ClosedLoop(A, np.vstack([plant.B_p1, gain @ noise]), estimator)
 
 
+def _output_weights(plant: AugmentedSystem) -> np.ndarray:
+    """Return the weights of zeta-tilde in its constraints: the Lipschitz constants, or one."""
+    constants = [c.lipschitz for c in plant.system.nonlinearities]
+    ones = [1.0] * (len(plant.C1_tilde) - 2 * len(constants))
+    return np.array([*ones, *constants, *constants])
+
+
 def error_covariance(
     smoother: Estimator,
     Delta: ArrayLike,
@@ -155,7 +164,7 @@ def error_covariance(
     smoother : Estimator
         Any design of this package.
     Delta : (r + 2g, h + 2g) array
-        :math:`\tilde\xi = \Delta\tilde\zeta`, of norm at most one.
+        :math:`\tilde\xi = \Delta\tilde\zeta`, of norm at most one, as in `closed_loop`.
     output : {"smoothed", "filtered"}
         The error of the smoothed estimate one lag back, or of the filtered one now.
     copy_noise : bool
@@ -205,10 +214,12 @@ def delta_sweep(
     -------
     (N, m, m) array
     """
+    validation.instance("smoother", smoother, Estimator)
     slopes = validation.array("nonlinearities", nonlinearities, ndim=1)
     plant = smoother.plant
     deltas = (plant.structured_delta((), [slope] * plant.system.g) for slope in slopes)
-    return np.array([error_covariance(smoother, D, output, copy_noise) for D in deltas])
+    covariances = [error_covariance(smoother, D, output, copy_noise) for D in deltas]
+    return np.array(covariances).reshape(-1, plant.system.m, plant.system.m)
 
 
 @dataclass(frozen=True)
@@ -251,6 +262,7 @@ def statistical_linearisation(
     UnstableLoopError
         Where no self-consistent variance exists: the linearised loop loses lock.
     """
+    validation.instance("smoother", smoother, Estimator)
     plant = smoother.plant
     if plant.system.m != 1 or plant.system.g != 1:
         raise ValueError(
@@ -271,7 +283,9 @@ def statistical_linearisation(
     while excess(high) > 0.0:
         low, high = high, 1.25 * high
         if high > 10.0 * np.pi**2:
-            raise UnstableLoopError("no stationary variance: the statistically linear loop diverges")
+            raise UnstableLoopError(
+                "no stationary variance: the statistically linear loop diverges"
+            )
     variance = brentq(excess, low, high, xtol=1e-15, rtol=1e-13)
     slope = equivalent_slope(variance)
     smoothed = loop(slope).error_covariance("smoothed")[0, 0]

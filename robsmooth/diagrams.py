@@ -27,7 +27,9 @@ def smoother_loop() -> Figure:
     diagram.path((8.9, 0.5), (11.6, 0.5), label="$w_a$")
     diagram.path((2.5, -0.5), (3.6, -0.5), (3.6, -3.1), (5.0, -3.1), label="$y$", segment=2)
     diagram.path((9.4, -3.1), (11.6, -3.1), label=r"$\hat w,\ \hat w_a$")
-    diagram.path((9.4, -4.1), (10.6, -4.1), (10.6, -6.6), (8.9, -6.6), label=r"$\tilde\nu$", segment=2)
+    diagram.path(
+        (9.4, -4.1), (10.6, -4.1), (10.6, -6.6), (8.9, -6.6), label=r"$\tilde\nu$", segment=2
+    )
     diagram.path((5.5, -6.6), (3.6, -6.6), (3.6, -4.1), (5.0, -4.1), label=r"$\tilde\mu$")
     return diagram.figure(width=3.4)
 

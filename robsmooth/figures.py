@@ -1,7 +1,8 @@
 """The figures, and the one way to save one."""
 
 from collections.abc import Mapping, Sequence
-from importlib.resources import as_file, files as package_files
+from importlib.resources import as_file
+from importlib.resources import files as package_files
 from pathlib import Path
 
 import matplotlib as mpl
@@ -10,7 +11,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from robsmooth import files
+from robsmooth.delay import pade_delay
+from robsmooth.errors import InfeasibleDesignError
 from robsmooth.homodyne import HomodyneParameters
+from robsmooth.smoother import RobustSmoother, design_smoother
 
 FORMATS = ("pdf", "svg", "png")
 # Nothing in a file says when, or by which release, it was made: equal figures are equal bytes.
@@ -39,9 +43,9 @@ def save_figure(figure: Figure, directory: Path | str, name: str) -> None:
         File name without suffix.
     """
     for suffix in FORMATS:
-        with files.atomic_path(Path(directory) / f"{name}.{suffix}") as temporary:
-            with mpl.rc_context({"svg.hashsalt": name}):
-                figure.savefig(temporary, format=suffix, metadata=_METADATA[suffix])
+        path = Path(directory) / f"{name}.{suffix}"
+        with files.atomic_path(path) as temporary, mpl.rc_context({"svg.hashsalt": name}):
+            figure.savefig(temporary, format=suffix, metadata=_METADATA[suffix])
 
 
 def sector(parameters: HomodyneParameters, variance: float) -> Figure:
@@ -61,26 +65,51 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
     reach = parameters.sector_range()
     wide = parameters.sector_slope
     top.fill_between(
-        error, lower * error, upper * error, color="C0", alpha=0.15, linewidth=0,
+        error,
+        lower * error,
+        upper * error,
+        color="C0",
+        alpha=0.15,
+        linewidth=0,
         label=rf"design's sector $[{lower:g},\,{upper:g}]$",
     )
     top.plot(error, np.sin(error), color="C1", linestyle="-", label=r"$\sin\mu_1$")
-    top.plot(error, upper * error, color="0.4", linestyle=":", linewidth=0.9,
-             label=rf"tangent, $\beta={upper:g}$")
-    top.plot(error, wide * error, color="C2", linestyle="--", linewidth=0.9,
-             label=rf"$m=1-2\gamma={wide:.1f}$")
+    top.plot(
+        error,
+        upper * error,
+        color="0.4",
+        linestyle=":",
+        linewidth=0.9,
+        label=rf"tangent, $\beta={upper:g}$",
+    )
+    top.plot(
+        error,
+        wide * error,
+        color="C2",
+        linestyle="--",
+        linewidth=0.9,
+        label=rf"$m=1-2\gamma={wide:.1f}$",
+    )
     for end in (-reach, reach):
         for axes in (top, bottom):
             axes.axvline(end, color="C0", linestyle="-.", linewidth=0.8)
-    top.annotate(f"{reach:.2f} rad", (reach, -1.55), xytext=(3, 0), textcoords="offset points",
-                 color="C0", fontsize=7)
+    top.annotate(
+        f"{reach:.2f} rad",
+        (reach, -1.55),
+        xytext=(3, 0),
+        textcoords="offset points",
+        color="C0",
+        fontsize=7,
+    )
     top.set(ylim=(-1.75, 1.75), ylabel=r"$y = f(\mu_1) + \beta\mu_1$")
     top.legend(loc="upper left", borderaxespad=0.0, frameon=True, framealpha=1.0, edgecolor="none")
     density = np.exp(-(error**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
     bottom.fill_between(error, density, color="0.6", linewidth=0)
     bottom.set(
-        xlabel=r"phase error $\mu_1 = \phi - \hat\phi$ (rad)", ylabel="density\n(1/rad)",
-        xlim=(-np.pi, np.pi), ylim=(0, None),
+        xlabel=r"phase error $\mu_1 = \phi - \hat\phi$ (rad)",
+        ylabel="density\n(1/rad)",
+        xlim=(-np.pi, np.pi),
+        ylim=(0, None),
     )
     return figure
 
@@ -88,7 +117,7 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
 def delta_sweep(
     slopes: Sequence[float],
     curves: Mapping[str, Sequence[float]],
-    ylabel: str = r"error covariance (rad$^2$)",
+    marks: Mapping[str, tuple[float, float]] | None = None,
 ) -> Figure:
     r"""Draw error covariances against :math:`\Delta_2`, as Fig. 4.
 
@@ -98,15 +127,82 @@ def delta_sweep(
         Values of :math:`\Delta_2`.
     curves : mapping
         From each label to its (N,) error covariances, rad^2.
+    marks : mapping, optional
+        From each label to a single point.
     """
     figure, axes = plt.subplots()
     for label, values in curves.items():
         axes.plot(slopes, values, label=label)
+    for label, (slope, value) in (marks or {}).items():
+        axes.plot(slope, value, "k*", markersize=7, clip_on=False, linestyle="none", label=label)
     axes.set(
-        xlabel=r"measurement uncertainty $\Delta_2$", ylabel=ylabel,
-        xlim=(min(slopes), max(slopes)), ylim=(0, None),
+        xlabel=r"measurement uncertainty $\Delta_2$",
+        ylabel=r"error covariance (rad$^2$)",
+        xlim=(min(slopes), max(slopes)),
+        ylim=(0, None),
     )
     axes.legend()
+    return figure
+
+
+def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure:
+    """Draw how far Pade models of a delay are off, against frequency.
+
+    Parameters
+    ----------
+    delay : float
+        In seconds.
+    orders : sequence of int
+        One curve each.
+    bandwidth : float
+        Of the filter, rad/s, for a mark.
+    """
+    omega = np.geomspace(bandwidth / 10, bandwidth * 100, 400)
+    exact = np.exp(-1j * omega * delay)
+    figure, axes = plt.subplots()
+    for order in orders:
+        response = pade_delay(delay, order).response(omega)[:, 0, 0]
+        axes.loglog(omega, np.abs(response - exact), label=f"order {order}")
+    axes.axvline(bandwidth, color="0.4", linestyle=":", linewidth=0.9)
+    axes.set(
+        xlabel=r"angular frequency $\omega$ (rad/s)",
+        ylabel=r"$|H(i\omega) - e^{-i\omega\delta}|$",
+        xlim=omega[[0, -1]],
+        ylim=(1e-12, 4.0),
+    )
+    axes.legend(loc="lower right")
+    return figure
+
+
+def bound_landscape(best: RobustSmoother) -> Figure:
+    r"""Draw the bound of the example against tau, and against the multipliers that vanish.
+
+    Parameters
+    ----------
+    best : RobustSmoother
+        The design next to the infimum.
+    """
+
+    def bound(tau: float, small: float) -> float:
+        try:
+            multipliers = [1.0, 0.5 - small / 2, small, small]
+            return design_smoother(best.plant, tau, multipliers, best.cost).bound
+        except InfeasibleDesignError:
+            return np.nan
+
+    figure, (left, right) = plt.subplots(1, 2, sharey=True, figsize=(3.4, 2.0))
+    tau = best.tau * np.linspace(0.6, 2.0, 57)
+    left.plot(1e6 * tau, [bound(value, 1e-6) for value in tau])
+    left.plot(1e6 * best.tau, best.bound, "o", color="C1")
+    left.axvline(1.13, color="0.4", linestyle=":", linewidth=0.9)
+    left.set(xlabel=r"$\tau$ (rad$^2\,$µs)", ylabel="bound $V$ (rad$^2$)")
+    small = np.geomspace(1e-6, 2e-3, 60)
+    values = np.array([bound(best.tau, value) for value in small])
+    right.semilogx(small, values)
+    right.axhline(best.bound_infimum, color="C2", linestyle="-.", linewidth=0.9)
+    if np.isnan(values).any():
+        right.axvline(small[np.isfinite(values)].max(), color="C1", linestyle="--", linewidth=0.9)
+    right.set(xlabel=r"$\lambda_3 = \lambda_4$", xlim=small[[0, -1]])
     return figure
 
 
@@ -137,13 +233,22 @@ def mean_squares(
         if label in published:
             axes.axvline(published[label], color=colour, linestyle="--", linewidth=0.9)
             axes.annotate(
-                f"printed {published[label]:g}", (published[label], 1.0), xycoords=("data", "axes fraction"),
-                xytext=(2, 1), textcoords="offset points", fontsize=7, color=colour, ha="center",
+                f"printed {published[label]:g}",
+                (published[label], 1.0),
+                xycoords=("data", "axes fraction"),
+                xytext=(0, 1),
+                textcoords="offset points",
+                fontsize=7,
+                color=colour,
+                ha="right" if index == 0 else "left",
                 va="bottom",
             )
     axes.set(
-        yticks=rows, yticklabels=cases, xlabel=r"mean square error (rad$^2$)",
-        ylim=(-0.6, len(cases) - 0.4), xlim=(0, None),
+        yticks=rows,
+        yticklabels=cases,
+        xlabel=r"mean square error (rad$^2$)",
+        ylim=(-0.6, len(cases) - 0.4),
+        xlim=(0, 1.3 * max(published.values())),
     )
     axes.grid(axis="y", visible=False)
     figure.legend(loc="outside lower center", ncols=2)

@@ -19,7 +19,7 @@ from scipy.optimize import brentq
 from scipy.special import erf
 
 from robsmooth import validation
-from robsmooth.systems import Nonlinearity, Uncertainty, UncertainSystem
+from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
 
 
 @dataclass(frozen=True)
@@ -115,19 +115,21 @@ class HomodyneParameters:
     def lipschitz_range(self) -> float:
         r"""The largest error (rad) up to which f is Lipschitz with constant gamma.
 
-        Where :math:`|\cos e - \beta| \le \gamma` ends, from zero; zero where it does not hold there.
+        Where :math:`|\cos e - \beta| \le \gamma` ends; zero where it does not hold at zero.
         """
         if abs(1.0 - self.beta) > self.gamma:
             return 0.0
         return math.acos(max(self.lower_slope, -1.0))
 
     def equivalent_slope(self, variance: float) -> float:
-        r"""Return the statistically equivalent :math:`\Delta_2`, :math:`(e^{-P/2} - \beta)/\gamma`."""
+        r"""Return :math:`\Delta_2 = (e^{-P/2} - \beta)/\gamma`, statistically equivalent to f."""
         return (math.exp(-0.5 * variance) - self.beta) / self.gamma
 
 
 def fraction_inside(error_range: float, variance: float) -> float:
     """Return the fraction of time that a Gaussian error of this variance is within the range."""
+    error_range = validation.real("error_range", error_range, low=0.0)
+    variance = validation.positive("variance", variance)
     return float(erf(error_range / math.sqrt(2.0 * variance)))
 
 

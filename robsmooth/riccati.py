@@ -7,9 +7,10 @@ with symmetric `Q` and `S` of any sign; wanted is the stabilising solution, for 
 where no such solution exists, so the answer counts only with its certificate: a small residual,
 symmetry, and a stable closed loop.
 
-The data are first brought to units in which they are of order one: with :math:`X = p X'`,
-:math:`p^2 = |Q|/|S|` and time in units of :math:`1/(|A| + \sqrt{|Q||S|})`. No result depends on the
-units of time or of the signals.
+The data are first brought to units in which they are of order one: time in units of
+:math:`1/(|A| + \sqrt{|Q||S|})` and :math:`X = p X'` with :math:`p = |Q|/(a + \sqrt{|Q||S|})`, where
+`a` is the decay rate of the slowest mode of `A`, or zero where `A` is not stable. No result depends
+on the units of time or of the signals.
 """
 
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from robsmooth.validation import Matrix
 
 RESIDUAL_TOLERANCE = 1e-8
 _BLAS = ThreadpoolController()  # on small matrices BLAS threads cost ten times what they save
+_NEARLY_LINEAR = 1e-5  # the square of this, relative, is what the quadratic term changes
 _EMPTY = 1e-14  # directions of S below this, relative to its norm, are rounding
 
 
@@ -66,19 +68,20 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     Raises
     ------
     RiccatiError
-        Where scipy finds none, or what it returns fails the certificate; the message has the figures.
+        Where scipy finds none, or what it returns fails the certificate.
     """
     Q, S = (Q + Q.T) / 2, (S + S.T) / 2
     size_A, size_Q, size_S = (np.linalg.norm(value, 2) for value in (A, Q, S))
     speed = np.sqrt(size_Q) * np.sqrt(size_S)
     time = 1.0 / (size_A + speed or 1.0)
-    if speed * time > _EMPTY:
-        unit = np.sqrt(size_Q) / np.sqrt(size_S)
-    else:  # all but linear
-        unit = size_Q * time or 1.0
+    decay = -np.linalg.eigvals(A).real.max()
+    nearly_linear = decay > 0.0 and speed <= _NEARLY_LINEAR * decay
+    unit = size_Q / (speed + max(decay, 0.0)) if size_Q and (speed or decay > 0.0) else 1.0
     time, unit = np.exp2(np.rint(np.log2([time, unit])))  # powers of two scale without rounding
     A, Q, S = A * time, Q * (time / unit), S * (time * unit)
 
+    if nearly_linear:
+        return _certify(A, Q, S, _newton_step(A, Q, S), time, unit)
     weights, directions = np.linalg.eigh(S)
     used = np.abs(weights) > _EMPTY * max(np.abs(weights).max(), np.finfo(float).tiny)
     try:
@@ -92,9 +95,18 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
 def _stabilising(A: Matrix, Q: Matrix, weights: np.ndarray, directions: Matrix) -> Matrix:
     """Return what scipy finds for S = directions diag(weights) directions'."""
     if not weights.size:
-        return solve_continuous_lyapunov(A.T, -Q)
+        raise LinAlgError("the equation is linear and A is not stable")
     B = directions * np.sqrt(np.abs(weights))
     return solve_continuous_are(A, B, Q, np.diag(np.sign(weights)))
+
+
+def _newton_step(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
+    """Return the solution for a small quadratic term: Newton's step from that of the linear equation.
+
+    The pencil that scipy solves would lose the digits that the term lacks.
+    """
+    X = solve_continuous_lyapunov(A.T, -Q)
+    return solve_continuous_lyapunov((A - S @ X).T, -Q - X @ S @ X)
 
 
 def _certify(

@@ -10,8 +10,9 @@ With :math:`M = \tilde M(\lambda)`, :math:`N = \tilde N(\lambda)` and
     G = \begin{bmatrix} I_m & 0\\ 0 & 0\end{bmatrix} + \tau \tilde D_{12}' N \tilde D_{12}, \qquad
     \Gamma = -[C'\; 0] + \tau \tilde C_1' N \tilde D_{12},\\
     0 &= A_Y Y + Y A_Y' - Y(\tilde C_2' E_\lambda^{-1} \tilde C_2 - R/\tau) Y
-         + \tilde B_1 (M^{-1} - M^{-1}\tilde D_{21}' E_\lambda^{-1} \tilde D_{21} M^{-1}) \tilde B_1',
-         \quad A_Y = A_p - \tilde B_1 M^{-1} \tilde D_{21}' E_\lambda^{-1} \tilde C_2,\\
+         + \tilde B_1 (M^{-1} - M^{-1}\tilde D_{21}' E_\lambda^{-1} \tilde D_{21} M^{-1})
+         \tilde B_1', \quad
+         A_Y = A_p - \tilde B_1 M^{-1} \tilde D_{21}' E_\lambda^{-1} \tilde C_2,\\
     0 &= X A_p + A_p' X + (R - \Gamma G^{-1} \Gamma')
          + \tfrac{1}{\tau} X \tilde B_1 M^{-1} \tilde B_1' X,
 
@@ -120,7 +121,9 @@ class DesignEquations:
 
         The theory has `quadratic_sign` 1.
         """
-        return solve_riccati(self.plant.A_p, self.Q_X, -quadratic_sign / self.tau * self.worst_noise)
+        return solve_riccati(
+            self.plant.A_p, self.Q_X, -quadratic_sign / self.tau * self.worst_noise
+        )
 
     def solve_Y(self) -> RiccatiSolution:
         """Return the solution of the first Riccati equation of Assumption 3."""
@@ -156,12 +159,11 @@ def design_equations(
     ValueError, TypeError
         For a tau that is not positive, multipliers of the wrong length or sign, an unknown cost.
     """
-    if not isinstance(plant, AugmentedSystem):
-        raise TypeError(f"plant must be an AugmentedSystem, got {type(plant).__name__}")
+    validation.instance("plant", plant, AugmentedSystem)
     tau = validation.positive("tau", tau)
     multipliers = _multipliers(plant, multipliers)
     cost = validation.choice("cost", cost, COSTS)
-    _check_measurement_noise(plant)
+    check_measurement_noise(plant)
     M, N = plant.M(multipliers), plant.N(multipliers)
     M_inverse = _inverse(M)
     _check_multipliers(plant, M)
@@ -172,6 +174,11 @@ def design_equations(
     R = C.T @ C + tau * C1.T @ N @ C1
     G = np.diag([1.0] * m + [0.0] * g) + tau * D12.T @ N @ D12
     Gamma = -np.hstack([C.T, np.zeros((n, g))]) + tau * C1.T @ N @ D12
+    # In R - Gamma G^{-1} Gamma' the cost cancels. What is left is written out: where there is no
+    # uncertainty it is zero, and rounding in its place would have no Riccati solution.
+    copies = D12[:, m:]
+    coupling = C1.T @ N @ copies
+    Q_X = tau * (C1.T @ N @ C1 - coupling @ np.linalg.solve(copies.T @ N @ copies, coupling.T))
     return DesignEquations(
         plant=plant,
         tau=tau,
@@ -180,7 +187,7 @@ def design_equations(
         R=R,
         G=G,
         Gamma=Gamma,
-        Q_X=R - Gamma @ np.linalg.solve(G, Gamma.T),
+        Q_X=Q_X,
         worst_noise=B1 @ M_inverse @ B1.T,
         correlation=B1 @ M_inverse @ D21.T,
         E=D21 @ M_inverse @ D21.T,
@@ -261,7 +268,7 @@ def _multipliers(plant: AugmentedSystem, given: Sequence[float]) -> np.ndarray:
     return result
 
 
-def _check_measurement_noise(plant: AugmentedSystem) -> None:
+def check_measurement_noise(plant: AugmentedSystem) -> None:
     """Check Assumption 2 in a form free of units: no measurement without noise of its own."""
     intensity = plant.D21_bar @ plant.D21_bar.T
     size = np.sqrt(np.diag(intensity))
@@ -292,7 +299,7 @@ def _inverse(M: Matrix) -> Matrix:
 
 
 def multiplier_level(plant: AugmentedSystem, M: Matrix) -> float:
-    """Return the largest eigenvalue of J'M J; (eqcons), M^{-1} >= J J', says that it is at most 1."""
+    """Return the largest eigenvalue of J'MJ; (eqcons) says that it is at most 1."""
     return float(np.linalg.eigvalsh(plant.J.T @ M @ plant.J).max(initial=0.0))
 
 

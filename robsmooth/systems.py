@@ -23,7 +23,7 @@ from robsmooth.validation import Matrix
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    r"""One uncertainty channel, :math:`E\int|\xi_s|^2 dt \le E\int|\zeta_s|^2 dt` (+ initial terms).
+    r"""One uncertainty channel: :math:`\xi_s` is no larger than :math:`\zeta_s` in the mean square.
 
     A noise channel that carries no uncertainty is declared with ``C`` zero: the theory wants every
     noise to enter where an uncertainty enters (Assumption 1).
@@ -93,7 +93,13 @@ class Nonlinearity:
             return
         if not callable(self.function):
             raise TypeError(f"Nonlinearity function must be callable, got {self.function!r}")
-        at_zero = float(np.asarray(self.function(np.zeros(1)))[0])
+        values = np.asarray(self.function(np.zeros(1)))
+        if values.shape != (1,):
+            raise ValueError(
+                "Nonlinearity function must be vectorised: an array of shape (1,) gave shape "
+                f"{values.shape}"
+            )
+        at_zero = float(values[0])
         if at_zero != 0.0:
             raise ValueError(
                 f"Nonlinearity function must be zero at zero, got {at_zero!r}: "
@@ -206,8 +212,7 @@ def _members(name: str, values: Iterable, kind: type) -> tuple:
     except TypeError:
         raise TypeError(f"{name} must be a sequence of {kind.__name__}, got {values!r}") from None
     for index, member in enumerate(members):
-        if not isinstance(member, kind):
-            raise TypeError(f"{name}[{index}] must be a {kind.__name__}, got {member!r}")
+        validation.instance(f"{name}[{index}]", member, kind)
     return members
 
 

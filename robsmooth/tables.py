@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tabulate import tabulate
-
 from robsmooth import files
 
 Cell = str | int | float | None
@@ -36,17 +34,31 @@ class Table:
 
     def markdown(self) -> str:
         """Return the table for Markdown."""
-        rows = [[self._text(cell).replace("|", r"\|") for cell in row] for row in self.rows]
-        body = tabulate(rows, self.columns, "pipe", disable_numparse=True)
+        rows = [self.columns, ["---"] * len(self.columns), *self._printed_rows()]
+        lines = [" | ".join(cell.replace("|", r"\|") for cell in row) for row in rows]
+        body = "\n".join(f"| {line} |" for line in lines)
         return f"{body}\n\n*{self.caption}*\n"
 
     def latex(self) -> str:
-        """Return a LaTeX table for the booktabs package."""
-        rows = [[_latex(self._text(cell)) for cell in row] for row in self.rows]
-        columns = [_latex(name) for name in self.columns]
-        body = tabulate(rows, columns, "latex_raw", disable_numparse=True)
-        caption = _latex(self.caption)
-        return f"\\begin{{table}}\n\\centering\n\\caption{{{caption}}}\n{body}\n\\end{{table}}\n"
+        """Return a LaTeX table, to be used with the booktabs package."""
+        header, *rows = (
+            " & ".join(_latex(cell) for cell in row) + r" \\"
+            for row in [self.columns, *self._printed_rows()]
+        )
+        lines = (
+            r"\begin{table}",
+            r"\centering",
+            rf"\caption{{{_latex(self.caption)}}}",
+            rf"\begin{{tabular}}{{{'l' * len(self.columns)}}}",
+            r"\toprule",
+            header,
+            r"\midrule",
+            *rows,
+            r"\bottomrule",
+            r"\end{tabular}",
+            r"\end{table}",
+        )
+        return "\n".join(lines) + "\n"
 
     def csv(self) -> str:
         """Return the table as comma-separated values, numbers in full."""
@@ -63,6 +75,12 @@ class Table:
 
     def _repr_markdown_(self) -> str:
         return self.markdown()
+
+    def __str__(self) -> str:
+        return self.markdown()
+
+    def _printed_rows(self) -> list[list[str]]:
+        return [[self._text(cell) for cell in row] for row in self.rows]
 
     def _text(self, cell: Cell) -> str:
         if cell is None:

@@ -15,7 +15,7 @@ def _shape_text(shape: Sequence[int | None]) -> str:
 
 
 def array(name: str, value: ArrayLike, ndim: int) -> NDArray[np.float64]:
-    """Return `value` as a read-only float array of `ndim` dimensions, all entries finite and real."""
+    """Return `value` as a read-only float array of `ndim` dimensions, finite and real."""
     try:
         given = np.asarray(value)
     except ValueError:
@@ -82,6 +82,13 @@ def integer(name: str, value: int, *, low: int) -> int:
     if value < low:
         raise ValueError(f"{name} must be an integer of at least {low}, got {value}")
     return int(value)
+
+
+def instance(name: str, value: object, kind: type) -> None:
+    """Check that `value` is a `kind`."""
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise TypeError(f"{name} must be {article} {kind.__name__}, got {type(value).__name__}")
 
 
 def choice(name: str, value: str, allowed: Sequence[str]) -> str:

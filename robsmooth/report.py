@@ -1,0 +1,189 @@
+"""The report of the reproduction: every printed number with its verdict, and the scorecard."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from robsmooth import files, provenance, published
+from robsmooth.montecarlo import MonteCarloResult
+from robsmooth.published import Verdict
+from robsmooth.tables import Table
+
+NAME = "reproduction"
+OUTCOMES = (
+    published.REPRODUCED,
+    published.WITH_FLIPPED_SIGN,
+    published.NOT_REPRODUCED,
+    published.NOT_CHECKABLE,
+)
+_NOT_RESULTS = ("wall_time", "provenance")
+_BEGIN, _END = "<!-- scorecard: written by make figures -->", "<!-- end of scorecard -->"
+
+
+def write(figures: Path | str, data: Path | str) -> list[Verdict]:
+    """Write reproduction.md and reproduction.csv.
+
+    Parameters
+    ----------
+    figures : path
+        Folder to write to.
+    data : path
+        Folder with the Monte Carlo results.
+
+    Returns
+    -------
+    list of Verdict
+        What was written.
+    """
+    verdicts = published.verdicts(data)
+    files.write_text(Path(figures) / f"{NAME}.md", markdown(verdicts))
+    files.write_text(Path(figures) / f"{NAME}.csv", table(verdicts).csv())
+    provenance.write(Path(figures) / f"{NAME}.md")
+    return verdicts
+
+
+def write_scorecard(readme: Path, verdicts: Iterable[Verdict]) -> None:
+    """Put the scorecard between its marks in the README."""
+    text = readme.read_text(encoding="utf-8")
+    before, begin, rest = text.partition(_BEGIN)
+    _, end, after = rest.partition(_END)
+    if not (begin and end):
+        raise ValueError(f"{readme.name} must have the marks {_BEGIN!r} and {_END!r}")
+    card = scorecard(verdicts).markdown()
+    files.write_text(readme, f"{before}{begin}\n{card}{end}{after}")
+
+
+def scorecard(verdicts: Iterable[Verdict]) -> Table:
+    """Return how many printed numbers and statements have each verdict."""
+    numbers, statements = Counter(), Counter()
+    for verdict in verdicts:
+        (statements if isinstance(verdict.value, str) else numbers)[verdict.verdict] += 1
+    rows = [(outcome, numbers[outcome], statements[outcome]) for outcome in OUTCOMES]
+    total = ("all", numbers.total(), statements.total())
+    return Table(
+        columns=("verdict", "printed numbers", "statements"),
+        rows=[*rows, total],
+        caption="What of the paper reproduces. Each entry of a printed matrix counts as a number.",
+    )
+
+
+def table(verdicts: Iterable[Verdict], caption: str = "", merge_zeros: bool = False) -> Table:
+    """Return the verdicts as a table.
+
+    Parameters
+    ----------
+    verdicts : iterable of Verdict
+    caption : str
+        What the table shows.
+    merge_zeros : bool
+        Whether the reproduced zeros of a matrix share one row.
+    """
+    rows = []
+    for verdict in _merged(verdicts) if merge_zeros else verdicts:
+        rows.append(
+            (
+                verdict.name,
+                verdict.place,
+                verdict.printed,
+                verdict.value,
+                verdict.relative_difference,
+                verdict.verdict,
+                verdict.reason,
+            )
+        )
+    columns = ("what", "where", "printed", "ours", "relative difference", "verdict", "why")
+    return Table(columns=columns, rows=rows, caption=caption, digits=6)
+
+
+def markdown(verdicts: Sequence[Verdict]) -> str:
+    """Return the whole report, a section for each verdict that needs words, then everything."""
+    parts = [
+        "# What of the paper reproduces",
+        "Written by `make figures`; the same as a table is in `reproduction.csv`. A number counts "
+        "as reproduced when rounding ours, or cutting it off, at the printed digits gives what is "
+        "printed. What follows from the printed tau and lambda counts when it does so for some "
+        "values that round to the printed ones. Matrix entries are counted from zero.",
+        scorecard(verdicts).markdown(),
+    ]
+    for outcome in (published.NOT_REPRODUCED, published.WITH_FLIPPED_SIGN):
+        chosen = [verdict for verdict in verdicts if verdict.verdict == outcome]
+        parts += [
+            f"## {outcome.capitalize()}",
+            table(chosen, f"{outcome.capitalize()}.").markdown(),
+        ]
+    parts += [
+        "## Everything, in the paper's order",
+        table(verdicts, "All verdicts. The zeros of a matrix share a row.", True).markdown(),
+    ]
+    return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
+
+
+def _merged(verdicts: Iterable[Verdict]) -> Iterable[Verdict]:
+    """Yield the verdicts with the reproduced zeros of each matrix as one."""
+
+    def kind(verdict: Verdict) -> tuple[str, bool]:
+        zero = verdict.printed.split(" ")[0] == "0" and verdict.value == 0.0
+        zero = zero and verdict.verdict == published.REPRODUCED
+        return (verdict.name.split("[")[0] if zero else verdict.name, zero)
+
+    seen: dict[tuple[str, bool], list[Verdict]] = {}
+    for verdict in verdicts:
+        seen.setdefault(kind(verdict), []).append(verdict)
+    for (name, zero), group in seen.items():
+        first = group[0]
+        if zero and len(group) > 1:
+            yield Verdict(
+                name=f"{name}, {len(group)} zeros",
+                place=first.place,
+                printed=first.printed,
+                value=0.0,
+                relative_difference=None,
+                verdict=first.verdict,
+                reason="",
+            )
+        else:
+            yield first
+
+
+def about() -> Table:
+    """Return what a notebook was run with: versions, revision, lock and machine."""
+    facts = provenance.collect()
+    revision = facts["revision"]
+    rows = [(name, version) for name, version in facts["versions"].items()]
+    if revision:
+        changed = ", with changes" if revision["dirty"] else ""
+        rows.append(("git revision", revision["commit"][:12] + changed))
+    rows += [
+        ("lock (SHA-256)", (facts["lock_sha256"] or "none")[:12]),
+        ("processor", f"{facts['machine']['processor']}, {facts['machine']['cores']} cores"),
+        ("platform", facts["machine"]["platform"]),
+        ("run at", facts["written"]),
+    ]
+    return Table(columns=("what", "version"), rows=rows, caption="Run with.")
+
+
+def write_simulations(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) -> None:
+    """Write the Monte Carlo results that the verdicts need, with their provenance beside them.
+
+    The results file has nothing in it that differs from run to run.
+
+    Parameters
+    ----------
+    data : path
+        Folder to write monte_carlo.json to.
+    results : mapping
+        From the name of each design to its result.
+    seed : int
+        For the provenance.
+    """
+    path = Path(data) / published.MonteCarloTable.NAME
+    cases = {}
+    for name, result in results.items():
+        case = result.to_dict()
+        cases[name] = {key: value for key, value in case.items() if key not in _NOT_RESULTS}
+    files.write_json(path, {"cases": cases})
+    provenance.write(
+        path,
+        seed=seed,
+        wall_time_seconds={name: round(result.wall_time, 3) for name, result in results.items()},
+    )
