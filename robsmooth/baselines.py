@@ -177,7 +177,17 @@ def optimal_fixed_lag_error(system: UncertainSystem, lag: float) -> Matrix:
 
 
 def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
-    """Return the error covariance with the whole past and future: the floor of any lag."""
+    """Return the error covariance with the whole past and future: the floor of any lag.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+
+    Returns
+    -------
+    (m, m) array
+        In the squared unit of w.
+    """
     return optimal_fixed_lag_error(system, np.inf)
 
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from schemdraw import flow
 
 Point = tuple[float, float]
-_MARGIN = 0.3
+_MARGIN = 0.6  # of schemdraw units: it takes the height of a text to be less than it is
 
 
 def smoother_loop() -> Figure:

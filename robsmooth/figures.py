@@ -1,5 +1,6 @@
 """The figures, and the one way to save one."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from importlib.resources import as_file
 from importlib.resources import files as package_files
@@ -14,6 +15,7 @@ from robsmooth import files
 from robsmooth.delay import pade_delay
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.homodyne import HomodyneParameters
+from robsmooth.montecarlo import MeanSquare
 from robsmooth.smoother import RobustSmoother, design_smoother
 
 FORMATS = ("pdf", "svg", "png")
@@ -102,7 +104,7 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
         fontsize=7,
     )
     top.set(ylim=(-1.75, 1.75), ylabel=r"$y = f(\mu_1) + \beta\mu_1$")
-    top.legend(loc="upper left", borderaxespad=0.0, frameon=True, framealpha=1.0, edgecolor="none")
+    top.legend(loc="upper left", borderaxespad=0.3, frameon=True, framealpha=1.0, edgecolor="none")
     density = np.exp(-(error**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
     bottom.fill_between(error, density, color="0.6", linewidth=0)
     bottom.set(
@@ -208,7 +210,7 @@ def bound_landscape(best: RobustSmoother) -> Figure:
 
 def mean_squares(
     cases: Sequence[str],
-    results: Mapping[str, Sequence[tuple[float, float]]],
+    results: Mapping[str, Sequence[MeanSquare]],
     published: Mapping[str, float],
 ) -> Figure:
     """Draw simulated mean square errors with their intervals against what is printed.
@@ -218,18 +220,26 @@ def mean_squares(
     cases : sequence of str
         Labels of the variants, one a row.
     results : mapping
-        From each quantity, e.g. "NGCF, filtered", to its (mean square, standard error) in every
-        case, rad^2.
+        From each quantity, e.g. "NGCF, filtered", to its mean square error in every case.
     published : mapping
         From the same quantities to the printed value, drawn as a line.
     """
     figure, axes = plt.subplots(figsize=(3.4, 0.9 + 0.36 * len(cases)))
     rows = np.arange(len(cases))[::-1]
     markers = iter("os^Dv")
-    for index, (label, pairs) in enumerate(results.items()):
-        means, errors = np.array(pairs, dtype=float).T
+    for index, (label, values) in enumerate(results.items()):
+        means = np.array([value.mean_square for value in values])
+        errors = np.array([value.standard_error for value in values])
         colour = f"C{index}"
-        axes.errorbar(means, rows, xerr=1.96 * errors, fmt=next(markers), color=colour, label=label)
+        axes.errorbar(
+            means,
+            rows,
+            xerr=1.96 * errors,
+            fmt=next(markers),
+            markersize=3,
+            color=colour,
+            label=label,
+        )
         if label in published:
             axes.axvline(published[label], color=colour, linestyle="--", linewidth=0.9)
             axes.annotate(
@@ -245,7 +255,7 @@ def mean_squares(
             )
     axes.set(
         yticks=rows,
-        yticklabels=cases,
+        yticklabels=[textwrap.fill(case, 18) for case in cases],
         xlabel=r"mean square error (rad$^2$)",
         ylim=(-0.6, len(cases) - 0.4),
         xlim=(0, 1.3 * max(published.values())),

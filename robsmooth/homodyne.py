@@ -12,7 +12,7 @@ and :math:`\sin e = \beta e + f(e)`, the measurement is
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -121,13 +121,43 @@ class HomodyneParameters:
             return 0.0
         return math.acos(max(self.lower_slope, -1.0))
 
-    def equivalent_slope(self, variance: float) -> float:
-        r"""Return :math:`\Delta_2 = (e^{-P/2} - \beta)/\gamma`, statistically equivalent to f."""
-        return (math.exp(-0.5 * variance) - self.beta) / self.gamma
+    def equivalent_slope(self, variance: float, gain: float = 1.0) -> float:
+        r"""Return :math:`\Delta_2 = (c\,e^{-P/2} - \beta)/\gamma`, statistically equivalent to f.
+
+        Parameters
+        ----------
+        variance : float
+            P, of the phase error, rad^2.
+        gain : float
+            c, of a detector that sees :math:`c\sin e`.
+        """
+        return (gain * math.exp(-0.5 * variance) - self.beta) / self.gamma
+
+    def with_gain(self, gain: float) -> "HomodyneParameters":
+        r"""Return the parameters of a loop whose detector sees :math:`c\sin e`, noise unchanged.
+
+        An estimator that was designed for the original parameters knows nothing of the gain c:
+        its measurement is :math:`c\sin(e)/\beta + \hat\phi` and noise of :math:`1/2\alpha\beta`.
+        """
+        gain = validation.positive("gain", gain)
+        return replace(self, alpha=gain * self.alpha, beta=self.beta / gain)
 
 
 def fraction_inside(error_range: float, variance: float) -> float:
-    """Return the fraction of time that a Gaussian error of this variance is within the range."""
+    """Return the fraction of time that a Gaussian error of this variance is within the range.
+
+    Parameters
+    ----------
+    error_range : float
+        In rad, as `HomodyneParameters.sector_range` gives it.
+    variance : float
+        In rad^2.
+
+    Returns
+    -------
+    float
+        Between zero and one.
+    """
     error_range = validation.real("error_range", error_range, low=0.0)
     variance = validation.positive("variance", variance)
     return float(erf(error_range / math.sqrt(2.0 * variance)))

@@ -513,7 +513,7 @@ def _statements(simulation: MonteCarloTable | None) -> dict[str, Check]:
             ""
             if better
             else "the paper cites other work for this; in this example the two filters have all "
-            "but the same gain, and the difference is within three standard errors of our simulation"
+            "but the same gain, and the difference is within three standard errors of ours"
         )
         return better, value, reason
 

@@ -101,7 +101,7 @@ def _stabilising(A: Matrix, Q: Matrix, weights: np.ndarray, directions: Matrix) 
 
 
 def _newton_step(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return the solution for a small quadratic term: Newton's step from that of the linear equation.
+    """Return the solution for a small quadratic term: a Newton step from the linear equation's.
 
     The pencil that scipy solves would lose the digits that the term lacks.
     """

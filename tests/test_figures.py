@@ -1,0 +1,121 @@
+"""The figures: what they plot, and how they are saved."""
+
+import re
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.text import Text
+
+from robsmooth import diagrams, figures, homodyne
+from robsmooth.montecarlo import MeanSquare
+
+SLOPES = np.linspace(-1.0, 0.0, 11)
+CURVES = {"NGCF": 0.1 - 0.05 * SLOPES, "robust smoother": 0.06 - 0.04 * SLOPES}
+CASES = ["as written", "with a stronger noise of the detector"]
+RESULTS = {
+    "smoother": [MeanSquare(0.05, 0.001), MeanSquare(0.06, 0.001)],
+    "NGCF": [MeanSquare(0.09, 0.002), MeanSquare(0.1, 0.002)],
+}
+
+MAKERS = {
+    "fig1": diagrams.smoother_loop,
+    "fig2": diagrams.homodyne_loop,
+    "fig3": lambda: figures.sector(homodyne.PAPER, 0.088),
+    "fig4": lambda: figures.delta_sweep(SLOPES, CURVES, {"floor": (0.0, 0.05)}),
+    "delay": lambda: figures.delay_error(3.1e-6, (1, 2), 4.6e5),
+    "monte_carlo": lambda: figures.mean_squares(CASES, RESULTS, {"smoother": 0.06, "NGCF": 0.1}),
+}
+
+
+@pytest.fixture(autouse=True)
+def style():
+    with mpl.rc_context():
+        mpl.use("Agg")
+        figures.use_style()
+        yield
+    plt.close("all")
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_a_figure_drawn_twice_is_the_same_bytes(tmp_path, name):
+    for folder in ("one", "two"):
+        figures.save_figure(MAKERS[name](), tmp_path / folder, name)
+    for suffix in figures.FORMATS:
+        first, second = ((tmp_path / f / f"{name}.{suffix}").read_bytes() for f in ("one", "two"))
+        assert first == second
+        assert len(first) > 1000
+
+
+def test_files_hold_no_date_and_no_release(tmp_path):
+    figures.save_figure(MAKERS["fig4"](), tmp_path, "fig4")
+    pdf, svg, png = ((tmp_path / f"fig4.{s}").read_bytes() for s in figures.FORMATS)
+    for content in (pdf, svg, png):
+        assert not re.search(rb"20\d\d-\d\d-\d\d|CreationDate|dc:date", content)
+        assert mpl.__version__.encode() not in content
+
+
+def test_pdf_fonts_are_embedded_and_editable(tmp_path):
+    figures.save_figure(MAKERS["fig4"](), tmp_path, "fig4")
+    pdf = (tmp_path / "fig4.pdf").read_bytes()
+    assert b"/Type3" not in pdf
+    assert b"/FontFile2" in pdf  # TrueType
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_a_figure_fits_a_column_and_its_text_can_be_read_there(name):
+    figure = MAKERS[name]()
+    assert figure.get_figwidth() <= 3.4
+    figure.canvas.draw()
+    sizes = [text.get_fontsize() for text in figure.findobj(Text) if text.get_text().strip()]
+    assert min(sizes) >= 7
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_nothing_leaves_the_figure(name):
+    figure = MAKERS[name]()
+    figure.canvas.draw()
+    drawn = figure.get_tightbbox()
+    width, height = figure.get_size_inches()
+    assert drawn.x0 > -0.02 and drawn.y0 > -0.02
+    assert drawn.x1 < width + 0.02 and drawn.y1 < height + 0.02
+
+
+def test_the_sweep_plots_what_it_is_given():
+    (axes,) = MAKERS["fig4"]().axes
+    lines = {line.get_label(): line for line in axes.lines}
+    for label, values in CURVES.items():
+        assert np.array_equal(lines[label].get_xdata(), SLOPES)
+        assert np.array_equal(lines[label].get_ydata(), values)
+    assert lines["NGCF"].get_linestyle() == "-"  # solid and dashed, as the paper says
+    assert lines["robust smoother"].get_linestyle() == "--"
+    assert "rad" in axes.get_ylabel() and r"\Delta_2" in axes.get_xlabel()
+
+
+def test_curves_differ_by_more_than_their_colour():
+    styles = [entry["linestyle"] for entry in mpl.rcParams["axes.prop_cycle"]]
+    assert len({str(style) for style in styles}) == len(styles) >= 5
+
+
+def test_the_sector_figure_marks_where_the_sine_leaves_the_sector():
+    top, _ = MAKERS["fig3"]().axes
+    marks = [line.get_xdata()[0] for line in top.lines if np.ptp(line.get_xdata()) == 0]
+    reach = max(marks)
+    assert np.sin(reach) == pytest.approx(homodyne.PAPER.lower_slope * reach, rel=1e-9)
+
+
+def test_a_failed_save_leaves_the_old_figure(tmp_path, monkeypatch):
+    path = tmp_path / "fig4.pdf"
+    path.write_bytes(b"yesterday")
+    figure = MAKERS["fig4"]()
+
+    def fail(target, **_):
+        target.write_bytes(b"half")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(figure, "savefig", fail)
+    with pytest.raises(OSError, match="disk full"):
+        figures.save_figure(figure, tmp_path, "fig4")
+    assert path.read_bytes() == b"yesterday"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["fig4.pdf"]
