@@ -31,7 +31,7 @@ def test_latex_escapes_text_and_leaves_mathematics_alone():
     assert body.count(r" \\") == len(TABLE.rows)
 
 
-def test_csv_holds_numbers_in_full():
+def test_csv_holds_twelve_digits():
     rows = list(csv.reader(io.StringIO(TABLE.csv())))
     assert rows[0] == list(TABLE.columns)
     assert float(rows[1][1]) == 0.123456789
