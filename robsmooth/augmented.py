@@ -15,9 +15,9 @@ the system's q components, then g fictitious ones that the theory adds to the co
 :math:`J_{21}`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, wraps
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -26,9 +26,14 @@ from robsmooth import validation
 from robsmooth.delay import DelayModel, pade_delay
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.systems import UncertainSystem
-from robsmooth.validation import Matrix
+from robsmooth.validation import Matrix, frozen
 
 _J_RESIDUAL = 1e-9  # largest misfit of Assumption 1, relative to each row's size
+
+
+def _matrix(build: Callable[["AugmentedSystem"], Matrix]) -> cached_property:
+    """Make a method a property that is computed once and read-only."""
+    return cached_property(wraps(build)(lambda self: frozen(build(self))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,43 +79,43 @@ class AugmentedSystem:
         """Heights of the channels in zeta-tilde: h_1 ... h_k, then 2 g ones."""
         return (*(u.C.shape[0] for u in self.system.uncertainties), *(1,) * (2 * self.system.g))
 
-    @cached_property
+    @_matrix
     def A_p(self) -> Matrix:
         """(n, n) drift of the augmented state, 1/s."""
         model, system = self.delay_model, self.system
         upper = np.zeros((system.n, model.F.shape[0]))
         return np.block([[system.A, upper], [model.G @ system.C0, model.F]])
 
-    @cached_property
+    @_matrix
     def B_p1(self) -> Matrix:
         """(n, q + g) noise intensity, with zero columns for the noise of the copies."""
         return self._state_rows(np.hstack([self.system.B1, self._no_columns(self.system.g)]))
 
-    @cached_property
+    @_matrix
     def C_p0(self) -> Matrix:
         """(m, n) the undelayed output w."""
         return self._state_columns(self.system.C0)
 
-    @cached_property
+    @_matrix
     def C_a(self) -> Matrix:
         """(m, n) the delayed output w_a = [J_a C_0, H_a] x_p."""
         return np.hstack([self.delay_model.J @ self.system.C0, self.delay_model.H])
 
-    @cached_property
+    @_matrix
     def B1_tilde(self) -> Matrix:
         """(n, r + 2g) channel inputs into the state."""
         system = self.system
         blocks = [c.B for c in (*system.uncertainties, *system.nonlinearities)]
         return self._state_rows(np.hstack([*blocks, self._no_columns(system.g)]))
 
-    @cached_property
+    @_matrix
     def C1_tilde(self) -> Matrix:
         """(h + 2g, n) channel outputs from the state."""
         system = self.system
         blocks = [c.C for c in (*system.uncertainties, *system.nonlinearities)]
         return self._state_columns(np.vstack([*blocks, np.zeros((system.g, system.n))]))
 
-    @cached_property
+    @_matrix
     def D12_tilde(self) -> Matrix:
         """(h + 2g, m + g) channel outputs from the estimator: the copies' arguments."""
         g, m = self.system.g, self.system.m
@@ -119,21 +124,21 @@ class AugmentedSystem:
         result[rows - g :, m:] = np.eye(g)
         return result
 
-    @cached_property
+    @_matrix
     def C2_tilde(self) -> Matrix:
         """(l + g, n) the measurement, then zero rows: the copies' outputs carry no state."""
         return self._state_columns(
             np.vstack([self.system.C2, np.zeros((self.system.g, self.system.n))])
         )
 
-    @cached_property
+    @_matrix
     def D21_tilde(self) -> Matrix:
         """(l + g, r + 2g) channel inputs into the extended measurement."""
         system = self.system
         blocks = [c.D for c in (*system.uncertainties, *system.nonlinearities)]
         return block_diag(np.hstack([np.zeros((system.l, 0)), *blocks]), np.eye(system.g))
 
-    @cached_property
+    @_matrix
     def D21_bar(self) -> Matrix:
         """(l + g, q + g) noise of the extended measurement: D_21, then J_21 for the copies."""
         return block_diag(self.system.D21, self.J_21)
@@ -156,7 +161,7 @@ class AugmentedSystem:
         """Return N(lambda), the sum of lambda_i N_i."""
         return _combination(multipliers, self.N_i, sum(self.output_sizes))
 
-    @cached_property
+    @_matrix
     def J(self) -> Matrix:
         """(r + 2g, q + g) solution of Assumption 1: [B_p1; D21_bar] = [B1_tilde; D21_tilde] J.
 
@@ -254,7 +259,7 @@ class AugmentedSystem:
         plant = [weights[i] * np.eye(total)[[ends[k + i]]] for i in range(g)]
         copies = [weights[i] * np.eye(total)[[ends[k + g + i]]] for i in range(g)]
         factors += [plant[i] - copies[i] for i in range(g)] + plant + copies
-        return tuple(factor.T @ factor for factor in factors)
+        return tuple(frozen(factor.T @ factor) for factor in factors)
 
 
 def augment(

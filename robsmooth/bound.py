@@ -9,13 +9,14 @@ about V help:
 - :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`, so that the least bound lies on the boundary of
   the constraint, and a step onto it is exact;
 - V often falls all the way to the edge where the multipliers of a nonlinearity and of its copy
-  vanish. There M is singular: the least bound is an infimum that no design attains. The search then
-  puts those multipliers at a stated small fraction of the largest, `VANISHING`, and extrapolates
-  the bound, linear in that fraction, to zero.
+  vanish. There M is singular: the least bound is an infimum that no design attains. The search
+  keeps every multiplier at or above a stated small fraction of the largest, `VANISHING`. Where some
+  end at that fraction, it extrapolates the bound to zero, by a power of the fraction.
 """
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,10 +37,11 @@ from robsmooth.smoother import (
 
 VANISHING = 1e-6  # stands for zero, relative to the largest multiplier
 _CANDIDATE = 1e-2  # a multiplier found below this may be on its way to zero
-_AT_EDGE = 1e-4  # how much a bound at `VANISHING` may lie above one found nearer to the edge
 _BARRIERS = (1e-1, 1e-2)
 _REFUSED = 1e2  # the objective, a logarithm, where there is no design
 _REACH = 10.0  # how far from its start the search may go, in natural logarithms
+_ROUNDS = 5  # of quadratic programming, each in units of its start
+_PROGRESS = 1e-7  # a round that lowers the bound by less, relatively, is the last
 _SAMPLES = 32
 _TAU_DECADES = np.arange(-2.0, 8.0, 1.0)
 
@@ -63,9 +65,9 @@ def minimize_bound(
     Returns
     -------
     RobustSmoother
-        The best design found. Where the least bound is not attained, its `bound_infimum` is the
-        infimum, and the vanishing multipliers are `VANISHING` of the largest; otherwise
-        `bound_infimum` is None.
+        The best design found. Where the bound falls as some multipliers go to zero, so that no
+        design attains the least one, those multipliers are `VANISHING` of the largest and
+        `bound_infimum` is the limit; otherwise `bound_infimum` is None.
 
     Raises
     ------
@@ -78,9 +80,11 @@ def minimize_bound(
     seed = validation.integer("seed", seed, low=0)
     check_measurement_noise(plant)
     points = _starting_points(plant, cost, starts, seed)
-    ends = [_polish(plant, cost, _descend(plant, cost, point)) for point in points]
-    best = min(ends, key=lambda point: _try_bound(plant, cost, point))
-    return _certified(plant, cost, best)
+    ends = [_onto_boundary(plant, _descend(plant, cost, point)) for point in points]
+    best = _polish(plant, cost, min(ends, key=lambda point: _objective(plant, cost, point)))
+    best = _try_edge(plant, cost, best)
+    design = design_smoother(plant, *_split(best), cost)
+    return replace(design, bound_infimum=_infimum(plant, cost, best))
 
 
 def _split(point: np.ndarray) -> tuple[float, np.ndarray]:
@@ -185,29 +189,44 @@ def _descend(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray
 
 
 def _polish(
-    plant: AugmentedSystem, cost: str, point: np.ndarray, fixed: np.ndarray | None = None
+    plant: AugmentedSystem, cost: str, point: np.ndarray, fixed: Sequence[int] = ()
 ) -> np.ndarray:
     """Minimise log V under the constraint itself, with the entries at `fixed` held."""
     point = _onto_boundary(plant, point)
-    free = np.setdiff1d(np.arange(point.size), [] if fixed is None else fixed)
+    for _ in range(_ROUNDS):
+        before = _objective(plant, cost, point)
+        point = _quadratic_programming(plant, cost, point, fixed)
+        if _objective(plant, cost, point) > before - _PROGRESS:
+            break
+    return _best_tau(plant, cost, point)
 
-    def at(values: np.ndarray) -> np.ndarray:
-        whole = point.copy()
-        whole[free] = values
-        return whole
 
-    def objective(values: np.ndarray) -> float:
-        trial = at(values)  # SQP steps outside the constraint now and then: judge them on it
+def _quadratic_programming(
+    plant: AugmentedSystem, cost: str, point: np.ndarray, fixed: Sequence[int]
+) -> np.ndarray:
+    """Return a point on the boundary with a lower bound, or the same point."""
+    free = np.setdiff1d(np.arange(point.size), fixed)
+    units = np.ones(point.size)  # tau is a logarithm; multipliers may span decades
+    units[1:] = np.maximum(point[1:], _CANDIDATE * point[1:].max())
+
+    def at(steps: np.ndarray) -> np.ndarray:
+        trial = point.copy()
+        trial[free] += steps * units[free]
+        return trial
+
+    def objective(steps: np.ndarray) -> float:
+        trial = at(steps)  # it steps outside the constraint now and then: judge it on the boundary
         if np.linalg.eigvalsh(_gap(plant, trial)).min() < 0.0:
             trial = _onto_boundary(plant, trial)
         return _objective(plant, cost, trial)
 
+    box = (np.array(_box(point)) - point[:, None]) / units[:, None]
     result = minimize(
         objective,
-        point[free],
+        np.zeros(free.size),
         method="SLSQP",
         jac="3-point",
-        bounds=[_box(point)[index] for index in free],
+        bounds=box[free],
         constraints={"type": "ineq", "fun": lambda v: np.linalg.eigvalsh(_gap(plant, at(v)))},
         options={"ftol": 1e-10, "maxiter": 60},
     )
@@ -215,25 +234,35 @@ def _polish(
     return found if _objective(plant, cost, found) < _objective(plant, cost, point) else point
 
 
-def _certified(plant: AugmentedSystem, cost: str, point: np.ndarray) -> RobustSmoother:
-    """Return the design at a point, or beside the edge where the bound falls towards the edge."""
-    point = _best_tau(plant, cost, point)
-    design = design_smoother(plant, *_split(point), cost)
-    small = np.flatnonzero(point[1:] < _CANDIDATE * point[1:].max()) + 1
-    if not small.size:
-        return design
+def _try_edge(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:
+    """Return a better point with the small multipliers put to `VANISHING`, or the same point."""
+    largest = point[1:].max()
+    small = np.flatnonzero(point[1:] < _CANDIDATE * largest) + 1
+    edge = point.copy()
+    edge[small] = VANISHING * largest
+    edge = _polish(plant, cost, edge)
+    return edge if _objective(plant, cost, edge) < _objective(plant, cost, point) else point
 
-    def near_edge(fraction: float) -> np.ndarray:
-        edge = point.copy()
-        edge[small] = fraction * point[1:].max()
-        return _best_tau(plant, cost, _polish(plant, cost, edge, fixed=small))
 
-    edge = near_edge(VANISHING)
-    bound, beside = (_try_bound(plant, cost, at) for at in (edge, near_edge(10 * VANISHING)))
-    if not bound < min(beside, design.bound * (1.0 + _AT_EDGE)):
-        return design
-    at_edge = design_smoother(plant, *_split(edge), cost)
-    return replace(at_edge, bound_infimum=bound - (beside - bound) / 9.0)
+def _infimum(plant: AugmentedSystem, cost: str, point: np.ndarray) -> float | None:
+    """Return the limit of the bound as the multipliers at `VANISHING` go to zero.
+
+    None where there are none, or where the bound does not fall towards zero.
+    """
+    largest = point[1:].max()
+    vanishing = np.flatnonzero(point[1:] < 2 * VANISHING * largest) + 1
+    if not vanishing.size:
+        return None
+    bounds = []
+    for fraction in (1e-2 * VANISHING, 1e-1 * VANISHING, VANISHING):
+        beside = point.copy()
+        beside[vanishing] = fraction * largest
+        bounds.append(_try_bound(plant, cost, _polish(plant, cost, beside, fixed=vanishing)))
+    first, second = np.diff(bounds)
+    if not second > 0.0:
+        return None
+    below = first**2 / (second - first) if 0.0 < first < second else 0.0  # else it is rounding
+    return float(bounds[0] - below)
 
 
 def _best_tau(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:

@@ -247,7 +247,9 @@ def statistical_linearisation(
     Parameters
     ----------
     smoother : Estimator
-        A design for a plant with one output and one nonlinearity that acts on the filtered error.
+        A design for a plant with one output and one nonlinearity, which acts on the filtered error
+        because the estimator runs a copy, or the loop feeds the estimate back. (A Kalman filter in
+        such a loop: ``baselines.kalman_bucy(system, copies=True)``.)
     equivalent_slope : callable
         Maps the variance of the error to the nonlinearity's equivalent Delta_2. For the homodyne
         loop `HomodyneParameters.equivalent_slope`: the Gaussian mean of the slope of
@@ -268,6 +270,11 @@ def statistical_linearisation(
         raise ValueError(
             "statistical linearisation takes one output and one nonlinearity, got "
             f"m={plant.system.m} and g={plant.system.g}"
+        )
+    if not smoother.C_c[1:].any():
+        raise ValueError(
+            "smoother must run a copy of the nonlinearity, got one that does not; an estimator of "
+            "robsmooth.baselines does with copies=True"
         )
 
     def loop(slope: float) -> ClosedLoop:

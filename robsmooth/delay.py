@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robsmooth import validation
-from robsmooth.validation import Matrix
+from robsmooth.validation import Matrix, frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +52,10 @@ class DelayModel:
     J: Matrix
     delay: float
     order: int
+
+    def __post_init__(self):
+        for value in (self.F, self.G, self.H, self.J):
+            frozen(value)
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """Return the transfer matrix at the angular frequencies `omega` (rad/s): (..., m, m)."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robsmooth.augmented import AugmentedSystem
-from robsmooth.validation import Matrix
+from robsmooth.validation import Matrix, frozen
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,6 +44,10 @@ class Estimator:
     C_c: Matrix
     C_a: Matrix
     C_f: Matrix
+
+    def __post_init__(self):
+        for value in (self.A_c, self.B_c, self.C_c, self.C_a, self.C_f):
+            frozen(value)
 
     @property
     def poles(self) -> np.ndarray:

@@ -58,7 +58,7 @@ class HomodyneParameters:
         One state, the phase; one uncertainty channel with zero output, for the process noise
         (:math:`\Delta_1 = 0`); one nonlinearity
         :math:`\psi(\nu) = 2\alpha f(\nu/2\alpha\gamma)` of :math:`\nu = 2\alpha\gamma\phi`, with
-        Lipschitz constant 1 in the sector.
+        Lipschitz constant 1 as far as `lipschitz_range` goes.
         """
         drive = math.sqrt(self.kappa)
         noise = 1.0 / (2.0 * self.alpha * self.beta)
@@ -100,15 +100,21 @@ class HomodyneParameters:
         return self.beta - self.gamma
 
     def sector_range(self, slope: float | None = None) -> float:
-        r"""Return the largest error (rad) with :math:`|\sin e| \ge` slope :math:`\cdot |e|`.
+        r"""Return the largest error (rad, at most pi) to which the sine stays in the sector.
+
+        That is :math:`\sin e` between slope :math:`\cdot e` and :math:`(\beta + \gamma)e`.
 
         Parameters
         ----------
         slope : float, optional
-            Lower edge of the sector, in (0, 1); by default `lower_slope`.
+            Lower edge of the sector; by default `lower_slope`, where the sector is
+            :math:`|f(e)| \le \gamma|e|`.
         """
-        slope = self.lower_slope if slope is None else slope
-        slope = validation.real("slope", slope, low=0, high=1, low_open=True, high_open=True)
+        slope = self.lower_slope if slope is None else validation.real("slope", slope)
+        if not slope < 1.0 <= self.beta + self.gamma:  # fails at zero already
+            return 0.0
+        if slope <= 0.0:
+            return math.pi
         return float(brentq(lambda e: math.sin(e) / e - slope, 1e-9, math.pi))
 
     @property

@@ -4,8 +4,8 @@ r"""The algebraic Riccati equation, solved by scipy and certified before its ans
 
 with symmetric `Q` and `S` of any sign; wanted is the stabilising solution, for which
 :math:`A - SX` is stable. `scipy.linalg.solve_continuous_are` can return nonsense past the boundary
-where no such solution exists, so the answer counts only with its certificate: a small residual,
-symmetry, and a stable closed loop.
+where no such solution exists, so the answer, after a few steps of Newton's method where they help,
+counts only with its certificate: a small residual, symmetry, and a stable closed loop.
 
 The data are first brought to units in which they are of order one: time in units of
 :math:`1/(|A| + \sqrt{|Q||S|})` and :math:`X = p X'` with :math:`p = |Q|/(a + \sqrt{|Q||S|})`, where
@@ -24,6 +24,8 @@ from robsmooth.validation import Matrix
 RESIDUAL_TOLERANCE = 1e-8
 _BLAS = ThreadpoolController()  # on small matrices BLAS threads cost ten times what they save
 _NEARLY_LINEAR = 1e-5  # the square of this, relative, is what the quadratic term changes
+_REFINEMENTS = 8
+_ROUNDING = 1e-14  # a relative residual below this is as good as zero
 _EMPTY = 1e-14  # directions of S below this, relative to its norm, are rounding
 
 
@@ -80,33 +82,65 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     time, unit = np.exp2(np.rint(np.log2([time, unit])))  # powers of two scale without rounding
     A, Q, S = A * time, Q * (time / unit), S * (time * unit)
 
-    if nearly_linear:
-        return _certify(A, Q, S, _newton_step(A, Q, S), time, unit)
+    failure = None
+    with _BLAS.limit(limits=1, user_api="blas"):
+        for start in (_linear,) if nearly_linear else (_pencil, _unbalanced_pencil):
+            try:
+                X = _refine(A, Q, S, start(A, Q, S))
+                return _certify(A, Q, S, X, time, unit)
+            except (LinAlgError, ValueError) as error:
+                failure = failure or f"no stabilising solution found ({_sentence(error)})"
+            except RiccatiError as error:
+                failure = failure or str(error)
+    raise RiccatiError(failure)
+
+
+def _pencil(A: Matrix, Q: Matrix, S: Matrix, balanced: bool = True) -> Matrix:
+    """Return what scipy finds, by the ordered eigenvalues of the extended pencil."""
     weights, directions = np.linalg.eigh(S)
-    used = np.abs(weights) > _EMPTY * max(np.abs(weights).max(), np.finfo(float).tiny)
-    try:
-        with _BLAS.limit(limits=1, user_api="blas"):
-            X = _stabilising(A, Q, weights[used], directions[:, used])
-    except (LinAlgError, ValueError) as error:
-        raise RiccatiError(f"no stabilising solution found ({_sentence(error)})") from None
-    return _certify(A, Q, S, X, time, unit)
-
-
-def _stabilising(A: Matrix, Q: Matrix, weights: np.ndarray, directions: Matrix) -> Matrix:
-    """Return what scipy finds for S = directions diag(weights) directions'."""
-    if not weights.size:
+    used = np.abs(weights) > _EMPTY * np.abs(weights).max()
+    if not used.any():
         raise LinAlgError("the equation is linear and A is not stable")
-    B = directions * np.sqrt(np.abs(weights))
-    return solve_continuous_are(A, B, Q, np.diag(np.sign(weights)))
+    B = directions[:, used] * np.sqrt(np.abs(weights[used]))
+    return solve_continuous_are(A, B, Q, np.diag(np.sign(weights[used])), balanced=balanced)
 
 
-def _newton_step(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return the solution for a small quadratic term: a Newton step from the linear equation's.
+def _unbalanced_pencil(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
+    """Do the same without scipy's balancing, which very fast states upset."""
+    return _pencil(A, Q, S, balanced=False)
 
-    The pencil that scipy solves would lose the digits that the term lacks.
+
+def _linear(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
+    """Return the solution without the quadratic term.
+
+    Where that term is small, the pencil would lose the digits that it lacks.
     """
-    X = solve_continuous_lyapunov(A.T, -Q)
-    return solve_continuous_lyapunov((A - S @ X).T, -Q - X @ S @ X)
+    return solve_continuous_lyapunov(A.T, -Q)
+
+
+def _refine(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> Matrix:
+    """Return the best of a few steps of Newton's method, the start included."""
+    X = (X + X.T) / 2
+    best, lowest = X, _residual(A, Q, S, X)
+    for _ in range(_REFINEMENTS):
+        closed = A - S @ X
+        if lowest < _ROUNDING or not np.isfinite(closed).all():
+            break
+        if np.linalg.eigvals(closed).real.max() > -_EMPTY * np.linalg.norm(closed):
+            break
+        step = solve_continuous_lyapunov(closed.T, -(A.T @ X + X @ A + Q - X @ S @ X))
+        X = X + (step + step.T) / 2
+        residual = _residual(A, Q, S, X)
+        if residual < lowest:
+            best, lowest = X, residual
+    return best
+
+
+def _residual(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> float:
+    """Return the norm of the equation's residual, relative to the sum of those of its terms."""
+    terms = (A.T @ X, X @ A, Q, -X @ S @ X)
+    scale = sum(np.linalg.norm(term) for term in terms)
+    return float(np.linalg.norm(sum(terms)) / scale) if scale > 0.0 else 0.0
 
 
 def _certify(
@@ -118,10 +152,7 @@ def _certify(
         raise RiccatiError("the solver returned entries that are not finite")
     if np.linalg.norm(X - X.T) > RESIDUAL_TOLERANCE * size:
         raise RiccatiError("the solver's answer is not symmetric")
-    X = (X + X.T) / 2
-    terms = (A.T @ X, X @ A, Q, -X @ S @ X)
-    scale = sum(np.linalg.norm(term) for term in terms)
-    residual = float(np.linalg.norm(sum(terms)) / scale) if scale > 0.0 else 0.0
+    residual = _residual(A, Q, S, X)
     if residual > RESIDUAL_TOLERANCE:
         raise RiccatiError(f"the solver's answer has a relative residual of {residual:.2g}")
     abscissa = float(np.linalg.eigvals(A - S @ X).real.max())

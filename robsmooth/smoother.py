@@ -35,7 +35,7 @@ from robsmooth.augmented import AugmentedSystem
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.estimator import Estimator
 from robsmooth.riccati import RiccatiError, RiccatiSolution, solve_riccati
-from robsmooth.validation import Matrix
+from robsmooth.validation import Matrix, frozen
 
 COSTS = ("filtered", "smoothed")
 _ROUNDING = 1e-9  # slack for conditions that hold with equality at an optimum
@@ -59,7 +59,9 @@ class RobustSmoother(Estimator):
     certificates : dict of RiccatiSolution
         Residual, definiteness and stability of each.
     bound : float
-        V: half the mean square error is below it for every admissible uncertainty.
+        V: half the mean square of w-hat's error, in the loop with the copies' fictitious noise, is
+        below it for every admissible uncertainty. The error is that against w, or with
+        cost="smoothed" that against the output w_a of the delay model (not of the true delay).
     bound_infimum : float or None
         Where `minimize_bound` made the design and the least bound is approached but not attained:
         its infimum.
@@ -76,6 +78,11 @@ class RobustSmoother(Estimator):
     bound: float
     spectral_radius: float
     bound_infimum: float | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        for value in (self.multipliers, self.X, self.Y):
+            frozen(value)
 
     def __repr__(self) -> str:
         weights = ", ".join(f"{value:.4g}" for value in self.multipliers)
@@ -210,7 +217,8 @@ def design_smoother(
         the difference constraints, of the mu constraints and of the mu-tilde constraints.
     cost : {"filtered", "smoothed"}
         Whether the bound is for the filtered error, with :math:`C_{p0}` in R and Gamma as the
-        paper's example has it, or for the smoothed error, with :math:`C_a` as its text has it.
+        paper's example has it, or for the error against the delay model's output, with :math:`C_a`
+        as its text has it.
 
     Returns
     -------

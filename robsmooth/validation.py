@@ -70,6 +70,12 @@ def real(
     return result
 
 
+def frozen(value: Matrix) -> Matrix:
+    """Return the array, read-only from now on."""
+    value.flags.writeable = False
+    return value
+
+
 def positive(name: str, value: float) -> float:
     """Return `value` as a finite float above zero."""
     return real(name, value, low=0.0, low_open=True)

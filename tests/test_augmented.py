@@ -268,3 +268,11 @@ def test_lipschitz_constant_and_output_only_matter_by_their_product(seed):
     for plant in (augment(system, 1.0, 1), augment(other, 1.0, 1)):
         weighted.append(plant.C1_tilde.T @ plant.N(multipliers) @ plant.C1_tilde)
     assert_allclose(*weighted, rtol=0, atol=1e-13)
+
+
+def test_what_is_derived_is_read_only():
+    plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
+    design = rs.baselines.kalman_bucy(plant.system)
+    for derived in (plant.A_p, plant.J, plant.M_i[0], plant.delay_model.F, design.A_c, design.C_a):
+        with pytest.raises(ValueError, match="read-only"):
+            derived[0, 0] = 1.0

@@ -341,3 +341,11 @@ def test_errors_are_invariant_to_the_unit_of_time(slope):
             for d in (plain, other)
         ]
         assert_allclose(*pair, rtol=1e-9)
+
+
+def test_statistical_linearisation_refuses_an_estimator_that_the_nonlinearity_bypasses():
+    parameters = rs.homodyne.PAPER
+    with pytest.raises(ValueError, match="smoother must run a copy"):
+        rs.statistical_linearisation(
+            rs.baselines.kalman_bucy(parameters.uncertain_system()), parameters.equivalent_slope
+        )
