@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from numpy.testing import assert_allclose, assert_array_equal
 
+import robsmooth as rs
 from robsmooth import (
     InfeasibleDesignError,
     Nonlinearity,

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
+import robsmooth as rs
 from robsmooth import (
     UnstableLoopError,
     augment,

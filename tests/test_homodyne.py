@@ -109,17 +109,17 @@ def test_lipschitz_range_by_brute_force():
     ("slope", "reach"), [(1.0, 0.0), (1.5, 0.0), (0.0, math.pi), (-0.1, math.pi)]
 )
 def test_a_sector_that_never_or_always_holds_has_a_range_all_the_same(slope, reach):
-    assert homodyne.PAPER.sector_range(slope) == reach
+    assert PAPER.sector_range(slope) == reach
 
 
 def test_a_tangent_too_flat_for_the_sector_has_no_range():
-    flat = homodyne.HomodyneParameters(lam=1.0, kappa=1.0, alpha=1.0, beta=0.5, gamma=0.3)
+    flat = HomodyneParameters(lam=1.0, kappa=1.0, alpha=1.0, beta=0.5, gamma=0.3)
     assert flat.sector_range() == 0.0
 
 
 def test_the_slope_of_a_sector_is_a_finite_number():
     with pytest.raises(ValueError, match=r"^slope must"):
-        homodyne.PAPER.sector_range(math.nan)
+        PAPER.sector_range(math.nan)
 
 
 def test_slopes_of_the_sector():
