@@ -16,7 +16,6 @@ about V help:
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +23,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from robsmooth import validation
 from robsmooth.augmented import AugmentedSystem
+from robsmooth.blas import one_thread
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.riccati import RiccatiError
 from robsmooth.smoother import (
@@ -42,10 +42,12 @@ _REFUSED = 1e2  # the objective, a logarithm, where there is no design
 _REACH = 10.0  # how far from its start the search may go, in natural logarithms
 _ROUNDS = 5  # of quadratic programming, each in units of its start
 _PROGRESS = 1e-7  # a round that lowers the bound by less, relatively, is the last
+_TAU_REACH = 3.0  # how far tau may move as multipliers vanish, in natural logarithms
 _SAMPLES = 32
 _TAU_DECADES = np.arange(-2.0, 8.0, 1.0)
 
 
+@one_thread
 def minimize_bound(
     plant: AugmentedSystem, cost: str = "filtered", *, starts: int = 3, seed: int = 0
 ) -> RobustSmoother:
@@ -188,31 +190,24 @@ def _descend(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray
     return point
 
 
-def _polish(
-    plant: AugmentedSystem, cost: str, point: np.ndarray, fixed: Sequence[int] = ()
-) -> np.ndarray:
-    """Minimise log V under the constraint itself, with the entries at `fixed` held."""
+def _polish(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:
+    """Minimise log V under the constraint itself."""
     point = _onto_boundary(plant, point)
     for _ in range(_ROUNDS):
         before = _objective(plant, cost, point)
-        point = _quadratic_programming(plant, cost, point, fixed)
+        point = _quadratic_programming(plant, cost, point)
         if _objective(plant, cost, point) > before - _PROGRESS:
             break
     return _best_tau(plant, cost, point)
 
 
-def _quadratic_programming(
-    plant: AugmentedSystem, cost: str, point: np.ndarray, fixed: Sequence[int]
-) -> np.ndarray:
+def _quadratic_programming(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:
     """Return a point on the boundary with a lower bound, or the same point."""
-    free = np.setdiff1d(np.arange(point.size), fixed)
     units = np.ones(point.size)  # tau is a logarithm; multipliers may span decades
     units[1:] = np.maximum(point[1:], _CANDIDATE * point[1:].max())
 
     def at(steps: np.ndarray) -> np.ndarray:
-        trial = point.copy()
-        trial[free] += steps * units[free]
-        return trial
+        return point + steps * units
 
     def objective(steps: np.ndarray) -> float:
         trial = at(steps)  # it steps outside the constraint now and then: judge it on the boundary
@@ -223,10 +218,10 @@ def _quadratic_programming(
     box = (np.array(_box(point)) - point[:, None]) / units[:, None]
     result = minimize(
         objective,
-        np.zeros(free.size),
+        np.zeros(point.size),
         method="SLSQP",
         jac="3-point",
-        bounds=box[free],
+        bounds=box,
         constraints={"type": "ineq", "fun": lambda v: np.linalg.eigvalsh(_gap(plant, at(v)))},
         options={"ftol": 1e-10, "maxiter": 60},
     )
@@ -257,7 +252,9 @@ def _infimum(plant: AugmentedSystem, cost: str, point: np.ndarray) -> float | No
     for fraction in (1e-2 * VANISHING, 1e-1 * VANISHING, VANISHING):
         beside = point.copy()
         beside[vanishing] = fraction * largest
-        bounds.append(_try_bound(plant, cost, _polish(plant, cost, beside, fixed=vanishing)))
+        # the others are at their best already, but for a change in proportion to the fraction
+        beside = _best_tau(plant, cost, _onto_boundary(plant, beside), reach=_TAU_REACH)
+        bounds.append(_try_bound(plant, cost, beside))
     first, second = np.diff(bounds)
     if not second > 0.0:
         return None
@@ -265,15 +262,17 @@ def _infimum(plant: AugmentedSystem, cost: str, point: np.ndarray) -> float | No
     return float(bounds[0] - below)
 
 
-def _best_tau(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:
-    """Minimise over tau alone, to more digits than a search over everything gives."""
+def _best_tau(
+    plant: AugmentedSystem, cost: str, point: np.ndarray, reach: float = 0.1
+) -> np.ndarray:
+    """Minimise over log tau alone, to more digits than a search over everything gives."""
 
     def at(log_tau: float) -> np.ndarray:
         return np.concatenate([[log_tau], point[1:]])
 
     result = minimize_scalar(
         lambda log_tau: _objective(plant, cost, at(log_tau)),
-        bounds=(point[0] - 0.1, point[0] + 0.1),
+        bounds=(point[0] - reach, point[0] + reach),
         method="bounded",
         options={"xatol": 1e-9},
     )

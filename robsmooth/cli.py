@@ -65,7 +65,8 @@ def figures(options: argparse.Namespace) -> int:
     if failed:
         print(_summary(failed, len(results)), file=sys.stderr)
         return 1
-    if not parameters:
+    stale = any(result.status == "done" for result in results)
+    if not parameters and (stale or not (places.figures / "reproduction.md").exists()):
         write_report(root, places)
     print(f"figures and tables are in {_short(places.figures)}")
     return 0

@@ -25,6 +25,7 @@ from scipy.optimize import brentq
 
 from robsmooth import validation
 from robsmooth.augmented import AugmentedSystem
+from robsmooth.blas import one_thread
 from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.validation import Matrix
@@ -192,6 +193,7 @@ def error_covariance(
     return closed_loop(smoother, Delta, copy_noise, allow_inadmissible).error_covariance(output)
 
 
+@one_thread
 def delta_sweep(
     smoother: Estimator,
     nonlinearities: Iterable[float],
@@ -239,6 +241,7 @@ class StatisticalLinearisation:
     smoothed: float
 
 
+@one_thread
 def statistical_linearisation(
     smoother: Estimator, equivalent_slope: Callable[[float], float]
 ) -> StatisticalLinearisation:

@@ -23,6 +23,7 @@ import numpy as np
 
 from robsmooth import baselines, homodyne, validation
 from robsmooth.augmented import AugmentedSystem, augment
+from robsmooth.blas import one_thread
 from robsmooth.bound import VANISHING, minimize_bound
 from robsmooth.covariance import delta_sweep, statistical_linearisation
 from robsmooth.delay import DelayModel
@@ -238,6 +239,7 @@ def x_discriminant(tau: float, multipliers: np.ndarray) -> float:
 KINDS = ("input", "model", "optimum", "design", "sweep", "simulation")
 
 
+@one_thread
 def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -> list[Verdict]:
     """Recompute every number that the paper prints and judge it.
 

@@ -17,15 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lyapunov
-from threadpoolctl import ThreadpoolController
 
+from robsmooth.blas import one_thread
 from robsmooth.validation import Matrix
 
 RESIDUAL_TOLERANCE = 1e-8
-_BLAS = ThreadpoolController()  # on small matrices BLAS threads cost ten times what they save
 _NEARLY_LINEAR = 1e-5  # the square of this, relative, is what the quadratic term changes
 _REFINEMENTS = 8
-_ROUNDING = 1e-14  # a relative residual below this is as good as zero
+_ROUNDING = 1e-15  # a relative residual below this is not worth a step
+_GOOD = 1e-11  # and one below this is worth steps only while they help
 _EMPTY = 1e-14  # directions of S below this, relative to its norm, are rounding
 
 
@@ -55,6 +55,7 @@ class RiccatiSolution:
     decay_rate: float
 
 
+@one_thread
 def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     """Return the stabilising solution of A'X + XA + Q - XSX = 0, certified.
 
@@ -83,15 +84,15 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     A, Q, S = A * time, Q * (time / unit), S * (time * unit)
 
     failure = None
-    with _BLAS.limit(limits=1, user_api="blas"):
-        for start in (_linear,) if nearly_linear else (_pencil, _unbalanced_pencil):
-            try:
-                X = _refine(A, Q, S, start(A, Q, S))
-                return _certify(A, Q, S, X, time, unit)
-            except (LinAlgError, ValueError) as error:
-                failure = failure or f"no stabilising solution found ({_sentence(error)})"
-            except RiccatiError as error:
-                failure = failure or str(error)
+    for start in (_linear,) if nearly_linear else (_pencil, _unbalanced_pencil):
+        try:
+            X = _refine(A, Q, S, start(A, Q, S))
+            return _certify(A, Q, S, X, time, unit)
+        except (LinAlgError, ValueError) as error:
+            failure = failure or f"no stabilising solution found ({_sentence(error)})"
+            break  # there is none: an inaccurate answer is another matter
+        except RiccatiError as error:
+            failure = failure or str(error)
     raise RiccatiError(failure)
 
 
@@ -131,8 +132,11 @@ def _refine(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> Matrix:
         step = solve_continuous_lyapunov(closed.T, -(A.T @ X + X @ A + Q - X @ S @ X))
         X = X + (step + step.T) / 2
         residual = _residual(A, Q, S, X)
+        helped = residual < lowest / 2
         if residual < lowest:
             best, lowest = X, residual
+        if lowest < _GOOD and not helped:
+            break
     return best
 
 

@@ -150,6 +150,7 @@ def _environment(scratch: Path) -> dict[str, str]:
     left_out = {"MPLBACKEND", "PYTHONPATH"}
     environment = {name: value for name, value in os.environ.items() if name not in left_out}
     return environment | {
+        "OPENBLAS_NUM_THREADS": "1",  # the matrices are small, and notebooks run side by side
         "JUPYTER_PREFER_ENV_PATH": "1",  # this environment's kernel, not the user's
         "JUPYTER_RUNTIME_DIR": str(scratch / "jupyter"),
         "IPYTHONDIR": str(scratch / "ipython"),  # no start-up files of the user's
