@@ -89,11 +89,11 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
             X = _refine(A, Q, S, start(A, Q, S))
             return _certify(A, Q, S, X, time, unit)
         except (LinAlgError, ValueError) as error:
-            failure = failure or f"no stabilising solution found ({_sentence(error)})"
+            failure = failure or _sentence(error)
             break  # there is none: an inaccurate answer is another matter
         except RiccatiError as error:
             failure = failure or str(error)
-    raise RiccatiError(failure)
+    raise RiccatiError(f"no stabilising solution found: {failure}")
 
 
 def _pencil(A: Matrix, Q: Matrix, S: Matrix, balanced: bool = True) -> Matrix:

@@ -112,15 +112,19 @@ def test_all_notebooks_run_with_the_quick_profile(first_run):
     assert run.stdout.count(": fresh\n") == len(NUMBERED)
 
 
-def test_figures_are_byte_identical_when_regenerated(first_run, tmp_path):
+def test_results_are_byte_identical_when_regenerated(first_run, tmp_path):
     run, again = quick_run(tmp_path)
     assert run.returncode == 0, run.stderr
-    figures = sorted(
-        path.name
-        for path in (first_run / "figures").iterdir()
-        if path.suffix in {".pdf", ".svg", ".png"}
-    )
-    assert figures
-    for name in figures:
-        old, new = (places / "figures" / name for places in (first_run, again))
-        assert old.read_bytes() == new.read_bytes(), f"{name} differs from run to run"
+    results = [
+        path.relative_to(first_run)
+        for folder in ("figures", "data")
+        for path in sorted((first_run / folder).iterdir())
+        if not path.name.endswith(".provenance.json")  # it holds date and run time
+    ]
+    assert {path.suffix for path in results} == {
+        *(".pdf", ".svg", ".png"),
+        *(".md", ".csv", ".tex", ".json"),
+    }
+    for result in results:
+        old, new = (places / result for places in (first_run, again))
+        assert old.read_bytes() == new.read_bytes(), f"{result} differs from run to run"

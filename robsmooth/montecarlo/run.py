@@ -424,7 +424,7 @@ def _threads(threads: int | None) -> Iterator[None]:
 
 
 def _progress_bar(runs: int, progress: bool) -> tqdm:
-    return tqdm(total=runs, unit="path", unit_scale=True, disable=not progress)
+    return tqdm(total=runs, unit="path", unit_scale=True, leave=False, disable=not progress)
 
 
 def _estimator_digest(smoother) -> str:

@@ -151,6 +151,7 @@ def _environment(scratch: Path) -> dict[str, str]:
     environment = {name: value for name, value in os.environ.items() if name not in left_out}
     return environment | {
         "OPENBLAS_NUM_THREADS": "1",  # the matrices are small, and notebooks run side by side
+        "TQDM_DISABLE": "1",  # a bar without a terminal fills the executed copy with lines
         "JUPYTER_PREFER_ENV_PATH": "1",  # this environment's kernel, not the user's
         "JUPYTER_RUNTIME_DIR": str(scratch / "jupyter"),
         "IPYTHONDIR": str(scratch / "ipython"),  # no start-up files of the user's
