@@ -7,7 +7,7 @@ from robsmooth.covariance import delta_sweep, error_covariance, statistical_line
 from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.montecarlo import MonteCarloResult, monte_carlo
-from robsmooth.published import verdicts
+from robsmooth.reproduction import verdicts
 from robsmooth.smoother import RobustSmoother, design_smoother
 from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
 

@@ -87,10 +87,10 @@ def write_report(root: Path, places: Places) -> None:
 
 def verdicts(options: argparse.Namespace) -> int:
     """Print every printed number of the paper with its verdict."""
-    from robsmooth import published, report
+    from robsmooth import report, reproduction
 
     try:
-        print(report.markdown(published.verdicts(_project() / "data")))
+        print(report.markdown(reproduction.verdicts(_project() / "data")))
     except ValueError as error:  # no Monte Carlo results, or damaged ones
         raise PipelineError(str(error)) from error
     return 0

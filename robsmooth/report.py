@@ -1,22 +1,20 @@
 """The report of the reproduction: every printed number with its verdict, and the scorecard."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from robsmooth import files, provenance, published
-from robsmooth.montecarlo import MonteCarloResult
-from robsmooth.published import Verdict
+from robsmooth import files, provenance, reproduction
+from robsmooth.reproduction import Verdict
 from robsmooth.tables import Table
 
 NAME = "reproduction"
 OUTCOMES = (
-    published.REPRODUCED,
-    published.WITH_FLIPPED_SIGN,
-    published.NOT_REPRODUCED,
-    published.NOT_CHECKABLE,
+    reproduction.REPRODUCED,
+    reproduction.WITH_FLIPPED_SIGN,
+    reproduction.NOT_REPRODUCED,
+    reproduction.NOT_CHECKABLE,
 )
-_NOT_RESULTS = ("wall_time", "provenance")
 _BEGIN, _END = "<!-- scorecard: written by make figures -->", "<!-- end of scorecard -->"
 
 
@@ -35,7 +33,7 @@ def write(figures: Path | str, data: Path | str) -> list[Verdict]:
     list of Verdict
         What was written.
     """
-    verdicts = published.verdicts(data)
+    verdicts = reproduction.verdicts(data)
     files.write_text(Path(figures) / f"{NAME}.md", markdown(verdicts))
     files.write_text(Path(figures) / f"{NAME}.csv", table(verdicts).csv())
     provenance.write(Path(figures) / f"{NAME}.md")
@@ -105,7 +103,7 @@ def markdown(verdicts: Sequence[Verdict]) -> str:
         "values that round to the printed ones. Matrix entries are counted from zero.",
         scorecard(verdicts).markdown(),
     ]
-    for outcome in (published.NOT_REPRODUCED, published.WITH_FLIPPED_SIGN):
+    for outcome in (reproduction.NOT_REPRODUCED, reproduction.WITH_FLIPPED_SIGN):
         chosen = [verdict for verdict in verdicts if verdict.verdict == outcome]
         parts += [
             f"## {outcome.capitalize()}",
@@ -123,7 +121,7 @@ def _merged(verdicts: Iterable[Verdict]) -> Iterable[Verdict]:
 
     def kind(verdict: Verdict) -> tuple[str, bool]:
         zero = verdict.printed.split(" ")[0] == "0" and verdict.value == 0.0
-        zero = zero and verdict.verdict == published.REPRODUCED
+        zero = zero and verdict.verdict == reproduction.REPRODUCED
         return (verdict.name.split("[")[0] if zero else verdict.name, zero)
 
     seen: dict[tuple[str, bool], list[Verdict]] = {}
@@ -160,30 +158,3 @@ def about() -> Table:
         ("run at", facts["written"]),
     ]
     return Table(columns=("what", "version"), rows=rows, caption="Run with.")
-
-
-def write_simulations(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) -> None:
-    """Write the Monte Carlo results that the verdicts need, with their provenance beside them.
-
-    The results file has nothing in it that differs from run to run.
-
-    Parameters
-    ----------
-    data : path
-        Folder to write monte_carlo.json to.
-    results : mapping
-        From the name of each design to its result.
-    seed : int
-        For the provenance.
-    """
-    path = Path(data) / published.MonteCarloTable.NAME
-    cases = {}
-    for name, result in results.items():
-        case = result.to_dict()
-        cases[name] = {key: value for key, value in case.items() if key not in _NOT_RESULTS}
-    files.write_json(path, {"cases": cases})
-    provenance.write(
-        path,
-        seed=seed,
-        wall_time_seconds={name: round(result.wall_time, 3) for name, result in results.items()},
-    )

@@ -6,19 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from robsmooth import published, report
-from robsmooth.published import Verdict
+from robsmooth import report, reproduction
+from robsmooth.reproduction import Verdict
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(scope="module")
 def verdicts():
-    return published.verdicts()
+    return reproduction.verdicts()
 
 
 def zero(name):
-    return Verdict(name, "IV-B", "0", 0.0, None, published.REPRODUCED, "")
+    return Verdict(name, "IV-B", "0", 0.0, None, reproduction.REPRODUCED, "")
 
 
 def test_the_scorecard_counts_every_verdict_once(verdicts):
@@ -30,8 +30,8 @@ def test_the_scorecard_counts_every_verdict_once(verdicts):
 
 
 def test_reproduced_zeros_share_a_row_and_nothing_else_does():
-    number = Verdict("A[0, 1]", "IV-B", "2", 2.0, 0.0, published.REPRODUCED, "")
-    noise = Verdict("A[1, 1]", "IV-B", "0.1", 0.0, -1.0, published.NOT_REPRODUCED, "noise")
+    number = Verdict("A[0, 1]", "IV-B", "2", 2.0, 0.0, reproduction.REPRODUCED, "")
+    noise = Verdict("A[1, 1]", "IV-B", "0.1", 0.0, -1.0, reproduction.NOT_REPRODUCED, "noise")
     given = [zero("A[0, 0]"), number, zero("A[1, 0]"), noise, zero("B[0, 0]")]
     names = [row[0] for row in report.table(given, merge_zeros=True).rows]
     assert names == ["A, 2 zeros", "A[0, 1]", "A[1, 1]", "B[0, 0]"]
@@ -44,7 +44,7 @@ def test_writing_gives_report_table_and_provenance(tmp_path, verdicts):
     assert found == {"reproduction.md", "reproduction.csv", "reproduction.provenance.json"}
     text = (tmp_path / "reproduction.md").read_text()
     for verdict in verdicts:
-        if verdict.verdict == published.NOT_REPRODUCED:
+        if verdict.verdict == reproduction.NOT_REPRODUCED:
             assert verdict.reason.replace("|", r"\|") in text
 
 

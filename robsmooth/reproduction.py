@@ -1,0 +1,249 @@
+r"""Whether the paper reproduces: every printed number recomputed and judged.
+
+A value agrees with a printed one when rounding it, or cutting it off, at the printed digits gives
+what is printed (the paper does both). What follows from the printed :math:`\tau` and
+:math:`\lambda` agrees when it does so for some values that round to the printed ones.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from robsmooth import statements, validation
+from robsmooth.blas import one_thread
+from robsmooth.bound import VANISHING
+from robsmooth.published import (
+    corrected_smoother,
+    data_folder,
+    each_entry,
+    flipped_design,
+    last_digit,
+    paper_plant,
+    printed,
+    printed_multipliers,
+    published,
+    rounding_box,
+)
+from robsmooth.simulations import MonteCarloTable
+from robsmooth.validation import Matrix
+
+REPRODUCED = "reproduced"
+WITH_FLIPPED_SIGN = "reproduced with the sign flipped"
+NOT_REPRODUCED = "not reproduced"
+NOT_CHECKABLE = "not checkable"
+
+KINDS = ("input", "model", "optimum", "design", "sweep", "simulation")
+
+_INPUT = "an input of the paper, not a result"
+_ZERO = 1e-9  # relative to the largest entry of its matrix, a computed value below this is zero
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One printed number or statement, and whether it reproduces.
+
+    Attributes
+    ----------
+    name : str
+        What it is, e.g. ``"A_c[0, 1]"`` (row and column from zero).
+    place : str
+        Where it stands in the paper.
+    printed : str
+        As printed.
+    value : float or str or None
+        Recomputed, in the printed unit; words for a statement; None where nothing can be computed.
+    relative_difference : float or None
+        (value - printed)/|printed|, where that makes sense.
+    verdict : str
+        One of "reproduced", "reproduced with the sign flipped", "not reproduced", "not checkable".
+    reason : str
+        Why, as far as known, where it does not simply reproduce.
+    """
+
+    name: str
+    place: str
+    printed: str
+    value: float | str | None
+    relative_difference: float | None
+    verdict: str
+    reason: str
+
+
+@one_thread
+def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -> list[Verdict]:
+    """Recompute every number that the paper prints and judge it.
+
+    Parameters
+    ----------
+    data_dir : path, optional
+        Folder with the Monte Carlo results, monte_carlo.json; by default the project's own data/,
+        which `make figures` writes.
+    kinds : sequence of str
+        Which quantities and statements to judge, as data/published.toml sorts them; all by default.
+
+    Returns
+    -------
+    list of Verdict
+        In the order of the paper; a matrix gives one for each entry.
+
+    Raises
+    ------
+    ValueError
+        Where a data file is missing or corrupt.
+    """
+    for kind in kinds:
+        validation.choice("kinds", kind, KINDS)
+    simulation = None
+    if "simulation" in kinds:
+        simulation = MonteCarloTable.read(Path(data_dir) if data_dir else data_folder())
+    values = _Values(simulation)
+    checks = statements.checks(simulation)
+    found = []
+    for entry in published()["quantity"]:
+        if entry["kind"] in kinds:
+            found.extend(values.judge(entry))
+    for statement in published()["statement"]:
+        if statement["kind"] in kinds:
+            holds, value, reason = checks[statement["id"]]()
+            found.append(
+                Verdict(
+                    name=statement["id"],
+                    place=statement["place"],
+                    printed=statement["text"],
+                    value=value,
+                    relative_difference=None,
+                    verdict=REPRODUCED if holds else NOT_REPRODUCED,
+                    reason=reason,
+                )
+            )
+    return found
+
+
+class _Values:
+    """The recomputed value of every printed quantity, each kind computed when first asked for."""
+
+    def __init__(self, simulation: MonteCarloTable | None):
+        self._simulation = simulation
+
+    @cached_property
+    def model(self) -> dict[str, float | Matrix]:
+        plant = paper_plant()
+        system = plant.system
+        noise = plant.D21_bar @ plant.D21_bar.T
+        return {
+            "A_p": plant.A_p,
+            "B_p1": plant.B_p1[:, : system.q],
+            "B_p1,1": plant.B1_tilde[:, :1],
+            "Bbar_p1,1": plant.B1_tilde[:, 1:2],
+            "C_p0": plant.C_p0,
+            "C_p1,1": plant.C1_tilde[:1],
+            "Cbar_p1,1": plant.C1_tilde[1:2],
+            "C_p2": plant.C2_tilde[:1],
+            "B1_tilde": plant.B1_tilde,
+            "C1_tilde": plant.C1_tilde,
+            "D12_tilde": plant.D12_tilde,
+            "C2_tilde": plant.C2_tilde,
+            "D21_tilde": plant.D21_tilde,
+            "D21_bar": plant.D21_bar,
+            "h": sum(u.C.shape[0] for u in system.uncertainties),
+            "r": sum(u.B.shape[1] for u in system.uncertainties),
+            "p": plant.C1_tilde.shape[0],
+            "k_tilde": len(plant.M_i),
+            "g": system.g,
+            "k": system.k,
+            "J": plant.J,
+            "largest d_0": float(np.linalg.eigvalsh(noise).min()),
+        }
+
+    @cached_property
+    def optimum(self) -> dict[str, float | Matrix]:
+        best = corrected_smoother()
+        attained = best.bound_infimum is None
+        limit = best.multipliers * (attained | (best.multipliers > 10 * VANISHING))
+        return {
+            "least V": best.bound if attained else best.bound_infimum,
+            "tau": best.tau,
+            **{f"lambda_{i + 1}": float(limit[i]) for i in range(4)},
+        }
+
+    @cached_property
+    def design(self) -> dict[str, float | Matrix]:
+        return self._design_at(printed("tau"), printed_multipliers())
+
+    @cached_property
+    def simulation(self) -> dict[str, float | Matrix]:
+        simulated = self._simulation
+        return {
+            "error covariance, smoother": simulated.mean_square("smoother, as printed", "smoothed"),
+            "error covariance, NGCF": simulated.mean_square("NGCF", "filtered"),
+        }
+
+    @cached_property
+    def _design_range(self) -> dict[str, tuple[Matrix, Matrix]]:
+        """Return the least and largest values over all tau and lambda that print the same."""
+        boxed = [self._design_at(*corner) for corner in rounding_box()]
+        stacks = {name: np.array([values[name] for values in boxed]) for name in boxed[0]}
+        return {name: (stack.min(axis=0), stack.max(axis=0)) for name, stack in stacks.items()}
+
+    @staticmethod
+    def _design_at(tau: float, multipliers: np.ndarray) -> dict[str, float | Matrix]:
+        estimator, bound = flipped_design(tau, multipliers)
+        return {
+            "A_c": estimator.A_c,
+            "B_c": estimator.B_c,
+            "C_c": estimator.C_c,
+            "V at the printed tau, lambda": bound,
+        }
+
+    def judge(self, entry: dict) -> Iterator[Verdict]:
+        """Yield the verdict on a quantity, one for each entry of a matrix."""
+        name, kind = entry["id"], entry["kind"]
+        for index, text in each_entry(entry["printed"]):
+            label = name + (f"[{index[0]}, {index[1]}]" if index else "")
+            unit = f" {entry['unit']}" if "unit" in entry else ""
+            common = {"name": label, "place": entry["place"], "printed": text + unit}
+            if kind == "input":
+                yield Verdict(
+                    **common,
+                    value=None,
+                    relative_difference=None,
+                    verdict=NOT_CHECKABLE,
+                    reason=_INPUT,
+                )
+                continue
+            whole = np.asarray(getattr(self, kind)[name], dtype=float)
+            value = float(whole[index])
+            ends = self._design_range[name] if kind == "design" else (whole, whole)
+            low, high = (np.asarray(end)[index] for end in ends)
+            zero = _ZERO * np.abs(whole).max()
+            agrees = _agrees(text, float(low), float(high), zero)
+            value = 0.0 if abs(value) < zero else value  # rounding noise would differ by machine
+            number = float(text)
+            yield Verdict(
+                **common,
+                value=value,
+                relative_difference=(value - number) / abs(number) if number else None,
+                verdict=self._outcome(kind, agrees),
+                reason="" if agrees else entry["why"],
+            )
+
+    @staticmethod
+    def _outcome(kind: str, agrees: bool) -> str:
+        if not agrees:
+            return NOT_REPRODUCED
+        return WITH_FLIPPED_SIGN if kind == "design" else REPRODUCED
+
+
+def _agrees(text: str, low: float, high: float, zero: float) -> bool:
+    """Tell whether some value in [low, high] is printed as `text`, rounded or cut off."""
+    number = float(text)
+    if number == 0.0:
+        return low <= zero and high >= -zero
+    if number < 0.0:
+        number, low, high = -number, -high, -low
+    unit = last_digit(text)
+    tiny = 1e-9 * number
+    return high >= number - unit / 2 - tiny and low < number + unit
