@@ -25,7 +25,6 @@ from robsmooth import validation
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.blas import one_thread
 from robsmooth.errors import InfeasibleDesignError
-from robsmooth.riccati import RiccatiError
 from robsmooth.smoother import (
     COSTS,
     RobustSmoother,
@@ -104,7 +103,7 @@ def _try_bound(plant: AugmentedSystem, cost: str, point: np.ndarray) -> float:
     """Return V at a point, or infinity where there is no design."""
     try:
         return design_smoother(plant, *_split(point), cost).bound
-    except (InfeasibleDesignError, RiccatiError):
+    except InfeasibleDesignError:
         return math.inf
 
 
@@ -225,7 +224,9 @@ def _quadratic_programming(plant: AugmentedSystem, cost: str, point: np.ndarray)
         constraints={"type": "ineq", "fun": lambda v: np.linalg.eigvalsh(_gap(plant, at(v)))},
         options={"ftol": 1e-10, "maxiter": 60},
     )
-    found = _onto_boundary(plant, at(result.x))
+    found = at(result.x)
+    found[1:] = np.maximum(found[1:], VANISHING * found[1:].max())
+    found = _onto_boundary(plant, found)
     return found if _objective(plant, cost, found) < _objective(plant, cost, point) else point
 
 
