@@ -29,6 +29,7 @@ from robsmooth.smoother import (
     COSTS,
     RobustSmoother,
     check_measurement_noise,
+    check_stable_plant,
     design_equations,
     design_smoother,
     multiplier_level,
@@ -80,6 +81,7 @@ def minimize_bound(
     starts = validation.integer("starts", starts, low=1)
     seed = validation.integer("seed", seed, low=0)
     check_measurement_noise(plant)
+    check_stable_plant(plant)
     points = _starting_points(plant, cost, starts, seed)
     ends = [_onto_boundary(plant, _descend(plant, cost, point)) for point in points]
     best = _polish(plant, cost, min(ends, key=lambda point: _objective(plant, cost, point)))
@@ -151,7 +153,7 @@ def _starting_points(plant: AugmentedSystem, cost: str, starts: int, seed: int) 
             condition,
             f"no design was found at any of {failures.total()} values of tau and lambda, and this "
             f"condition failed at {times} of them; the uncertainty may be too large (scale the "
-            "uncertainty outputs or Lipschitz constants down) or the system's A not stable",
+            "uncertainty outputs or Lipschitz constants down)",
         )
     found.sort(key=lambda entry: entry[0])
     return [point for _, point in found[:starts]]

@@ -64,17 +64,24 @@ def figures(options: argparse.Namespace) -> int:
     failed = [result for result in results if result.failure]
     if failed:
         print(_summary(failed, len(results)), file=sys.stderr)
+    changed = any(result.status == "done" for result in results)
+    if not parameters and len(failed) < len(results):
+        write_report(root, places, changed)
+    if failed:
         return 1
-    stale = any(result.status == "done" for result in results)
-    if not parameters and (stale or not (places.figures / "reproduction.md").exists()):
-        write_report(root, places)
     print(f"figures and tables are in {_short(places.figures)}")
     return 0
 
 
-def write_report(root: Path, places: Places) -> None:
-    """Write the report of the reproduction; the README shows its scorecard at the paper's scale."""
+def write_report(root: Path, places: Places, changed: bool) -> None:
+    """Write the report of the reproduction, where a result changed or it is not as it was written.
+
+    The README shows its scorecard at the paper's scale.
+    """
     from robsmooth import report
+
+    if not changed and report.is_fresh(places.figures, places.data):
+        return
 
     if not (places.data / "monte_carlo.json").exists():
         # a part of the notebooks was run, in a new place

@@ -120,7 +120,8 @@ def closed_loop(
     norm = np.linalg.norm(Delta / _output_weights(plant), 2) if Delta.size else 0.0
     if norm > 1.0 + 1e-12 and not allow_inadmissible:
         raise ValueError(
-            f"Delta must have norm at most 1 to be admissible, got {norm:.6g}; "
+            f"Delta must have norm at most 1 to be admissible, got {norm:.6g} (columns of "
+            "nonlinearities count divided by their Lipschitz constants); "
             "allow_inadmissible=True computes it all the same"
         )
     gain, D21 = estimator.B_c, plant.D21_tilde

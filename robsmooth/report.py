@@ -1,11 +1,14 @@
 """The report of the reproduction: every printed number with its verdict, and the scorecard."""
 
+import json
+import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from robsmooth import files, provenance, reproduction
 from robsmooth.reproduction import Verdict
+from robsmooth.simulations import MonteCarloTable
 from robsmooth.tables import Table
 
 NAME = "reproduction"
@@ -33,11 +36,27 @@ def write(figures: Path | str, data: Path | str) -> list[Verdict]:
     list of Verdict
         What was written.
     """
+    started = time.perf_counter()
     verdicts = reproduction.verdicts(data)
     files.write_text(Path(figures) / f"{NAME}.md", markdown(verdicts))
     files.write_text(Path(figures) / f"{NAME}.csv", table(verdicts).csv())
-    provenance.write(Path(figures) / f"{NAME}.md")
+    digests = _digests(Path(figures), Path(data))
+    provenance.write(Path(figures) / f"{NAME}.md", started=started, files=digests)
     return verdicts
+
+
+def is_fresh(figures: Path, data: Path) -> bool:
+    """Tell whether the report is as it was written, and from the simulations that are there."""
+    try:
+        about = json.loads((figures / f"{NAME}.provenance.json").read_text(encoding="utf-8"))
+        return about["files"] == _digests(figures, data)
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def _digests(figures: Path, data: Path) -> dict[str, str]:
+    paths = (figures / f"{NAME}.md", figures / f"{NAME}.csv", data / MonteCarloTable.NAME)
+    return {path.name: provenance.sha256(path) for path in paths}
 
 
 def write_scorecard(readme: Path, verdicts: Iterable[Verdict]) -> None:

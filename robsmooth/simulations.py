@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,8 +40,8 @@ class MonteCarloTable:
             for case in cases.values():
                 for output in ("smoothed", "filtered"):
                     for field in ("mean_square", "standard_error"):
-                        if not math.isfinite(case[output][field]):
-                            raise ValueError(f"{field} is not finite")
+                        if not 0.0 <= case[output][field] < math.inf:
+                            raise ValueError(f"{field} is not a finite number of at least zero")
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(
                 f"{path.name} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
@@ -76,5 +77,6 @@ def write(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) 
     provenance.write(
         path,
         seed=seed,
+        started=time.perf_counter() - sum(result.wall_time for result in results.values()),
         wall_time_seconds={name: round(result.wall_time, 3) for name, result in results.items()},
     )

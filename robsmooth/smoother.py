@@ -237,7 +237,7 @@ def design_smoother(
     Section III: Assumptions 2 and 3, equations (eqcons), (eqCparams) and (eqbound).
     """
     equations = design_equations(plant, tau, multipliers, cost)
-    _check_stable_plant(plant)
+    check_stable_plant(plant)
     Y = _solution("Assumption 3.1 (Riccati equation for Y)", equations.solve_Y)
     X = _solution("Assumption 3.2 (Riccati equation for X)", equations.solve_X)
     radius = float(np.abs(np.linalg.eigvals(Y.X @ X.X)).max())
@@ -321,7 +321,8 @@ def _check_multipliers(plant: AugmentedSystem, M: Matrix) -> None:
         )
 
 
-def _check_stable_plant(plant: AugmentedSystem) -> None:
+def check_stable_plant(plant: AugmentedSystem) -> None:
+    """Check that A is stable: else no nonnegative X exists."""
     abscissa = float(np.linalg.eigvals(plant.system.A).real.max())
     if not abscissa < 0.0:
         raise InfeasibleDesignError(

@@ -586,6 +586,13 @@ def test_result_describes_itself():
         assert part in repr(result)
 
 
+@pytest.mark.parametrize("name", ["client", "checkpoint"])
+def test_what_this_release_lacks_is_refused(name):
+    assert monte_carlo(PARAMETERS, kalman_filter(), runs=32, duration=1e-5, **{name: None})
+    with pytest.raises(NotImplementedError, match=rf"^{name} must be None"):
+        monte_carlo(PARAMETERS, kalman_filter(), **{name: "somewhere"})
+
+
 def test_progress_bar_changes_nothing(capsys):
     arguments = {"runs": 100, "duration": 1e-5}
     silent = monte_carlo(PARAMETERS, kalman_filter(), **arguments)

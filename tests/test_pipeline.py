@@ -273,7 +273,7 @@ def test_every_notebook_is_run_and_one_summary_tells_of_the_failures(project, mo
     output, summary = capsys.readouterr()
     assert "01_good: done" in output
     assert "05_foreign_kernel: done" in output
-    assert [(root, places.figures, places.data) for root, places in reports] == [
+    assert [(root, places.figures, places.data) for root, places, _ in reports] == [
         (project.root, quick / "figures", quick / "data")
     ]
     assert (quick / "data" / "result.json").read_text() == "3"

@@ -48,6 +48,22 @@ def test_writing_gives_report_table_and_provenance(tmp_path, verdicts):
             assert verdict.reason.replace("|", r"\|") in text
 
 
+def test_a_report_is_fresh_until_it_or_the_simulations_change(tmp_path):
+    data, figures = tmp_path / "data", tmp_path / "figures"
+    data.mkdir()
+    (data / "monte_carlo.json").write_bytes((ROOT / "data" / "monte_carlo.json").read_bytes())
+    assert not report.is_fresh(figures, data)
+    report.write(figures, data)
+    assert report.is_fresh(figures, data)
+    text = (figures / "reproduction.md").read_text()
+    (figures / "reproduction.md").write_text(text + "touched up\n")
+    assert not report.is_fresh(figures, data)
+    (figures / "reproduction.md").write_text(text)
+    assert report.is_fresh(figures, data)
+    (data / "monte_carlo.json").write_text("{}")
+    assert not report.is_fresh(figures, data)
+
+
 def test_the_committed_report_is_what_is_recomputed(verdicts):
     with (ROOT / "figures" / "reproduction.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))

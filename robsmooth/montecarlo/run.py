@@ -176,6 +176,8 @@ def monte_carlo(
     step: float | None = None,
     seed: int = 0,
     precision: str = "mixed",
+    client: None = None,
+    checkpoint: None = None,
     progress: bool = False,
     *,
     oscillator: str = "filtered",
@@ -216,6 +218,8 @@ def monte_carlo(
         At least 0 and below 2^64. Path i has the same noise for the same seed, whatever else.
     precision : {"mixed", "single"}
         Noise is always drawn in single precision; "mixed" keeps the state in double precision.
+    client, checkpoint : None
+        Reserved for a cluster to run on and a file to resume from; this release has neither.
     progress : bool
         Show a progress bar.
     oscillator : {"filtered", "smoothed"}
@@ -260,6 +264,9 @@ def monte_carlo(
     simulation, step, warm_up, duration = _plan(
         loop, protocol, runs, duration, step, seed, precision
     )
+    for name, value in (("client", client), ("checkpoint", checkpoint)):
+        if value is not None:
+            raise NotImplementedError(f"{name} must be None in this release, got {value!r}")
     if not isinstance(progress, bool | np.bool_):
         raise TypeError(f"progress must be True or False, got {progress!r}")
 
@@ -424,7 +431,7 @@ def _threads(threads: int | None) -> Iterator[None]:
 
 
 def _progress_bar(runs: int, progress: bool) -> tqdm:
-    return tqdm(total=runs, unit="path", unit_scale=True, leave=False, disable=not progress)
+    return tqdm(total=runs, unit="path", unit_scale=True, disable=not progress)
 
 
 def _estimator_digest(smoother) -> str:
