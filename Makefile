@@ -7,8 +7,11 @@ ONLY    =
 UV      = .uv/bin/uv
 BIN     = .venv/bin
 
-# A development environment holds everything that a run needs, so it is kept where there is one.
-ENVIRONMENT := $(if $(wildcard .venv/dev.stamp),.venv/dev.stamp,.venv/run.stamp)
+# Three environments, each with all that the one before has: run, dev (and the cluster), bench.
+# The largest that there is is kept.
+STAMPS      := $(foreach kind,bench dev run,$(wildcard .venv/$(kind).stamp))
+ENVIRONMENT := $(firstword $(STAMPS) .venv/run.stamp)
+DEVELOPMENT := $(firstword $(filter-out .venv/run.stamp,$(STAMPS)) .venv/dev.stamp)
 
 # Only this environment's Python and kernel are used, whatever the user's shell has active.
 export JUPYTER_PREFER_ENV_PATH = 1
@@ -36,12 +39,12 @@ figures: $(ENVIRONMENT)  ## run the notebooks that are not fresh; write figures/
 lab: $(ENVIRONMENT)  ## open the notebooks in JupyterLab
 	$(BIN)/jupyter lab --notebook-dir=notebooks
 
-test: .venv/dev.stamp  ## lint, format check, and all tests
+test: $(DEVELOPMENT)  ## lint, format check, and all tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-format: .venv/dev.stamp  ## format code and notebooks; take out notebook outputs
+format: $(DEVELOPMENT)  ## format code and notebooks; take out notebook outputs
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
 	$(BIN)/nbstripout --keep-id --extra-keys metadata.papermill $(wildcard notebooks/*.ipynb)
@@ -84,6 +87,10 @@ NO_ENVIRONMENT = The environment could not be made; as root, apt-get install pyt
 	$(call install,requirements-dev.lock)
 	@touch $@
 
+.venv/bench.stamp: requirements-bench.lock requirements-dev.lock requirements.lock pyproject.toml .uv/stamp
+	$(call install,requirements-bench.lock)
+	@touch $@
+
 .uv/stamp: requirements-uv.lock
 	@rm -rf .uv
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
@@ -102,6 +109,8 @@ lock: .uv/stamp  ## write the locks anew after pyproject.toml changed; versions 
 	$(COMPILE) pyproject.toml --group build --output-file requirements.lock
 	$(COMPILE) pyproject.toml --group build --group dev --constraint requirements.lock \
 	  --output-file requirements-dev.lock
+	$(COMPILE) pyproject.toml --group build --group dev --group bench \
+	  --constraint requirements-dev.lock --output-file requirements-bench.lock
 	echo uv | $(COMPILE) --no-annotate - --output-file requirements-uv.lock
 
 upgrade: LOCK_OPTIONS = --upgrade

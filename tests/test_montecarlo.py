@@ -26,9 +26,9 @@ from scipy.linalg import (
 from scipy.stats import chi2, norm
 
 from robsmooth.errors import UnstableLoopError
+from robsmooth.loop import homodyne_loop
 from robsmooth.montecarlo import MeanSquare, kernels, monte_carlo, noise, run
 from robsmooth.montecarlo.kernels import FILTERED, SLIPPED, SMOOTHED
-from robsmooth.montecarlo.loop import homodyne_loop
 from robsmooth.montecarlo.noise import LANES
 from robsmooth.montecarlo.protocols import Moments, Schedule, time_average, warm_up_time
 

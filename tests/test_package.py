@@ -14,7 +14,7 @@ SOURCES = Path(robsmooth.__file__).parent
 # Each module imports only from those to its left.
 ORDER = """
     blas errors files validation systems delay augmented riccati estimator smoother bound covariance
-    homodyne baselines montecarlo published provenance simulations
+    homodyne baselines loop journal executors galerkin montecarlo published provenance simulations
     statements reproduction tables report figures diagrams summaries
 """.split()  # noqa: SIM905 - one a line would be long
 

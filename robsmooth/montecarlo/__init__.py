@@ -1,7 +1,7 @@
 """Monte Carlo simulation of the nonlinear loop (Section IV-E).
 
-`loop` writes the loop down, `noise` draws the noise, `kernels` takes the steps, `protocols` says
-what is collected, and `run` puts them together.
+`noise` draws the noise, `schemes` has the coefficients of a step, `kernels` takes the steps,
+`protocols` says what is collected, and `run` puts them together.
 """
 
 from robsmooth.montecarlo.protocols import MeanSquare

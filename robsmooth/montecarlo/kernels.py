@@ -1,6 +1,6 @@
 r"""The compiled loop: Euler-Maruyama steps of many paths, and the errors read out along the way.
 
-One step of a path, with the coefficients of `robsmooth.montecarlo.loop.EulerLoop`:
+One step of a path, with the coefficients of `robsmooth.montecarlo.schemes.EulerLoop`:
 
 .. math::
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from robsmooth.errors import UnstableLoopError
-from robsmooth.montecarlo.loop import Loop
+from robsmooth.loop import Loop
 
 PROTOCOLS = ("ergodic", "paper")
 WARM_UP_TOLERANCE = 1e-3  # relative, of the linearised loop's variances, when sampling begins

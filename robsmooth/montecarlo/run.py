@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from robsmooth import validation
+from robsmooth.loop import Loop, homodyne_loop
 from robsmooth.montecarlo import kernels
 from robsmooth.montecarlo.kernels import FILTERED, OUTPUTS, SLIPPED, SMOOTHED
-from robsmooth.montecarlo.loop import EulerLoop, Loop, euler, homodyne_loop
 from robsmooth.montecarlo.noise import GENERATOR, LANES
 from robsmooth.montecarlo.protocols import (
     PROTOCOLS,
@@ -33,6 +33,7 @@ from robsmooth.montecarlo.protocols import (
     time_average,
     warm_up_time,
 )
+from robsmooth.montecarlo.schemes import EulerLoop, euler
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
 
@@ -188,7 +189,7 @@ def monte_carlo(
 ) -> MonteCarloResult:
     r"""Simulate an estimator in the nonlinear adaptive homodyne loop and measure its errors.
 
-    The loop, in the docstring of `robsmooth.montecarlo.loop`, is integrated with the
+    The loop, in the docstring of `robsmooth.loop`, is integrated with the
     Euler-Maruyama scheme from :math:`\varphi = 0`, :math:`\hat x = 0`. The scheme's bias is of the
     first order in the step: with the paper's values +0.23% of the filtered mean square error and
     -0.03% of the smoothed one at 0.01 us.
