@@ -20,21 +20,29 @@ With :math:`u`, :math:`\tilde\nu` and the estimates linear in :math:`\hat x` thi
 
 .. math::
 
-    d\hat x = \bigl[G\hat x + b_s\sin(\varphi - r\hat x) + b_c\sin(c\hat x)\bigr]dt + b_w\,dW,
+    d\hat x = \bigl[G\hat x + b_c\sin(c\hat x)\bigr]dt
+             + b_s\bigl[\sin(\varphi - r\hat x)\,dt + \nu\,dW\bigr],
+    \qquad \nu = \frac{\sqrt s}{2\alpha},
 
 which is what is simulated: the options of the loop differ in :math:`G`, :math:`r`, :math:`c` and
 :math:`b_c` only.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_continuous_lyapunov
 
 from robsmooth import validation
+from robsmooth.errors import UnstableLoopError
 
 OSCILLATORS = ("filtered", "smoothed")
 NONLINEARITIES = ("difference", "literal")
+FIXED_POINT_ITERATIONS = 200
+FIXED_POINT_TOLERANCE = 1e-12
+LARGEST_VARIANCE = 4 * np.pi**2  # rad^2, a turn: such a loop is not locked at all
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +61,10 @@ class Loop:
         :math:`r`: the phase that the sine's argument is measured from is :math:`r\hat x`.
     copy : (n,) array
         :math:`c`: the argument of the copy's sine is :math:`c\hat x`.
-    sine_gain, copy_gain, noise_gain : (n,) arrays
-        :math:`b_s`, :math:`b_c`, :math:`b_w`.
+    sine_gain, copy_gain : (n,) arrays
+        :math:`b_s`, :math:`b_c`, 1/s.
+    sine_noise : float
+        :math:`\nu`: the noise that adds to the measured sine, s^(1/2).
     filtered, smoothed, oscillator : (n,) arrays
         Rows that read the two estimates and the oscillator's phase, rad, out of the state.
     delay : float
@@ -68,7 +78,7 @@ class Loop:
     copy: NDArray[np.float64]
     sine_gain: NDArray[np.float64]
     copy_gain: NDArray[np.float64]
-    noise_gain: NDArray[np.float64]
+    sine_noise: float
     filtered: NDArray[np.float64]
     smoothed: NDArray[np.float64]
     oscillator: NDArray[np.float64]
@@ -79,18 +89,72 @@ class Loop:
         """Number of states of the estimator."""
         return len(self.filtered)
 
-    def linearised_drift(self) -> NDArray[np.float64]:
-        r"""Drift of :math:`(\varphi, \hat x)` with :math:`\sin e` replaced by :math:`e`, 1/s."""
-        estimator = (
-            self.drift
-            - np.outer(self.sine_gain, self.reference)
-            + np.outer(self.copy_gain, self.copy)
-        )
+    @property
+    def noise_gain(self) -> NDArray[np.float64]:
+        r"""Gain of dW into :math:`\hat x`."""
+        return self.sine_noise * self.sine_gain
+
+    def linearised_drift(
+        self, sine_slope: float = 1.0, copy_slope: float = 1.0
+    ) -> NDArray[np.float64]:
+        r"""Drift of :math:`(\varphi, \hat x)`, each sine replaced by a slope, 1/s."""
+        measured, copied = sine_slope * self.sine_gain, copy_slope * self.copy_gain
         drift = np.zeros((1 + self.order, 1 + self.order))
         drift[0, 0] = -self.phase_decay
-        drift[1:, 0] = self.sine_gain
-        drift[1:, 1:] = estimator
+        drift[1:, 0] = measured
+        drift[1:, 1:] = (
+            self.drift - np.outer(measured, self.reference) + np.outer(copied, self.copy)
+        )
         return drift
+
+    def arguments(self) -> NDArray[np.float64]:
+        r"""Rows that read the arguments of the two sines out of :math:`(\varphi, \hat x)`."""
+        return np.array([[1.0, *-self.reference], [0.0, *self.copy]])
+
+    def covariance(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> NDArray[np.float64]:
+        r"""Stationary covariance of :math:`(\varphi, \hat x)`, each sine replaced by a slope.
+
+        Raises
+        ------
+        UnstableLoopError
+            Where that linear loop has no stationary state.
+        """
+        drift = self.linearised_drift(sine_slope, copy_slope)
+        eigenvalues = np.linalg.eigvals(drift)
+        slowest = -eigenvalues.real.max()
+        if not slowest > 0:
+            raise UnstableLoopError(
+                "the loop has no stationary state: linearised, its slowest mode has the decay rate "
+                f"{slowest:.3g} 1/s"
+            )
+        # In units of the fastest time constant: the result does not depend on the unit of time.
+        scale = np.abs(eigenvalues).max()
+        P = solve_continuous_lyapunov(drift / scale, -self.noise_covariance() / scale)
+        return (P + P.T) / 2
+
+    def equivalent_slopes(self) -> tuple[float, float]:
+        r"""Return the slopes of statistical linearisation, each :math:`e^{-\sigma^2/2}`.
+
+        They belong to the stationary variances :math:`\sigma^2` of the sines' arguments in the
+        loop that they make linear: a fixed point, iterated from slopes of one.
+
+        Raises
+        ------
+        UnstableLoopError
+            Where there is none, because the loop loses lock.
+        """
+        rows = self.arguments()
+        slopes = np.ones(2)
+        for _ in range(FIXED_POINT_ITERATIONS):
+            variances = np.einsum("ij,jk,ik->i", rows, self.covariance(*slopes), rows)
+            if variances.max() > LARGEST_VARIANCE:
+                break
+            before, slopes = slopes, np.exp(-0.5 * variances)
+            if np.abs(slopes - before).max() < FIXED_POINT_TOLERANCE:
+                return float(slopes[0]), float(slopes[1])
+        raise UnstableLoopError(
+            "statistical linearisation finds no stationary state: the loop loses lock"
+        )
 
     def noise_covariance(self) -> NDArray[np.float64]:
         r"""Covariance rate of the noise that drives :math:`(\varphi, \hat x)`."""
@@ -99,13 +163,26 @@ class Loop:
         covariance[1:, 1:] = np.outer(self.noise_gain, self.noise_gain)
         return covariance
 
-    def rates(self) -> tuple[float, float]:
+    def rates(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> tuple[float, float]:
         """Slowest decay rate and largest eigenvalue magnitude of the linearised estimator, 1/s.
 
         The slowest decay rate is negative where the estimator is unstable in the loop.
         """
-        eigenvalues = np.linalg.eigvals(self.linearised_drift()[1:, 1:])
+        eigenvalues = np.linalg.eigvals(self.linearised_drift(sine_slope, copy_slope)[1:, 1:])
         return float(-eigenvalues.real.max()), float(np.abs(eigenvalues).max())
+
+    def response_rate(self) -> float:
+        r"""How fast the sines respond to themselves, 1/s.
+
+        A kick through one of the gains b moves the argument of a sine, read by r, by
+        :math:`r e^{At}b`; the rate is the larger of that and the root of its slope, at time zero.
+        Modes that no sine is driven by and sees, as a smoother's delay, have no part in it.
+        """
+        A = self.linearised_drift()[1:, 1:]
+        gains = np.column_stack([self.sine_gain, self.copy_gain])
+        rows = np.vstack([self.reference, self.copy])
+        rate = max(np.abs(rows @ gains).max(), math.sqrt(np.abs(rows @ A @ gains).max()))
+        return float(rate) or self.rates()[1]
 
 
 def homodyne_loop(
@@ -126,8 +203,7 @@ def homodyne_loop(
     A_c, B_c, C_c, C_f, C_a, delay = _estimator(smoother)
     validation.choice("oscillator", oscillator, OSCILLATORS)
     validation.choice("nonlinearity", nonlinearity, NONLINEARITIES)
-    if not isinstance(copy, bool | np.bool_):
-        raise TypeError(f"copy must be True or False, got {copy!r}")
+    copy = validation.boolean("copy", copy)
     shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
 
     filtered, smoothed = C_f[0], C_a[0]
@@ -150,7 +226,7 @@ def homodyne_loop(
         copy=copy_argument,
         sine_gain=measurement_gain / beta,
         copy_gain=copy_gain,
-        noise_gain=np.sqrt(shot_noise) / (2 * alpha * beta) * measurement_gain,
+        sine_noise=np.sqrt(shot_noise) / (2 * alpha),
         filtered=filtered,
         smoothed=smoothed,
         oscillator=u,

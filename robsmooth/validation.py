@@ -90,6 +90,13 @@ def integer(name: str, value: int, *, low: int) -> int:
     return int(value)
 
 
+def boolean(name: str, value: bool) -> bool:
+    """Return `value` as a bool, which it must be."""
+    if not isinstance(value, bool | np.bool_):
+        raise TypeError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
+
+
 def instance(name: str, value: object, kind: type) -> None:
     """Check that `value` is a `kind`."""
     if not isinstance(value, kind):

@@ -1,10 +1,11 @@
 """Monte Carlo simulation of the nonlinear loop (Section IV-E).
 
-`noise` draws the noise, `schemes` has the coefficients of a step, `kernels` takes the steps,
-`protocols` says what is collected, and `run` puts them together.
+`noise` draws the noise, `schemes` has the coefficients of a step, `euler` and `splitting` take the
+steps, `protocols` says what is simulated, `statistics` what is made of it, and `run` carries it
+out.
 """
 
-from robsmooth.montecarlo.protocols import MeanSquare
-from robsmooth.montecarlo.run import MonteCarloResult, monte_carlo
+from robsmooth.montecarlo.run import LossOfLockWarning, MonteCarloResult, monte_carlo
+from robsmooth.montecarlo.statistics import MeanSquare
 
-__all__ = ["MeanSquare", "MonteCarloResult", "monte_carlo"]
+__all__ = ["LossOfLockWarning", "MeanSquare", "MonteCarloResult", "monte_carlo"]

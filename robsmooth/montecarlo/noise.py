@@ -34,7 +34,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-LANES = 32  # paths side by side
+LANES = 128  # paths side by side: enough independent work to hide the latency of a step
 WORDS = 4  # 32-bit words of a generator's state
 DRAWS = 2  # Gaussians a step
 GENERATOR = "xoshiro128+ seeded by splitmix64(seed, path), Box-Muller in float32"
@@ -51,11 +51,10 @@ U31 = np.uint32(31)
 
 TWO_M31 = 2.0**-31
 TWO_M32 = 2.0**-32
-LN_2 = math.log(2)
+MINUS_TWO_LN_2 = -2 * math.log(2)
 HALF_TURN_M32 = math.pi / 2**32
 SQRT_HALF_BITS = np.int32(np.float32(math.sqrt(0.5)).view(np.int32))
 MANTISSA_BITS = np.int32(23)
-MINUS_TWO = np.float32(-2)
 
 
 # --- what numba has no word for -------------------------------------------------------------------
@@ -143,23 +142,38 @@ def sine(typingctx, x):
     return x(x), codegen
 
 
+@intrinsic
+def whole_turns(typingctx, x):
+    r"""The multiple of :math:`2\pi` nearest to a float32 or float64 below 1e5."""
+    mantissa = 23 if x == types.float32 else 52
+
+    def codegen(context, builder, signature, arguments):
+        (x,) = arguments
+        shifter = ir.Constant(x.type, 1.5 * 2**mantissa)
+        shifted = builder.fma(x, ir.Constant(x.type, 1 / (2 * math.pi)), shifter)
+        return builder.fmul(builder.fsub(shifted, shifter), ir.Constant(x.type, 2 * math.pi))
+
+    return x(x), codegen
+
+
 # --- polynomials ----------------------------------------------------------------------------------
 
 
 @njit
-def log_unit(u):
-    """Logarithm of a positive normal float32 that is at most 1, to a relative 3e-7."""
+def minus_two_log(u):
+    """-2 log u of a positive normal float32 u that is at most 1, to a relative 3e-7."""
     bits = float_bits(u)
     exponent = np.int32(bits - SQRT_HALF_BITS) >> MANTISSA_BITS
     mantissa = float_from_bits(np.int32(bits - np.int32(exponent << MANTISSA_BITS)))
     f = mantissa - np.float32(1)  # in [sqrt(1/2) - 1, sqrt(2) - 1)
-    p = fma(f, -0.10347995960971877, 0.16278990930193357)
-    p = fma(f, p, -0.17201558635491895)
-    p = fma(f, p, 0.19893995707957376)
-    p = fma(f, p, -0.2497338550061747)
-    p = fma(f, p, 0.33335091067011297)
-    p = fma(f, p, -0.500002877583559)
-    return fma(np.float32(exponent), LN_2, fma(f * f, p, f))
+    minus_two_f = (np.float32(1) - mantissa) + (np.float32(1) - mantissa)
+    p = fma(f, 0.20695991921943754, -0.32557981860386714)
+    p = fma(f, p, 0.3440311727098379)
+    p = fma(f, p, -0.39787991415914753)
+    p = fma(f, p, 0.4994677100123494)
+    p = fma(f, p, -0.6667018213402259)
+    p = fma(f, p, 1.000005755167118)
+    return fma(np.float32(exponent), MINUS_TWO_LN_2, fma(f * f, p, minus_two_f))
 
 
 @njit
@@ -258,7 +272,7 @@ def fill_gaussians(generator, steps, noise):
             generator[3 * LANES + lane] = s3
 
             uniform = fma(np.float32(np.int32(a >> U1)), TWO_M31, TWO_M32)
-            radius = np.sqrt(MINUS_TWO * log_unit(uniform))
+            radius = np.sqrt(minus_two_log(uniform))
             angle = np.float32(np.int32(b << U1)) * np.float32(HALF_TURN_M32)
             noise[start + lane] = radius * flip_sign(cos_quarter(angle), b)
             noise[start + LANES + lane] = radius * sin_quarter(angle)

@@ -1,35 +1,49 @@
-r"""When the errors are collected, and what is made of them.
+r"""The two protocols: what is simulated, and what is made of it.
 
-Both errors of a path are sampled at some steps :math:`k` of its simulation,
-
-.. math::
-
-    e_f = \varphi(t_k) - \hat w(t_k),\qquad e_s = \varphi(t_k - \delta) - C_a\hat x(t_k),
-
-and the path's result is the mean of their squares over the samples. The *paper* protocol takes one
-sample, at the end of the path. The *ergodic* one lets the loop forget its start and then samples
-along the path. Paths are independent: over N of them, with :math:`v_i` the result of path i,
+Both errors of a path are
 
 .. math::
 
-    \overline v = \frac1N\sum_i v_i,\qquad
-    \text{standard error} = \sqrt{\frac{\sum_i (v_i - \overline v)^2}{N(N - 1)}} .
+    e_f = \varphi(t) - \hat w(t),\qquad e_s = \varphi(t - \delta) - C_a\hat x(t) .
+
+The *paper* protocol is the published simulation: Euler-Maruyama from zero, squared errors at the
+end of each path. The *ergodic* one starts in the stationary state of the linearised loop, lets the
+loop forget the difference, and averages along each path; its scheme is of second order, and the
+linearised loop on the same noise, of which all is known, takes out most of the chance.
+
+A simulation is all that the paths depend on. It simulates any range of blocks of `LANES` paths,
+always with the same result for a block, so blocks may be computed anywhere and in any order, as
+long as they are merged in the order of their index.
 """
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, solve_continuous_lyapunov
 
 from robsmooth.errors import UnstableLoopError
+from robsmooth.executors import alone, worker_threads
 from robsmooth.loop import Loop
+from robsmooth.montecarlo import euler, splitting
+from robsmooth.montecarlo.lanes import threads_of_kernels
+from robsmooth.montecarlo.noise import LANES
+from robsmooth.montecarlo.schemes import EulerStep, SplittingStep, control_slopes
+from robsmooth.montecarlo.statistics import MeanSquare, Tally, control_weights
 
-PROTOCOLS = ("ergodic", "paper")
-WARM_UP_TOLERANCE = 1e-3  # relative, of the linearised loop's variances, when sampling begins
-SAMPLES_PER_TIME_CONSTANT = 2  # of the loop's fastest mode: more samples tell nothing new
+PRECISIONS = {"mixed": np.float64, "single": np.float32}
+
+PAPER_RUNS, PAPER_DURATION, PAPER_STEP = 50_000, 1e-3, 1e-8
+ERGODIC_RUNS = 1024
+ERGODIC_TIME_CONSTANTS = 250  # default duration, in units of the estimator's slowest mode
+STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response through its sines
+WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode, before sampling begins
+
+PILOT_BLOCK = 2**50  # beyond the blocks of any run
+
+MULTIPLE_TOLERANCE = 1e-6  # how far delay / step may be from a whole number
 
 
 class Schedule(NamedTuple):
@@ -50,11 +64,6 @@ class Schedule(NamedTuple):
         return self.start + (self.lag + self.samples - 1) * self.stride
 
 
-def end_of_run(steps: int, delay: int) -> Schedule:
-    """One sample after `steps` steps, for a lag of `delay` steps."""
-    return Schedule(start=steps - delay, stride=max(delay, 1), lag=min(delay, 1), samples=1)
-
-
 def time_average(warm_up: int, steps: int, delay: int, longest_stride: int) -> Schedule:
     """Samples along `steps` steps after `warm_up` steps, for a lag of `delay` steps.
 
@@ -69,89 +78,296 @@ def time_average(warm_up: int, steps: int, delay: int, longest_stride: int) -> S
         start=max(warm_up - delay, 0),
         stride=stride,
         lag=delay // stride,
-        samples=math.ceil(steps / stride),
+        samples=steps // stride + 1,
     )
 
 
-def warm_up_time(loop: Loop) -> float:
-    r"""Time for the linearised loop to become stationary from a start at zero, s.
-
-    From zero, the covariance of :math:`z = (\varphi, \hat x)` is :math:`P - e^{At}Pe^{A't}` after a
-    time t, with P the stationary one. The time is the first, doubling, at which the variances of
-    both errors are within a relative `WARM_UP_TOLERANCE` of their stationary values.
-
-    Raises
-    ------
-    UnstableLoopError
-        Where the linearised loop has no stationary state.
-    """
-    drift = loop.linearised_drift()
-    slowest = -np.linalg.eigvals(drift).real.max()
-    if not slowest > 0:
-        raise UnstableLoopError(
-            "the ergodic protocol needs a loop with a stationary state, and the linearised loop is "
-            f"not stable: its slowest mode has the decay rate {slowest:.3g} 1/s"
-        )
-    # In units of the fastest time constant, so that the result does not depend on the unit of time.
-    scale = np.abs(np.linalg.eigvals(drift)).max()
-    covariance = solve_continuous_lyapunov(drift / scale, -loop.noise_covariance() / scale)
-    to_delayed = expm(drift * loop.delay)  # E[z(t)] from z(t - delay)
-    filtered = np.concatenate([[1.0], -loop.filtered])
-    smoothed = np.concatenate([[0.0], -loop.smoothed])
-
-    def error_variances(then: NDArray, now: NDArray) -> NDArray:
-        """Of both errors, from the covariances of z a delay ago and now."""
-        cross = (to_delayed @ then)[:, 0]  # of z(t) and the phase a delay ago
-        lagged = then[0, 0] + 2 * smoothed @ cross + smoothed @ now @ smoothed
-        return np.array([filtered @ now @ filtered, lagged])
-
-    stationary = error_variances(covariance, covariance)
-    time = 1 / scale
-    while True:
-        decay = expm(drift * time)
-        then = decay @ covariance @ decay.T
-        missing = error_variances(then, to_delayed @ then @ to_delayed.T)
-        if (np.abs(missing) <= WARM_UP_TOLERANCE * np.abs(stationary)).all():
-            return time + loop.delay
-        time *= 2
-
-
-@dataclass(frozen=True)
-class MeanSquare:
-    """A mean square error over independent paths.
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """What the paths of any protocol depend on, together with their index.
 
     Attributes
     ----------
-    mean_square : float
-        rad^2.
-    standard_error : float
-        rad^2; not a number for a single path.
+    runs : int
+        Paths; the last block is simulated whole, but only its first paths are returned.
+    seed : int
+    precision : str
+    step, warm_up, duration : float
+        s; the last two as a user understands them.
     """
 
-    mean_square: float
-    standard_error: float
+    runs: int
+    seed: int
+    precision: str
+    step: float
+    warm_up: float
+    duration: float
+
+    protocol: ClassVar[str]
+    scheme: ClassVar[str]
+    variables: ClassVar[int]  # that are averaged over paths; the first two are the errors
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks of `LANES` paths."""
+        return -(-self.runs // LANES)
+
+    def paths(self, block: int) -> int:
+        """Number of paths of a block that count."""
+        return min(LANES, self.runs - block * LANES)
+
+    @property
+    def steps(self) -> int:
+        """Steps of a path."""
+        raise NotImplementedError
+
+    def simulate(self, first: int, count: int) -> NDArray[np.float64]:
+        """Simulate blocks `first` to ``first + count - 1``.
+
+        Returns
+        -------
+        (count, outputs, LANES) array
+            The last output of a path is the number of its cycle slips.
+        """
+        raise NotImplementedError
+
+    def reduce(self, outputs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the variables, (variables, paths), of the outputs without the slips."""
+        return outputs
+
+    def estimate(self, tally: Tally) -> tuple[MeanSquare, MeanSquare]:
+        """Filtered and smoothed mean square error."""
+        raise NotImplementedError
+
+    def identity(self) -> dict:
+        """All that the results depend on, but for the kernel's version, as JSON values."""
+        names = ("runs", "seed", "precision", "step", "warm_up", "duration")
+        return {
+            "protocol": self.protocol,
+            "scheme": self.scheme,
+            **{name: getattr(self, name) for name in names},
+        }
 
 
-class Moments:
-    """Mean and spread of values that come block by block, independent of how blocks are batched."""
+@dataclass(frozen=True, eq=False)
+class PaperSimulation(Simulation):
+    """The published protocol.
 
-    def __init__(self):
-        self.count = 0
-        self.mean = 0.0
-        self.squares = 0.0  # sum of squared deviations from the mean
+    Attributes
+    ----------
+    coefficients : EulerStep
+    schedule : tuple of 2 int
+        Steps before the delayed phase is recorded, and after.
+    """
 
-    def add(self, values: NDArray[np.float64]) -> None:
-        """Add the values of one block (Chan, Golub and LeVeque's update)."""
-        count = self.count + len(values)
-        mean = float(values.mean())
-        shift = mean - self.mean
-        spread = float(((values - mean) ** 2).sum())
-        self.squares += spread + shift**2 * self.count * len(values) / count
-        self.mean += shift * len(values) / count
-        self.count = count
+    coefficients: EulerStep
+    schedule: tuple[int, int]
 
-    def mean_square(self) -> MeanSquare:
-        """Mean and standard error of what was added."""
-        if self.count < 2:
-            return MeanSquare(self.mean, math.nan)
-        return MeanSquare(self.mean, math.sqrt(self.squares / (self.count - 1) / self.count))
+    protocol = "paper"
+    scheme = "Euler-Maruyama"
+    variables = 2
+
+    @classmethod
+    def plan(
+        cls,
+        loop: Loop,
+        runs: int | None,
+        duration: float | None,
+        step: float | None,
+        seed: int,
+        precision: str,
+    ) -> "PaperSimulation":
+        """Fill in defaults; the arguments that are given have been checked one by one."""
+        duration = PAPER_DURATION if duration is None else duration
+        _check_duration(duration, loop.delay)
+        step = _dividing_step(loop.delay, PAPER_STEP, duration) if step is None else step
+        delay, steps = _whole_steps(loop.delay, step), _steps(duration, step)
+        return cls(
+            runs=PAPER_RUNS if runs is None else runs,
+            seed=seed,
+            precision=precision,
+            step=step,
+            warm_up=0.0,
+            duration=steps * step,
+            coefficients=EulerStep.of(loop, step),
+            schedule=(steps - delay, delay),
+        )
+
+    @property
+    def steps(self) -> int:
+        """Steps of a path."""
+        return sum(self.schedule)
+
+    def simulate(self, first: int, count: int) -> NDArray[np.float64]:
+        """Simulate blocks, as `Simulation.simulate` says."""
+        real = PRECISIONS[self.precision]
+        order = self.coefficients.readout.shape[1]
+        states = np.empty((count, euler.rows(order) * LANES), real)
+        results = np.empty((count, euler.OUTPUTS, LANES))
+        with alone(), threads_of_kernels(worker_threads()):
+            euler.simulate_blocks(
+                (real(0),) * order,
+                self.coefficients.coefficients.astype(real),
+                self.coefficients.readout,
+                self.schedule,
+                np.uint64(self.seed),
+                first,
+                states,
+                results,
+            )
+        return results
+
+    def estimate(self, tally: Tally) -> tuple[MeanSquare, MeanSquare]:
+        """Filtered and smoothed mean square error."""
+        return tally.all.mean_square(euler.FILTERED), tally.all.mean_square(euler.SMOOTHED)
+
+
+@dataclass(frozen=True, eq=False)
+class ErgodicSimulation(Simulation):
+    """The time-averaging protocol.
+
+    Attributes
+    ----------
+    coefficients : SplittingStep
+    schedule : Schedule
+    """
+
+    coefficients: SplittingStep
+    schedule: Schedule
+
+    protocol = "ergodic"
+    scheme = "Strang splitting with a linear control variate"
+    variables = 4
+
+    @classmethod
+    def plan(
+        cls,
+        loop: Loop,
+        runs: int | None,
+        duration: float | None,
+        step: float | None,
+        seed: int,
+        precision: str,
+    ) -> "ErgodicSimulation":
+        """Fill in defaults; the arguments that are given have been checked one by one.
+
+        Raises
+        ------
+        UnstableLoopError
+            Where the linearised loop has no stationary state.
+        """
+        slopes = control_slopes(loop)
+        slowest = loop.rates(*slopes)[0]
+        if not slowest > 0:
+            raise UnstableLoopError(
+                "the ergodic protocol needs a loop with a stationary state, and the linearised "
+                f"estimator is not stable in it: its slowest mode has the decay rate {slowest:.3g} "
+                "1/s"
+            )
+        if duration is None:
+            duration = max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
+        _check_duration(duration, loop.delay)
+        longest = STEP_OF_TIME_CONSTANT / loop.response_rate()
+        step = _dividing_step(loop.delay, longest, duration) if step is None else step
+        warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
+        schedule = time_average(
+            warm_up=warm_up,
+            steps=_steps(duration, step),
+            delay=_whole_steps(loop.delay, step),
+            longest_stride=max(int(longest / step + MULTIPLE_TOLERANCE), 1),
+        )
+        return cls(
+            runs=ERGODIC_RUNS if runs is None else runs,
+            seed=seed,
+            precision=precision,
+            step=step,
+            warm_up=warm_up * step,
+            duration=(schedule.samples - 1) * schedule.stride * step,
+            coefficients=SplittingStep.of(loop, step, slopes),
+            schedule=schedule,
+        )
+
+    @property
+    def steps(self) -> int:
+        """Steps of a path."""
+        return self.schedule.steps
+
+    def simulate(self, first: int, count: int) -> NDArray[np.float64]:
+        """Simulate blocks, as `Simulation.simulate` says."""
+        real = PRECISIONS[self.precision]
+        scheme = self.coefficients
+        order = scheme.readout.shape[1]
+        states = np.empty((count, splitting.rows(order) * LANES), real)
+        results = np.empty((count, splitting.OUTPUTS, LANES))
+        with alone(), threads_of_kernels(worker_threads()):
+            splitting.simulate_blocks(
+                (real(0),) * order,
+                (np.float32(0),) * splitting.draws(order),
+                scheme.copies,
+                scheme.start.astype(real),
+                scheme.coefficients.astype(real),
+                scheme.readout.ravel(),
+                tuple(self.schedule),
+                np.uint64(self.seed),
+                first,
+                states,
+                results.reshape(count, -1),
+            )
+        return results[:, : splitting.SLIPS + 1]
+
+    def estimate(self, tally: Tally) -> tuple[MeanSquare, MeanSquare]:
+        """Filtered and smoothed mean square error, less what chance did to the control."""
+        return tally.all.mean_square(2, plain=0), tally.all.mean_square(3, plain=1)
+
+    @cached_property
+    def weights(self) -> NDArray[np.float64]:
+        """Weights of the three controls for the two errors, from a pilot of other paths."""
+        outputs = self.simulate(PILOT_BLOCK, 1)[0, :-1]
+        return control_weights(outputs[:2], outputs[2:])
+
+    def reduce(self, outputs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the errors, and the errors less what chance did to the control."""
+        excess = outputs[2:] - self.coefficients.control[:, None]
+        return np.vstack([outputs[:2], outputs[:2] - self.weights @ excess])
+
+
+PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper": PaperSimulation}
+
+
+# --- durations and steps --------------------------------------------------------------------------
+
+
+def _check_duration(duration: float, delay: float) -> None:
+    if duration < delay:
+        raise ValueError(
+            f"duration must be at least the smoother's delay, {delay:g} s, got {duration:g}"
+        )
+
+
+def _dividing_step(delay: float, longest: float, duration: float) -> float:
+    """Largest step up to `longest` that divides the delay."""
+    step = min(longest, duration)
+    if delay > 0:
+        step = delay / math.ceil(delay / step - 1e-9)
+    return step
+
+
+def _steps(duration: float, step: float) -> int:
+    steps = round(duration / step)
+    if steps < 1:
+        raise ValueError(f"duration must be at least one step, {step:g} s, got {duration:g}")
+    return steps
+
+
+def _whole_steps(delay: float, step: float) -> int:
+    """Return delay / step where it is a whole number; else say which steps would do."""
+    ratio = delay / step
+    nearest = round(ratio)
+    if abs(ratio - nearest) <= MULTIPLE_TOLERANCE and (nearest > 0 or delay == 0):
+        return nearest
+    fewer = max(1, math.floor(ratio))
+    raise ValueError(
+        f"step must divide the smoother's delay, {delay:g} s, into whole steps, got {step:g} "
+        f"({ratio:.6g} steps): the nearest that do are {delay / fewer:.12g} ({fewer} steps) and "
+        f"{delay / (fewer + 1):.12g} ({fewer + 1} steps)"
+    )

@@ -1,47 +1,164 @@
-"""The coefficients of one step of a path, as `robsmooth.montecarlo.kernels` takes them."""
+"""The coefficients of one step of a path, as the kernels take them."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
+from robsmooth.errors import UnstableLoopError
 from robsmooth.loop import Loop
+from robsmooth.montecarlo import splitting
 
 
 @dataclass(frozen=True, eq=False)
-class EulerLoop:
-    """The coefficients of an Euler-Maruyama step, as `robsmooth.montecarlo.kernels` takes them.
+class EulerStep:
+    """A step of `robsmooth.montecarlo.euler`.
 
-    Parameters
+    Attributes
     ----------
-    phase_step : (2,) array
-        Decay and diffusion of the phase in a step.
-    estimator_step : (n + 5, n) array
-        Increments of the estimator (n rows), reference, copy, and the gains of the measured sine,
-        of the copied sine and of the noise.
+    coefficients : (n * n + 4 * n + 3,) array
+        Increments of the estimator (n, n), reference, copy, gains of the measured and of the copied
+        sine (n each); the noise that adds to the measured sine; decay and diffusion of the phase.
     readout : (3, n) array
         Rows of the filtered estimate, the smoothed estimate and the oscillator's phase.
     """
 
-    phase_step: NDArray[np.float64]
-    estimator_step: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
     readout: NDArray[np.float64]
 
+    @classmethod
+    def of(cls, loop: Loop, step: float) -> "EulerStep":
+        """Return the step of the Euler-Maruyama scheme over `step` seconds."""
+        root = np.sqrt(step)
+        parts = [
+            step * loop.drift.ravel(),
+            loop.reference,
+            loop.copy,
+            step * loop.sine_gain,
+            step * loop.copy_gain,
+            [loop.sine_noise / root, -step * loop.phase_decay, root * loop.phase_diffusion],
+        ]
+        coefficients = np.concatenate(parts)
+        # Rounding noise, some of it denormal in single precision: processors are slow with those.
+        coefficients[np.abs(coefficients) < np.finfo(np.float32).tiny] = 0.0
+        return cls(coefficients, _readout(loop))
 
-def euler(loop: Loop, step: float) -> EulerLoop:
-    """Coefficients of the Euler-Maruyama scheme with steps of `step` seconds."""
-    root = np.sqrt(step)
-    return EulerLoop(
-        phase_step=np.array([-step * loop.phase_decay, root * loop.phase_diffusion]),
-        estimator_step=np.vstack(
-            [
-                step * loop.drift,
-                loop.reference,
-                loop.copy,
-                step * loop.sine_gain,
-                step * loop.copy_gain,
-                root * loop.noise_gain,
-            ]
-        ),
-        readout=np.vstack([loop.filtered, loop.smoothed, loop.oscillator]),
-    )
+
+@dataclass(frozen=True, eq=False)
+class SplittingStep:
+    """A step of `robsmooth.montecarlo.splitting`, its start, and what is known of its control.
+
+    Attributes
+    ----------
+    copies : bool
+        Whether the estimator's copy of the nonlinearity has any effect.
+    start : (1 + n, 1 + n) array
+        A root of the stationary covariance of the control.
+    coefficients : array
+        Laid out as `robsmooth.montecarlo.splitting` says.
+    readout : (3, n) array
+        Rows of the filtered estimate, the smoothed estimate and the oscillator's phase.
+    control : (3,) array
+        Exact means of the control's squared filtered error, squared smoothed error, and fourth
+        power of the filtered error; rad^2 and rad^4.
+    """
+
+    copies: bool
+    start: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
+    readout: NDArray[np.float64]
+    control: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, loop: Loop, step: float, slopes: tuple[float, float]) -> "SplittingStep":
+        """Return the step of the splitting scheme over `step` seconds.
+
+        Parameters
+        ----------
+        loop : Loop
+        step : float
+        slopes : tuple of 2 float
+            Of the sines, in the control; see `control_slopes`.
+
+        Raises
+        ------
+        UnstableLoopError
+            Where the loop with these slopes has no stationary state.
+        """
+        drift, P = loop.linearised_drift(*slopes), loop.covariance(*slopes)
+        transition = expm(drift * step)
+        root = np.zeros((1 + loop.order, splitting.draws(loop.order)))
+        root[:, : 1 + loop.order] = _root(_noise_over(step, drift, loop.noise_covariance()))
+        gains = step * np.vstack([loop.sine_gain, loop.copy_gain])
+        arguments = np.vstack([loop.reference, loop.copy])
+        products = arguments @ gains.T
+        coefficients = [
+            transition,
+            root,
+            gains,
+            arguments,
+            gains @ transition[1:, 1:].T,
+            np.array(slopes),
+            products,
+            np.array([np.pi / 2]),
+            -slopes[0] * _response(step, drift, loop.sine_gain)[1:],
+        ]
+        filtered, smoothed = control_mean_squares(loop, drift, P)
+        return cls(
+            copies=bool(loop.copy.any() and loop.copy_gain.any()),
+            start=_root(P),
+            coefficients=np.concatenate([part.ravel() for part in coefficients]),
+            readout=_readout(loop),
+            control=np.array([filtered, smoothed, 3 * filtered**2]),  # it is Gaussian
+        )
+
+
+def control_slopes(loop: Loop) -> tuple[float, float]:
+    """Slopes of the sines in the control: those of statistical linearisation, where it has any.
+
+    The control's means are exact for any slopes. These make it the nearest to the loop.
+    """
+    try:
+        return loop.equivalent_slopes()
+    except UnstableLoopError:
+        return 1.0, 1.0
+
+
+def control_mean_squares(loop: Loop, drift: NDArray, P: NDArray) -> tuple[float, float]:
+    """Filtered and smoothed mean square errors of the linear loop with stationary covariance P."""
+    filtered = np.concatenate([[1.0], -loop.filtered])
+    smoothed = np.concatenate([[0.0], -loop.smoothed])
+    cross = (expm(drift * loop.delay) @ P)[:, 0]  # of now and the phase a delay ago
+    lagged = P[0, 0] + 2 * smoothed @ cross + smoothed @ P @ smoothed
+    return float(filtered @ P @ filtered), float(lagged)
+
+
+def _readout(loop: Loop) -> NDArray[np.float64]:
+    return np.vstack([loop.filtered, loop.smoothed, loop.oscillator])
+
+
+def _response(step: float, drift: NDArray, gain: NDArray) -> NDArray[np.float64]:
+    r"""Return :math:`\int_0^h e^{As}\,ds\,[0; b]`."""
+    size = len(drift)
+    extended = np.zeros((size + 1, size + 1))
+    extended[:size, :size] = drift
+    extended[1:size, size] = gain
+    return expm(step * extended)[:size, size]
+
+
+def _noise_over(step: float, drift: NDArray, Q: NDArray) -> NDArray[np.float64]:
+    r"""Return :math:`\int_0^h e^{As}Qe^{A's}\,ds`, by Van Loan's exponential of a block matrix."""
+    zero = np.zeros_like(drift)
+    exponential = expm(step * np.block([[-drift, Q], [zero, drift.T]]))
+    size = len(drift)
+    covariance = exponential[size:, size:].T @ exponential[:size, size:]
+    return (covariance + covariance.T) / 2
+
+
+def _root(covariance: NDArray) -> NDArray[np.float64]:
+    """Return R with R R' = covariance, which may be singular."""
+    scale = np.sqrt(np.diag(covariance))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None))

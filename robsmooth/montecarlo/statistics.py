@@ -1,0 +1,155 @@
+r"""What is made of the paths' results: mean squares, standard errors and the count of slips.
+
+Paths are independent. Over N of them, with :math:`v_i` the result of path i,
+
+.. math::
+
+    \overline v = \frac1N\sum_i v_i,\qquad
+    \text{standard error} = \sqrt{\frac{\sum_i (v_i - \overline v)^2}{N(N - 1)}} .
+
+With control variates :math:`c_i` of known mean :math:`\mu` the results are
+:math:`v_i - \beta'(c_i - \mu)` instead. The weights :math:`\beta` must not depend on these paths:
+those of a regression on the same paths bias the mean, by a part of its (small) standard error that
+spoils the intervals. They come from a pilot, of other paths.
+
+References
+----------
+S. Asmussen and P. W. Glynn, "Stochastic Simulation", Springer, 2007, Section V.2.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from robsmooth import validation
+
+
+@dataclass(frozen=True)
+class MeanSquare:
+    """A mean square error over independent paths.
+
+    Attributes
+    ----------
+    mean_square : float
+        rad^2.
+    standard_error : float
+        rad^2; not a number for a single path.
+    variance_reduction : float
+        How many times as many paths it would take without control variates.
+    """
+
+    mean_square: float
+    standard_error: float
+    variance_reduction: float = 1.0
+
+    def interval(self, confidence: float = 0.95) -> tuple[float, float]:
+        """Return the interval that holds the mean with this probability, rad^2."""
+        confidence = validation.real(
+            "confidence", confidence, low=0.0, high=1.0, low_open=True, high_open=True
+        )
+        reach = float(norm.isf((1 - confidence) / 2)) * self.standard_error
+        return self.mean_square - reach, self.mean_square + reach
+
+
+class Moments:
+    """Means and variances of values that come block by block, whatever the blocks' sizes."""
+
+    def __init__(self, variables: int):
+        self.count = 0
+        self.means = np.zeros(variables)
+        self.squares = np.zeros(variables)  # sums of squared deviations from the mean
+
+    def add(self, values: NDArray[np.float64]) -> None:
+        """Add a block, (variables, paths) (Chan, Golub and LeVeque's update)."""
+        added = values.shape[1]
+        if added == 0:
+            return
+        count = self.count + added
+        means = values.mean(axis=1)
+        shift = means - self.means
+        self.squares += ((values - means[:, None]) ** 2).sum(axis=1)
+        self.squares += shift**2 * (self.count * added / count)
+        self.means += shift * (added / count)
+        self.count = count
+
+    def mean_square(self, variable: int, plain: int | None = None) -> MeanSquare:
+        """Mean and standard error of one of the variables.
+
+        `plain` is the same variable without control variates, to say what they are worth.
+        """
+        if self.count < 2:
+            mean = float(self.means[variable]) if self.count else math.nan
+            return MeanSquare(mean, math.nan)
+        squares = float(self.squares[variable])
+        error = math.sqrt(squares / (self.count - 1) / self.count)
+        without = float(self.squares[variable if plain is None else plain])
+        gain = without / squares if squares > 0 else 1.0
+        return MeanSquare(float(self.means[variable]), error, gain)
+
+    def state(self) -> dict:
+        """All of it as JSON values, every bit."""
+        return {
+            "count": self.count,
+            "means": self.means.tolist(),
+            "squares": self.squares.tolist(),
+        }
+
+    @classmethod
+    def from_state(cls, state: dict) -> "Moments":
+        """Return what `state` was taken of."""
+        moments = cls(0)
+        moments.count = state["count"]
+        moments.means = np.array(state["means"])
+        moments.squares = np.array(state["squares"])
+        return moments
+
+
+def control_weights(
+    values: NDArray[np.float64], controls: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Weights of the controls (controls, paths) that leave least of the values (values, paths).
+
+    Returns
+    -------
+    (values, controls) array
+    """
+    values = values - values.mean(axis=1, keepdims=True)
+    controls = controls - controls.mean(axis=1, keepdims=True)
+    scale = np.sqrt((controls**2).sum(axis=1))
+    scale[scale == 0.0] = 1.0
+    # Where two controls are the same, as without a delay, the weights of least norm.
+    weights = np.linalg.lstsq((controls / scale[:, None]).T, values.T, rcond=1e-10)[0]
+    return (weights / scale[:, None]).T
+
+
+class Tally:
+    """All that is kept of the paths: moments of all and of those that never slipped, and slips."""
+
+    def __init__(self, variables: int):
+        self.all = Moments(variables)
+        self.locked = Moments(variables)
+        self.slips = 0
+        self.slipped_paths = 0
+
+    def add(self, values: NDArray[np.float64], slips: NDArray[np.float64]) -> None:
+        """Add a block: the variables (variables, paths) and the slips (paths,)."""
+        kept = slips == 0
+        self.all.add(values)
+        self.locked.add(values[:, kept])
+        self.slips += int(slips.sum())
+        self.slipped_paths += int((~kept).sum())
+
+    def state(self) -> dict:
+        """All of it as JSON values, every bit."""
+        return {**vars(self), "all": self.all.state(), "locked": self.locked.state()}
+
+    @classmethod
+    def from_state(cls, state: dict) -> "Tally":
+        """Return what `state` was taken of."""
+        tally = cls(0)
+        tally.all, tally.locked = (Moments.from_state(state[name]) for name in ("all", "locked"))
+        tally.slips, tally.slipped_paths = state["slips"], state["slipped_paths"]
+        return tally
