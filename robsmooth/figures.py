@@ -17,6 +17,7 @@ from robsmooth.errors import InfeasibleDesignError
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import MeanSquare
 from robsmooth.smoother import RobustSmoother, design_smoother
+from robsmooth.study import Study
 
 FORMATS = ("pdf", "svg", "png")
 # Nothing in a file says when, or by which release, it was made: equal figures are equal bytes.
@@ -262,4 +263,139 @@ def mean_squares(
     )
     axes.grid(axis="y", visible=False)
     figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+def routes(
+    rows: Sequence[str],
+    routes: Mapping[str, Sequence[MeanSquare]],
+    reference: Sequence[float],
+) -> Figure:
+    """Draw how far several routes to the same errors are from a reference.
+
+    Parameters
+    ----------
+    rows : sequence of str
+        The errors, one a row.
+    routes : mapping
+        From each route's name to its mean square error in every row; 95% intervals are drawn.
+    reference : sequence of float
+        What to subtract and divide by, rad^2.
+    """
+    figure, axes = plt.subplots(figsize=(3.4, 0.9 + 0.28 * len(rows)))
+    height = np.arange(len(rows))[::-1]
+    axes.axvline(0.0, color="0.4", linestyle="-", linewidth=0.8)
+    for index, (label, values) in enumerate(routes.items()):
+        value = np.array([value.mean_square for value in values]) / reference
+        error = np.array([value.standard_error for value in values]) / reference
+        axes.errorbar(
+            100 * (value - 1),
+            height + 0.2 * (1 - index),
+            xerr=196 * error,
+            fmt="os^"[index],
+            markersize=3,
+            color=f"C{index}",
+            linestyle="none",
+            label=label,
+        )
+    axes.set(
+        yticks=height,
+        yticklabels=[textwrap.fill(row, 20) for row in rows],
+        xlabel="difference from the moments (%)",
+        ylim=(-0.6, len(rows) - 0.4),
+    )
+    axes.grid(axis="y", visible=False)
+    figure.legend(
+        loc="outside lower center", ncols=len(routes), handletextpad=0.2, columnspacing=0.8
+    )
+    return figure
+
+
+def loss_of_lock(
+    factors: Sequence[float],
+    errors: Mapping[str, Sequence[float]],
+    slip_rates: Sequence[float],
+) -> Figure:
+    """Draw errors and the rate of cycle slips against the noise.
+
+    Parameters
+    ----------
+    factors : sequence of float
+        On the power of the phase noise.
+    errors : mapping
+        From each label to the mean square errors, rad^2; not a number where there is none.
+    slip_rates : sequence of float
+        1/s; zeros are left out.
+    """
+    figure, (top, bottom) = plt.subplots(
+        2, 1, sharex=True, figsize=(3.4, 3.4), height_ratios=(3, 2)
+    )
+    for (label, values), marker in zip(errors.items(), "os^D", strict=False):
+        top.loglog(factors, values, marker=marker, markersize=3, label=label)
+    top.set(ylabel=r"filtered error (rad$^2$)")
+    top.legend(loc="upper left")
+    rates = np.array(slip_rates, dtype=float)
+    rates[rates == 0.0] = np.nan
+    bottom.loglog(factors, rates, "o-", markersize=3, color="C1")
+    bottom.set(xlabel="factor on the power of the phase noise", ylabel="cycle slips (1/s)")
+    ticks = [factor for factor in (1, 2, 5, 10, 20, 50) if factor <= max(factors)]
+    bottom.set_xticks(ticks, [f"{tick}" for tick in ticks])
+    bottom.minorticks_off()
+    return figure
+
+
+def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
+    """Draw what smoothing saves of the filtered error, over lag and noise, and for each order.
+
+    Parameters
+    ----------
+    study : Study
+    gamma : float
+        Of the sector, one of the study's.
+    lag : float
+        To mark, s.
+    """
+    i = study.gammas.index(gamma)
+    ratio = (study.quantities["smoothed"] / study.quantities["filtered"])[i]
+    floor = (study.quantities["optimal"] / study.quantities["filtered"])[i]
+    lags = 1e6 * np.array(study.lags)
+    middle = int(np.argmin(np.abs(np.log(study.noises))))
+    figure, (top, bottom) = plt.subplots(2, 1, figsize=(3.4, 4.6), sharex=True)
+
+    levels = np.arange(0, 61, 10)
+    colours = mpl.colormaps["cividis"].with_extremes(under="0.85")
+    saved = 100 * (1 - ratio[:, -1])
+    shading = top.contourf(lags, study.noises, saved, levels, extend="min", cmap=colours)
+    top.contour(lags, study.noises, saved, [0], colors="k", linewidths=1.0)
+    if (worse := np.argwhere(saved < 0)).size:
+        column = worse[-1, 1]
+        top.annotate(
+            "worse than\nfiltering",
+            (lags[column], study.noises[0]),
+            xytext=(-3, 4),
+            textcoords="offset points",
+            ha="right",
+            fontsize=7,
+        )
+    best = np.nanargmin(ratio[:, -1], axis=1)
+    top.plot(lags[best], study.noises, "o", color="w", markeredgecolor="k", markersize=4, ls="none")
+    top.plot(1e6 * lag, study.noises[middle], "*", color="C1", markeredgecolor="k", markersize=9)
+    top.set(xscale="log", yscale="log", ylabel="shot noise, relative to the paper's")
+    levels = [level for level in (0.1, 0.3, 1, 3, 10) if level <= study.noises[-1]]
+    top.set_yticks(levels, [f"{level:g}" for level in levels])
+    top.grid(visible=False)
+    figure.colorbar(shading, ax=top, label="saved by smoothing (%)", pad=0.02)
+
+    for order, values in zip(study.orders, ratio[middle], strict=True):
+        bottom.plot(lags, values, label=f"order {order}")
+    bottom.plot(lags, floor[middle, -1], color="0.4", linestyle=":", label="optimum, linear")
+    bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
+    bottom.axvline(1e6 * lag, color="C1", linestyle="--", linewidth=0.8)
+    bottom.set(
+        xlabel="lag (µs)", ylabel="smoothed / filtered error", ylim=(0.4, 1.6), xlim=lags[[0, -1]]
+    )
+    bottom.legend(loc="upper left")
+    ticks = [tick for tick in (0.3, 1, 3, 10, 30) if lags[0] <= tick <= lags[-1]]
+    bottom.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    bottom.minorticks_off()
     return figure

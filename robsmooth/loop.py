@@ -41,7 +41,7 @@ from robsmooth.errors import UnstableLoopError
 OSCILLATORS = ("filtered", "smoothed")
 NONLINEARITIES = ("difference", "literal")
 FIXED_POINT_ITERATIONS = 200
-FIXED_POINT_TOLERANCE = 1e-12
+FIXED_POINT_TOLERANCE = 1e-10
 LARGEST_VARIANCE = 4 * np.pi**2  # rad^2, a turn: such a loop is not locked at all
 
 

@@ -1,8 +1,9 @@
 """The tables of the notebooks."""
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -16,12 +17,14 @@ from robsmooth.covariance import (
     error_covariance,
     statistical_linearisation,
 )
-from robsmooth.errors import InfeasibleDesignError
+from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.estimator import Estimator
+from robsmooth.galerkin import stationary_errors
 from robsmooth.homodyne import HomodyneParameters
-from robsmooth.montecarlo import MeanSquare, MonteCarloResult
+from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
 from robsmooth.riccati import RiccatiError
 from robsmooth.smoother import RobustSmoother, design_equations, design_smoother
+from robsmooth.study import Study
 from robsmooth.tables import Table
 
 
@@ -209,46 +212,206 @@ def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Table:
                 _interval(result.smoothed) if smooths else None,
                 result.runs,
                 result.slips,
+                result.slipped_paths,
             )
         )
-    columns = ("case", "filtered (rad²)", "smoothed (rad²)", "runs", "lost lock")
+    columns = (
+        "case",
+        "filtered (rad²)",
+        "smoothed (rad²)",
+        "runs",
+        "cycle slips",
+        "in how many runs",
+    )
     return Table(columns, rows, caption)
 
 
-def three_routes(
+@dataclass(frozen=True)
+class Routes:
+    """One error of a design, by every route there is to it; rad^2."""
+
+    error: str
+    published: MeanSquare
+    ergodic: MeanSquare
+    moments: float
+    truncation: float
+    linearised: float
+
+
+def routes(
     compared: Mapping[str, Estimator],
-    results: Mapping[str, MonteCarloResult],
+    published_protocol: Mapping[str, MonteCarloResult],
+    ergodic: Mapping[str, MonteCarloResult],
     values: HomodyneParameters,
-) -> Table:
-    """Return simulated errors against those that statistical linearisation predicts."""
-    rows = []
+) -> list[Routes]:
+    """Return the errors by simulation, by their moments and by statistical linearisation."""
+    found = []
     for name, design in compared.items():
-        predicted = statistical_linearisation(design, values.equivalent_slope)
-        for output in ("filtered", "smoothed"):
-            if output == "smoothed" and design.plant.delay == 0.0:
+        moments = stationary_errors(values, design)
+        linearised = statistical_linearisation(design, values.equivalent_slope)
+        for output in ("filtered", "smoothed")[: 2 if design.plant.delay > 0.0 else 1]:
+            found.append(
+                Routes(
+                    f"{name}, {output}",
+                    getattr(published_protocol[name], output),
+                    getattr(ergodic[name], output),
+                    getattr(moments, output),
+                    getattr(moments, f"{output}_truncation"),
+                    getattr(linearised, output),
+                )
+            )
+    return found
+
+
+def routes_table(found: Iterable[Routes]) -> Table:
+    """Return the table of the routes."""
+    rows = [
+        (
+            route.error,
+            _interval(route.published),
+            _interval(route.ergodic, 6),
+            f"{route.moments:.8f} ± {route.truncation:.0e}",
+            f"{route.linearised:.6f}",
+            f"{100 * (route.linearised / route.moments - 1):+.2f}%",
+        )
+        for route in found
+    ]
+    return Table(
+        columns=(
+            "error",
+            "paper's protocol (rad²)",
+            "ergodic protocol (rad²)",
+            "Hermite-Galerkin moments (rad²)",
+            "statistical linearisation (rad²)",
+            "its error",
+        ),
+        rows=rows,
+        caption=(
+            "Three routes, one number: simulation (± one standard error), moments without sampling "
+            "(± estimated truncation), and statistical linearisation."
+        ),
+    )
+
+
+# rad^2: with a larger variance of the error, the solution of statistical linearisation is that of a
+# loop whose sine has no mean slope any more, not that of one in lock.
+LARGEST_IN_LOCK = (math.pi / 2) ** 2
+
+
+@dataclass(frozen=True)
+class NoisySimulation:
+    """A design in the loop with a multiple of the phase noise."""
+
+    factor: float
+    simulated: MonteCarloResult
+    moments: float
+    linearised: float
+
+
+def noise_sweep(
+    design: Estimator, values: HomodyneParameters, factors: Iterable[float], **arguments
+) -> list[NoisySimulation]:
+    """Simulate a design with ever more phase noise, and predict its filtered error.
+
+    A prediction is not a number where its method says that the loop does not stay in lock.
+    """
+    found = []
+    for factor in factors:
+        noisier = replace(values, kappa=factor * values.kappa)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LossOfLockWarning)  # the slips are what is shown
+            simulated = monte_carlo(noisier, design, **arguments)
+        try:
+            moments = stationary_errors(noisier, design).filtered
+        except (UnstableLoopError, ArithmeticError):
+            moments = math.nan
+        try:
+            linearised = _predict(design, "power of the phase noise", factor, values).filtered
+        except UnstableLoopError:
+            linearised = math.nan
+        if linearised > LARGEST_IN_LOCK:
+            linearised = math.nan
+        found.append(NoisySimulation(factor, simulated, moments, linearised))
+    return found
+
+
+def noise_table(found: Iterable[NoisySimulation]) -> Table:
+    """Return the table of a noise sweep."""
+    rows = [
+        (
+            f"{case.factor:g}",
+            _interval(case.simulated.filtered, 4),
+            _interval(case.simulated.filtered_in_lock, 4),
+            case.simulated.slips,
+            f"{case.simulated.slipped_paths} of {case.simulated.runs}",
+            f"{case.simulated.slip_rate:.3g}",
+            _number(case.moments),
+            _number(case.linearised),
+        )
+        for case in found
+    ]
+    return Table(
+        columns=(
+            "phase noise",
+            "all runs (rad²)",
+            "runs in lock (rad²)",
+            "slips",
+            "runs that slipped",
+            "slips (1/s)",
+            "moments (rad²)",
+            "statistical linearisation (rad²)",
+        ),
+        rows=rows,
+        caption=(
+            "The filtered error of the printed smoother as the phase noise grows. Predictions are "
+            "for a loop in lock, and are left out where their method finds no such loop."
+        ),
+    )
+
+
+def study(found: Study, lag: float) -> Table:
+    """Return the best lag for each sector and noise, and what it and a given one save."""
+    ratio = found.quantities["smoothed"] / found.quantities["filtered"]
+    near = int(np.argmin(np.abs(np.log(np.array(found.lags) / lag))))
+    rows = []
+    for i, gamma in enumerate(found.gammas):
+        for j, noise in enumerate(found.noises):
+            if (gamma, noise) in found.failures or np.isnan(ratio[i, j]).all():
+                rows.append((f"{gamma:g}", f"{noise:.3g}", *[None] * 6, "no design"))
                 continue
-            simulated = getattr(results[name], output)
-            expected = getattr(predicted, output)
-            difference = simulated.mean_square - expected
+            k, m = np.unravel_index(np.nanargmin(ratio[i, j]), ratio.shape[2:])
+            at = (i, j, k, m)
             rows.append(
                 (
-                    f"{name}, {output}",
-                    _interval(simulated),
-                    expected,
-                    f"{100 * difference / expected:+.2f}%",
-                    f"{difference / simulated.standard_error:+.1f}",
+                    f"{gamma:g}",
+                    f"{noise:.3g}",
+                    float(found.quantities["filtered"][at]),
+                    float(found.quantities["smoothed"][at]),
+                    float(1e6 * found.lags[m]),
+                    str(found.orders[k]),
+                    f"{100 * (1 - ratio[at]):.0f}%",
+                    f"{100 * (1 - ratio[i, j, :, near].min()):.0f}%",
+                    f"{np.nanmax(found.quantities['slip_rate'][i, j]):.2g}",
                 )
             )
     return Table(
         columns=(
-            "error",
-            "simulated (rad²)",
-            "statistical linearisation (rad²)",
-            "difference",
-            "in standard errors",
+            r"$\gamma$",
+            "shot noise",
+            "filtered (rad²)",
+            "smoothed (rad²)",
+            "best lag (µs)",
+            "order",
+            "saved",
+            f"saved at {1e6 * found.lags[near]:.2g} µs",
+            "slips (1/s)",
         ),
         rows=rows,
-        caption="The simulation against an independent prediction that involves no sampling.",
+        caption=(
+            "The best lag and order of those studied for each sector and noise, and what smoothing "
+            "saves there of the filtered error in the nonlinear loop."
+        ),
+        digits=3,
     )
 
 
@@ -316,5 +479,11 @@ def _factor_for(
     return float(brentq(excess, 0.7, 2.0, xtol=1e-10))
 
 
-def _interval(error: MeanSquare) -> str:
-    return f"{error.mean_square:.5f} ± {error.standard_error:.5f}"
+def _interval(error: MeanSquare, digits: int = 5) -> str:
+    if math.isnan(error.mean_square):
+        return "none"
+    return f"{error.mean_square:.{digits}f} ± {error.standard_error:.{digits}f}"
+
+
+def _number(value: float) -> str:
+    return "none" if math.isnan(value) else f"{value:.4f}"

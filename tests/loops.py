@@ -4,6 +4,7 @@ Seeds are fixed, so these tests cannot fail by chance. Had the seeds been free, 
 would fail a comparison at `SIGMAS` = 4.5 standard errors once in 150 000 times.
 """
 
+import json
 import types
 
 import numpy as np
@@ -63,6 +64,13 @@ def gaussians(seed, first_path, steps):
     draws = np.empty(steps * noise.DRAWS * LANES, np.float32)
     noise.fill_gaussians(generator, steps, draws)
     return draws.reshape(steps, noise.DRAWS, LANES)
+
+
+def same_numbers(result):
+    """All of a result that must not change, to the last bit, as a text."""
+    numbers = result.to_dict()
+    del numbers["wall_time"]
+    return json.dumps(numbers, sort_keys=True)
 
 
 def assert_within(values, expected, standard_error):

@@ -10,6 +10,7 @@ from matplotlib.text import Text
 
 from robsmooth import diagrams, figures, homodyne
 from robsmooth.montecarlo import MeanSquare
+from robsmooth.study import QUANTITIES, Study
 
 SLOPES = np.linspace(-1.0, 0.0, 11)
 CURVES = {"NGCF": 0.1 - 0.05 * SLOPES, "robust smoother": 0.06 - 0.04 * SLOPES}
@@ -19,6 +20,15 @@ RESULTS = {
     "NGCF": [MeanSquare(0.09, 0.002), MeanSquare(0.1, 0.002)],
 }
 
+LAGS, NOISES = (0.3e-6, 3e-6, 3.1e-6, 30e-6), (0.1, 1.0, 6.0)
+SHAPE = (1, len(NOISES), 2, len(LAGS))
+ERRORS = dict.fromkeys(QUANTITIES, np.full(SHAPE, 0.04)) | {
+    "filtered": np.full(SHAPE, 0.088),
+    "smoothed": np.linspace(0.045, 0.1, np.prod(SHAPE)).reshape(SHAPE),
+}
+STUDY = Study((0.4,), NOISES, (1, 2), LAGS, ERRORS, {})
+NOISY = {"all runs": [0.09, 0.2, 9.0], "moments": [0.09, 0.19, np.nan]}
+
 MAKERS = {
     "fig1": diagrams.smoother_loop,
     "fig2": diagrams.homodyne_loop,
@@ -26,6 +36,9 @@ MAKERS = {
     "fig4": lambda: figures.delta_sweep(SLOPES, CURVES, {"floor": (0.0, 0.05)}),
     "delay": lambda: figures.delay_error(3.1e-6, (1, 2), 4.6e5),
     "monte_carlo": lambda: figures.mean_squares(CASES, RESULTS, {"smoother": 0.06, "NGCF": 0.1}),
+    "routes": lambda: figures.routes(CASES, RESULTS, [0.05, 0.06]),
+    "loss_of_lock": lambda: figures.loss_of_lock((1, 3, 10), NOISY, (0.0, 0.0, 1e3)),
+    "where_smoothing_pays": lambda: figures.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
 }
 
 

@@ -14,8 +14,8 @@ SOURCES = Path(robsmooth.__file__).parent
 # Each module imports only from those to its left.
 ORDER = """
     blas errors files validation systems delay augmented riccati estimator smoother bound covariance
-    homodyne baselines loop journal executors galerkin montecarlo published provenance simulations
-    statements reproduction tables report figures diagrams summaries
+    homodyne baselines loop journal executors galerkin montecarlo study published provenance
+    simulations statements reproduction tables report figures diagrams summaries
 """.split()  # noqa: SIM905 - one a line would be long
 
 PUBLIC = {

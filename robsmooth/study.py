@@ -1,0 +1,231 @@
+"""A parameter study: lag, order, sector and noise, each design with covariance and simulation.
+
+The filter at the heart of a smoother whose cost is on the filtered error depends neither on the lag
+nor on the order of its model, and nor do the best tau and multipliers. So there is one search for
+each sector and noise, a *column*, and then a design for each lag and order. A column is what is
+computed in one piece, here or on a cluster, and what a checkpoint holds.
+"""
+
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from robsmooth import baselines, executors, validation
+from robsmooth.augmented import augment
+from robsmooth.blas import one_thread
+from robsmooth.bound import minimize_bound
+from robsmooth.covariance import error_covariance
+from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
+from robsmooth.homodyne import HomodyneParameters
+from robsmooth.journal import Journal
+from robsmooth.montecarlo import LossOfLockWarning, monte_carlo
+from robsmooth.smoother import design_smoother
+
+AXES = ("gamma", "noise", "order", "lag")
+QUANTITIES = (
+    "bound",
+    "nominal",
+    "edge",
+    "optimal",
+    "filtered",
+    "filtered_error",
+    "smoothed",
+    "smoothed_error",
+    "slip_rate",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What a parameter study found, an array for each quantity.
+
+    Attributes
+    ----------
+    gammas, noises, orders, lags : tuples
+        The axes of the arrays, in this order; lags in s.
+    quantities : dict of str to (gammas, noises, orders, lags) array
+        "bound": on the filtered mean square error, twice the cost V (rad^2); "nominal", "edge": the
+        linear smoothed mean square error where the sine is its tangent, and at the sector's edge;
+        "optimal": the exact optimum of the tangent's fixed-lag problem; "filtered", "smoothed": the
+        nonlinear mean square errors of paths in lock, and "filtered_error", "smoothed_error" their
+        standard errors; "slip_rate" (1/s). Not a number without a design or a path in lock.
+    failures : dict of (gamma, noise) to str
+        Why there is no design.
+    """
+
+    gammas: tuple[float, ...]
+    noises: tuple[float, ...]
+    orders: tuple[int, ...]
+    lags: tuple[float, ...]
+    quantities: Mapping[str, NDArray[np.float64]]
+    failures: Mapping[tuple[float, float], str]
+
+    @property
+    def designs(self) -> int:
+        """Number of designs that there are."""
+        return int(np.isfinite(self.quantities["bound"]).sum())
+
+    def __repr__(self) -> str:
+        sizes = " x ".join(
+            f"{len(axis)} {name}"
+            for axis, name in (
+                (self.gammas, "gammas"),
+                (self.noises, "noises"),
+                (self.orders, "orders"),
+                (self.lags, "lags"),
+            )
+        )
+        return f"Study({sizes}: {self.designs} designs, {len(self.failures)} columns without)"
+
+
+def parameter_study(
+    parameters: HomodyneParameters,
+    lags: Sequence[float],
+    orders: Sequence[int],
+    gammas: Sequence[float],
+    noises: Sequence[float],
+    *,
+    runs: int = 256,
+    seed: int = 0,
+    client=None,
+    checkpoint: str | os.PathLike | None = None,
+    progress: bool = False,
+) -> Study:
+    """Design the paper's smoother over a grid, and find the errors of each, linear and nonlinear.
+
+    Parameters
+    ----------
+    parameters : HomodyneParameters
+        The loop in the middle of the grid.
+    lags : sequence of float
+        Of the smoother, s.
+    orders : sequence of int
+        Of the delay's Pade model.
+    gammas : sequence of float
+        Half widths of the sector.
+    noises : sequence of float
+        Power of the shot noise, relative to that of `parameters`; a beam of amplitude
+        alpha / sqrt(noise) has it.
+    runs : int
+        Paths of each simulation (``protocol="ergodic"``).
+    seed : int
+        Of the noise, the same for all designs.
+    client : distributed.Client, optional
+        A Dask cluster to compute on; default: this machine.
+    checkpoint : path, optional
+        A file to save finished columns to, and to resume from.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    TypeError, ValueError
+        For an argument that is not as described; CheckpointError for a checkpoint of another study.
+    ConnectionError
+        Where the cluster is lost.
+    """
+    validation.instance("parameters", parameters, HomodyneParameters)
+    lags = tuple(validation.positive("lags", lag) for lag in lags)
+    orders = tuple(validation.integer("orders", order, low=1) for order in orders)
+    gammas = tuple(replace(parameters, gamma=gamma).gamma for gamma in gammas)
+    noises = tuple(validation.positive("noises", noise) for noise in noises)
+    for name, axis in zip(AXES, (gammas, noises, orders, lags), strict=True):
+        if not axis or len(set(axis)) < len(axis):
+            raise ValueError(f"{name}s must be one or more different values, got {axis}")
+    runs, seed = validation.integer("runs", runs, low=2), validation.integer("seed", seed, low=0)
+    validation.boolean("progress", progress)
+
+    axes = {"gammas": gammas, "noises": noises, "orders": orders, "lags": lags}
+    identity = {
+        "study": {**axes, "parameters": vars(parameters), "runs": runs, "seed": seed},
+        "software": executors.software(),
+    }
+    columns = list(product(range(len(gammas)), range(len(noises))))
+    loops = [
+        replace(parameters, gamma=gammas[i], alpha=parameters.alpha / noises[j] ** 0.5)
+        for i, j in columns
+    ]
+    shape = tuple(len(axis) for axis in axes.values())
+    quantities = {name: np.full(shape, np.nan) for name in QUANTITIES}
+    failures = {}
+    compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
+    with (
+        Journal(checkpoint, identity) if checkpoint is not None else nullcontext() as journal,
+        tqdm(total=len(columns), unit="column", disable=not progress) as bar,
+    ):
+        results = journal.records if journal else []
+        done = len(results)
+        for column, result in zip(columns[:done], results, strict=True):
+            _enter(result, column, quantities, failures, gammas, noises)
+        bar.update(done)
+        calls = ((loop,) for loop in loops[done:])
+        computed = executors.in_order(compute, calls, client)
+        for column, result in zip(columns[done:], computed, strict=True):
+            if journal:
+                journal.append(result)
+            _enter(result, column, quantities, failures, gammas, noises)
+            bar.update()
+    return Study(gammas, noises, orders, lags, quantities, failures)
+
+
+def _enter(result, column, quantities, failures, gammas, noises) -> None:
+    i, j = column
+    if "failure" in result:
+        failures[gammas[i], noises[j]] = result["failure"]
+    for name, values in result.get("quantities", {}).items():
+        quantities[name][column] = np.array(values, dtype=float)
+
+
+@one_thread
+def _column(
+    loop: HomodyneParameters, lags: Sequence[float], orders: Sequence[int], runs: int, seed: int
+) -> dict:
+    """Search for tau and the multipliers, then design and measure for each order and lag."""
+    system = loop.uncertain_system()
+    try:
+        best = minimize_bound(augment(system, 0.0, 0))
+    except InfeasibleDesignError as error:
+        return {"failure": str(error)}
+    quantities = {name: np.full((len(orders), len(lags)), np.nan) for name in QUANTITIES}
+    for (a, order), (b, lag) in product(enumerate(orders), enumerate(lags)):
+        smoother = design_smoother(augment(system, lag, order), best.tau, best.multipliers)
+        for name, value in _measure(loop, smoother, runs, seed).items():
+            quantities[name][a, b] = value
+        quantities["optimal"][a, b] = baselines.optimal_fixed_lag_error(system, lag)[0, 0]
+    return {"quantities": {name: values.tolist() for name, values in quantities.items()}}
+
+
+def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[str, float]:
+    def linear(slope: float) -> float:
+        Delta = smoother.plant.structured_delta((), [slope])
+        return float(error_covariance(smoother, Delta, copy_noise=False)[0, 0])
+
+    found = {"bound": 2 * smoother.bound, "nominal": linear(0.0), "edge": linear(-1.0)}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LossOfLockWarning)  # slips are a result here
+            result = monte_carlo(loop, smoother, runs=runs, seed=seed)
+    except UnstableLoopError:
+        return found
+    slipped = result.slips > 0
+    filtered = result.filtered_in_lock if slipped else result.filtered
+    smoothed = result.smoothed_in_lock if slipped else result.smoothed
+    return found | {
+        "filtered": filtered.mean_square,
+        "filtered_error": filtered.standard_error,
+        "smoothed": smoothed.mean_square,
+        "smoothed_error": smoothed.standard_error,
+        "slip_rate": result.slip_rate,
+    }
