@@ -42,6 +42,7 @@ _REFUSED = 1e2  # the objective, a logarithm, where there is no design
 _REACH = 10.0  # how far from its start the search may go, in natural logarithms
 _ROUNDS = 5  # of quadratic programming, each in units of its start
 _PROGRESS = 1e-7  # a round that lowers the bound by less, relatively, is the last
+_SAME = 1e-2  # ends of the descent whose bounds differ by less, relatively, are taken for one
 _TAU_REACH = 3.0  # how far tau may move as multipliers vanish, in natural logarithms
 _SAMPLES = 32
 _TAU_DECADES = np.arange(-2.0, 8.0, 1.0)
@@ -49,7 +50,7 @@ _TAU_DECADES = np.arange(-2.0, 8.0, 1.0)
 
 @one_thread
 def minimize_bound(
-    plant: AugmentedSystem, cost: str = "filtered", *, starts: int = 3, seed: int = 0
+    plant: AugmentedSystem, cost: str = "filtered", *, starts: int = 8, seed: int = 0
 ) -> RobustSmoother:
     r"""Design the smoother with the least bound V over :math:`\tau` and :math:`\lambda`.
 
@@ -84,8 +85,9 @@ def minimize_bound(
     check_stable_plant(plant)
     points = _starting_points(plant, cost, starts, seed)
     ends = [_onto_boundary(plant, _descend(plant, cost, point)) for point in points]
-    best = _polish(plant, cost, min(ends, key=lambda point: _objective(plant, cost, point)))
-    best = _try_edge(plant, cost, best)
+    # The end that is lowest here need not be the one that leads lowest.
+    polished = [_polish(plant, cost, end) for end in _different(plant, cost, ends)]
+    best = _try_edge(plant, cost, min(polished, key=lambda point: _objective(plant, cost, point)))
     design = design_smoother(plant, *_split(best), cost)
     return replace(design, bound_infimum=_infimum(plant, cost, best))
 
@@ -200,6 +202,16 @@ def _polish(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:
         if _objective(plant, cost, point) > before - _PROGRESS:
             break
     return _best_tau(plant, cost, point)
+
+
+def _different(plant: AugmentedSystem, cost: str, points: list[np.ndarray]) -> list[np.ndarray]:
+    """Return the points but for those with the same bound as an earlier one."""
+    found: dict[float, np.ndarray] = {}
+    for point in points:
+        bound = _objective(plant, cost, point)
+        if all(abs(bound - other) > _SAME for other in found):
+            found[bound] = point
+    return list(found.values())
 
 
 def _quadratic_programming(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:

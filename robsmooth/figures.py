@@ -367,14 +367,15 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     saved = 100 * (1 - ratio[:, -1])
     shading = top.contourf(lags, study.noises, saved, levels, extend="min", cmap=colours)
     top.contour(lags, study.noises, saved, [0], colors="k", linewidths=1.0)
-    if (worse := np.argwhere(saved < 0)).size:
-        column = worse[-1, 1]
+    if saved[0, -1] < 0:
         top.annotate(
             "worse than\nfiltering",
-            (lags[column], study.noises[0]),
+            (lags[-1], study.noises[0]),
             xytext=(-3, 4),
             textcoords="offset points",
+            rotation=90,
             ha="right",
+            va="bottom",
             fontsize=7,
         )
     best = np.nanargmin(ratio[:, -1], axis=1)
@@ -383,6 +384,7 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     top.set(xscale="log", yscale="log", ylabel="shot noise, relative to the paper's")
     levels = [level for level in (0.1, 0.3, 1, 3, 10) if level <= study.noises[-1]]
     top.set_yticks(levels, [f"{level:g}" for level in levels])
+    top.minorticks_off()
     top.grid(visible=False)
     figure.colorbar(shading, ax=top, label="saved by smoothing (%)", pad=0.02)
 

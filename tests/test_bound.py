@@ -241,3 +241,13 @@ def test_random_systems_of_the_strategies_are_mostly_feasible():
         plant = augment(random_system(rng, n=2, m=1, l=1, g=1, size=0.1), 0.5, 1)
         found += feasible_design(rng, plant) is not None
     assert found > 15
+
+
+def test_search_leaves_the_valley_of_the_filter_that_hardly_listens():
+    # With much noise and a wide sector, ignoring the measurement is a local minimum of the bound,
+    # about kappa / (4 lam), next to which a start may lie lower than next to the better one.
+    loop = homodyne.HomodyneParameters(
+        lam=9.14e3, kappa=4e4, alpha=1162.0 / 2.16**0.5, beta=1.0, gamma=0.6
+    )
+    best = minimize_bound(augment(loop.uncertain_system(), 0.0, 0))
+    assert best.bound < 0.3125 < loop.kappa / (4 * loop.lam)

@@ -10,7 +10,8 @@ One step of a path, with the coefficients of `robsmooth.montecarlo.schemes.Euler
 The state of `LANES` paths, a *block*, lies row after row in one flat array: row 0 the phase, rows 1
 to n the estimator's state. The order n is passed as the length of a tuple, hence known when the
 kernel is compiled: the sums over states are unrolled, the loop over lanes is vectorised, and a
-lane's state stays in registers for a step. Each order is compiled once and kept on disk.
+lane's state stays in registers for a step. Each order is compiled once and kept on disk. What is
+called is inlined by numba: compiled again at each level it is linked into, it would lose registers.
 
 `simulate_blocks` is the only entry point. Each block writes its own part of the result, so the
 result does not depend on the number of threads, nor on how blocks are shared out over calls.
@@ -33,7 +34,7 @@ def rows(order: int) -> int:
     return 1 + order
 
 
-@njit
+@njit(inline="always")
 def euler_steps(order, coefficients, steps, state, gaussians):
     """Advance a block by `steps` steps with the noise of `fill_gaussians`."""
     n = len(order)
@@ -45,26 +46,28 @@ def euler_steps(order, coefficients, steps, state, gaussians):
         for lane in range(LANES):
             phase = state[lane]
             error = phase
-            copied = phase - phase
+            copied = coefficients[copy] * state[LANES + lane]
             x = order
             for j in range(n):
                 x = tuple_setitem(x, j, state[(1 + j) * LANES + lane])
                 error = fma(-coefficients[reference + j], x[j], error)
-                copied = fma(coefficients[copy + j], x[j], copied)
+                if j > 0:
+                    copied = fma(coefficients[copy + j], x[j], copied)
+            y = x
+            for i in range(n):
+                for j in range(n):
+                    y = tuple_setitem(y, i, fma(coefficients[i * n + j], x[j], y[i]))
+            phase = fma(decay, phase, phase)
+            state[lane] = fma(diffusion, gaussians[draw + LANES + lane], phase)
             measured = fma(noise, gaussians[draw + lane], sine(error))
             predicted = sine(copied)
             for i in range(n):
-                y = x[i]
-                for j in range(n):
-                    y = fma(coefficients[i * n + j], x[j], y)
-                y = fma(coefficients[copy_gain + i], predicted, y)
-                y = fma(coefficients[sine_gain + i], measured, y)
-                state[(1 + i) * LANES + lane] = y
-            phase = fma(decay, phase, phase)
-            state[lane] = fma(diffusion, gaussians[draw + LANES + lane], phase)
+                kicked = fma(coefficients[copy_gain + i], predicted, y[i])
+                kicked = fma(coefficients[sine_gain + i], measured, kicked)
+                state[(1 + i) * LANES + lane] = kicked
 
 
-@njit
+@njit(inline="always")
 def advance(order, coefficients, readout, steps, state, generator, gaussians, turns, result):
     """Advance a block by `steps` steps, and count its cycle slips."""
     n = len(order)
@@ -96,7 +99,7 @@ def collect(order, readout, state, delayed, result):
         result[SMOOTHED, lane] = smoothed * smoothed
 
 
-@njit
+@njit(inline="always")
 def simulate_block(order, coefficients, readout, schedule, seed, first_path, state, result):
     """Simulate paths `first_path` to `first_path + LANES - 1`, from zero to the end."""
     before, delay = schedule

@@ -49,12 +49,28 @@ U11 = np.uint32(11)
 U21 = np.uint32(21)
 U31 = np.uint32(31)
 
-TWO_M31 = 2.0**-31
-TWO_M32 = 2.0**-32
 MINUS_TWO_LN_2 = -2 * math.log(2)
 HALF_TURN_M32 = math.pi / 2**32
 SQRT_HALF_BITS = np.int32(np.float32(math.sqrt(0.5)).view(np.int32))
+SQRT_HALF_BITS_31 = np.int32(SQRT_HALF_BITS + (31 << 23))
 MANTISSA_BITS = np.int32(23)
+MANTISSA = np.int32(2**23 - 1)
+HALF = np.float32(0.5)
+
+
+SINE_FLOAT32 = (
+    -0.166666570964985,
+    0.008333017291442748,
+    -0.0001980661519421222,
+    2.600054754413543e-06,
+)
+SINE_FLOAT64 = (
+    -0.16666666606466835,
+    0.008333330495666445,
+    -0.00019840804038674084,
+    2.7522618831355344e-06,
+    -2.384669365464371e-08,
+)
 
 
 # --- what numba has no word for -------------------------------------------------------------------
@@ -109,16 +125,10 @@ def sine(typingctx, x):
     r"""The sine of a float32 or float64, to 2e-11 or float32 rounding, for ``|x|`` below 1e5.
 
     :math:`\sin x = (-1)^k \sin(x - k\pi)` with :math:`k` the integer nearest to :math:`x/\pi`, and
-    an odd polynomial of degree 11 on :math:`[-\pi/2, \pi/2]`. Adding :math:`1.5\cdot 2^{52}`
+    an odd polynomial of degree 9 or 11 on :math:`[-\pi/2, \pi/2]`. Adding :math:`1.5\cdot 2^{52}`
     (:math:`2^{23}`) rounds to an integer and leaves its parity in the lowest bit of the sum.
     """
-    coefficients = (
-        -0.16666666606466835,
-        0.008333330495666445,
-        -0.00019840804038674084,
-        2.7522618831355344e-06,
-        -2.384669365464371e-08,
-    )
+    coefficients = SINE_FLOAT32 if x == types.float32 else SINE_FLOAT64
     width, mantissa = (32, 23) if x == types.float32 else (64, 52)
 
     def codegen(context, builder, signature, arguments):
@@ -160,20 +170,19 @@ def whole_turns(typingctx, x):
 
 
 @njit
-def minus_two_log(u):
-    """-2 log u of a positive normal float32 u that is at most 1, to a relative 3e-7."""
-    bits = float_bits(u)
-    exponent = np.int32(bits - SQRT_HALF_BITS) >> MANTISSA_BITS
-    mantissa = float_from_bits(np.int32(bits - np.int32(exponent << MANTISSA_BITS)))
-    f = mantissa - np.float32(1)  # in [sqrt(1/2) - 1, sqrt(2) - 1)
-    minus_two_f = (np.float32(1) - mantissa) + (np.float32(1) - mantissa)
-    p = fma(f, 0.20695991921943754, -0.32557981860386714)
+def minus_two_log(v):
+    """-2 log(v / 2^31) of a float32 v between 1/2 and 2^31, to a relative 3e-7."""
+    bits = np.int32(float_bits(v) - SQRT_HALF_BITS_31)  # 31 less in the exponent
+    exponent = np.int32(bits >> MANTISSA_BITS)
+    mantissa = float_from_bits(np.int32(np.int32(bits & MANTISSA) + SQRT_HALF_BITS))
+    f = np.float32(1) - mantissa  # in (1 - sqrt(2), 1 - sqrt(1/2)]
+    p = fma(f, 0.20695991919743753, 0.32557981860386714)
     p = fma(f, p, 0.3440311727098379)
-    p = fma(f, p, -0.39787991415914753)
+    p = fma(f, p, 0.39787991415914753)
     p = fma(f, p, 0.4994677100123494)
-    p = fma(f, p, -0.6667018213402259)
+    p = fma(f, p, 0.6667018213402259)
     p = fma(f, p, 1.000005755167118)
-    return fma(np.float32(exponent), MINUS_TWO_LN_2, fma(f * f, p, minus_two_f))
+    return fma(np.float32(exponent), MINUS_TWO_LN_2, fma(f * f, p, np.float32(f + f)))
 
 
 @njit
@@ -271,7 +280,7 @@ def fill_gaussians(generator, steps, noise):
             generator[2 * LANES + lane] = s2
             generator[3 * LANES + lane] = s3
 
-            uniform = fma(np.float32(np.int32(a >> U1)), TWO_M31, TWO_M32)
+            uniform = np.float32(np.float32(np.int32(a >> U1)) + HALF)
             radius = np.sqrt(minus_two_log(uniform))
             angle = np.float32(np.int32(b << U1)) * np.float32(HALF_TURN_M32)
             noise[start + lane] = radius * flip_sign(cos_quarter(angle), b)

@@ -24,6 +24,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robsmooth.blas import one_thread
 from robsmooth.errors import UnstableLoopError
 from robsmooth.executors import alone, worker_threads
 from robsmooth.loop import Loop
@@ -41,6 +42,7 @@ ERGODIC_TIME_CONSTANTS = 250  # default duration, in units of the estimator's sl
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response through its sines
 WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode, before sampling begins
 
+FEWEST_IN_PILOT = LANES // 2
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
 
 MULTIPLE_TOLERANCE = 1e-6  # how far delay / step may be from a whole number
@@ -120,6 +122,9 @@ class Simulation:
     def steps(self) -> int:
         """Steps of a path."""
         raise NotImplementedError
+
+    def prepare(self) -> None:
+        """Compute once, before this is sent to other machines, what all of them must agree on."""
 
     def simulate(self, first: int, count: int) -> NDArray[np.float64]:
         """Simulate blocks `first` to ``first + count - 1``.
@@ -319,16 +324,30 @@ class ErgodicSimulation(Simulation):
         """Filtered and smoothed mean square error, less what chance did to the control."""
         return tally.all.mean_square(2, plain=0), tally.all.mean_square(3, plain=1)
 
+    def prepare(self) -> None:
+        """Compute the weights: BLAS has other last bits on another processor."""
+        _ = self.weights
+
     @cached_property
+    @one_thread
     def weights(self) -> NDArray[np.float64]:
-        """Weights of the three controls for the two errors, from a pilot of other paths."""
-        outputs = self.simulate(PILOT_BLOCK, 1)[0, :-1]
-        return control_weights(outputs[:2], outputs[2:])
+        """Weights of the three controls for the two errors, from a pilot of other paths.
+
+        Of a path that has slipped the errors have nothing to do with the control's any more; where
+        hardly any has not, the weights are zero.
+        """
+        outputs = self.simulate(PILOT_BLOCK, 1)[0]
+        in_lock = outputs[:-1, outputs[-1] == 0]
+        if in_lock.shape[1] < FEWEST_IN_PILOT:
+            return np.zeros((2, len(in_lock) - 2))
+        return control_weights(in_lock[:2], in_lock[2:])
 
     def reduce(self, outputs: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the errors, and the errors less what chance did to the control."""
         excess = outputs[2:] - self.coefficients.control[:, None]
-        return np.vstack([outputs[:2], outputs[:2] - self.weights @ excess])
+        # Not by BLAS, whose last bits depend on how many paths there are, and on its threads.
+        chance = (self.weights[:, :, None] * excess).sum(axis=1)
+        return np.vstack([outputs[:2], outputs[:2] - chance])
 
 
 PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper": PaperSimulation}

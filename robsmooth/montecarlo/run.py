@@ -1,4 +1,9 @@
-"""Run the Monte Carlo: check the arguments, simulate block by block, merge in order."""
+"""Run the Monte Carlo: check the arguments, simulate group by group, merge in order.
+
+A *group* is as many blocks as a thread simulates at a time. Their paths are summed up where they
+are simulated; what is merged here, and sent over a network, is a group's sums. Groups depend on
+nothing but the simulation, so the last bits of the result depend on nothing else, either.
+"""
 
 import hashlib
 import math
@@ -9,6 +14,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 
 import numba
 import numpy as np
@@ -25,9 +31,10 @@ from robsmooth.montecarlo.noise import GENERATOR, LANES
 from robsmooth.montecarlo.protocols import PRECISIONS, PROTOCOLS, Simulation
 from robsmooth.montecarlo.statistics import MeanSquare, Tally
 
-STEPS_PER_CALL = 50_000_000  # path-steps a thread between updates of the progress bar
-BLOCKS_PER_CALL = 256  # a thread, at most: bounds the memory
-THREADS_OF_A_CALL = 4  # on a cluster: a call takes about half a second of one thread
+STEPS_OF_A_GROUP = 400_000_000  # path-steps: about half a second
+BLOCKS_OF_A_GROUP = 256  # at most: bounds the memory
+GROUPS_OF_A_CALL = 20  # on a cluster, at most: a client keeps up with some 100 calls a second
+CALLS_OF_A_THREAD = 8  # on a cluster, at least: its threads then end at about the same time
 CHECKPOINT_EVERY = 2.0  # s
 
 _PARAMETERS = ("lam", "kappa", "alpha", "beta", "gamma")
@@ -248,9 +255,8 @@ def monte_carlo(
     with (
         _threads(threads),
         Journal(checkpoint, identity) if checkpoint is not None else nullcontext() as journal,
-        tqdm(total=simulation.runs, unit="path", unit_scale=True, disable=not progress) as bar,
     ):
-        tally = _tally(simulation, journal, client, bar, inputs["parameters"])
+        tally = _tally(simulation, journal, client, progress, inputs["parameters"])
 
     filtered, smoothed = simulation.estimate(tally)
     if tally.slips:
@@ -317,46 +323,80 @@ def plan(
 
 
 def _tally(
-    simulation: Simulation, journal: Journal | None, client, bar: tqdm, parameters: dict
+    simulation: Simulation, journal: Journal | None, client, progress: bool, parameters: dict
 ) -> Tally:
     """Simulate the blocks that the journal does not have, wherever, and merge them in order."""
     tally, first = Tally(simulation.variables), 0
     if journal is not None and journal.last is not None:
         tally, first = Tally.from_state(journal.last["tally"]), journal.last["blocks"]
-        bar.update(tally.all.count)
-    calls = _calls(simulation, first, client)
+    if first < simulation.blocks:
+        simulation.prepare()
+    group = _group(simulation)
+    simulate = partial(_tallies, simulation, group, parameters)
+    calls = _calls(simulation, group, first, client)
     saved = time.perf_counter()
-    for results in executors.in_order(simulation.simulate, calls, client):
-        for block, values in enumerate(results, first):
-            values = values[:, : simulation.paths(block)]
-            _check_finite(values, block, simulation, parameters)
-            tally.add(simulation.reduce(values[:-1]), values[-1])
-        first += len(results)
-        bar.update(tally.all.count - bar.n)
-        due = time.perf_counter() - saved > CHECKPOINT_EVERY or first == simulation.blocks
-        if journal is not None and due:
-            journal.append({"blocks": first, "tally": tally.state()})
-            saved = time.perf_counter()
+    with _bar(simulation.runs, tally.all.count, progress) as bar:
+        for tallies in executors.in_order(simulate, calls, client):
+            for each in tallies:
+                tally.merge(each)
+            first = min(first + len(tallies) * group, simulation.blocks)
+            bar.update(tally.all.count - bar.n)
+            due = time.perf_counter() - saved > CHECKPOINT_EVERY or first == simulation.blocks
+            if journal is not None and due:
+                journal.append({"blocks": first, "tally": tally.state()})
+                saved = time.perf_counter()
     return tally
 
 
-def _calls(simulation: Simulation, first: int, client) -> Iterator[tuple[int, int]]:
-    """Batches of blocks from `first` on, as (first block, number of blocks)."""
-    of_a_thread = STEPS_PER_CALL // (LANES * simulation.steps)
-    batch = min(max(of_a_thread, 1), BLOCKS_PER_CALL)
-    batch *= numba.get_num_threads() if client is None else THREADS_OF_A_CALL
-    for start in range(first, simulation.blocks, batch):
-        yield start, min(batch, simulation.blocks - start)
+def _bar(total: int, before: int, progress: bool) -> tqdm:
+    """Progress bar: what was done before counts for the progress, but not for the rate."""
+    return tqdm(total=total, initial=before, unit="path", unit_scale=True, disable=not progress)
+
+
+def _group(simulation: Simulation) -> int:
+    """Number of blocks in a group."""
+    blocks = STEPS_OF_A_GROUP // (LANES * simulation.steps)
+    return min(max(blocks, 1), BLOCKS_OF_A_GROUP)
+
+
+def _calls(simulation: Simulation, group: int, first: int, client) -> Iterator[tuple[int, int]]:
+    """Calls for the blocks from `first` on: (first block, number of blocks), of whole groups."""
+    if client is None:
+        groups = numba.get_num_threads()
+    else:
+        threads = executors.workers(client)
+        groups = simulation.blocks // (group * CALLS_OF_A_THREAD * threads)
+        groups = min(max(groups, 1), GROUPS_OF_A_CALL)
+    for start in range(first, simulation.blocks, groups * group):
+        yield start, min(groups * group, simulation.blocks - start)
+
+
+def _tallies(
+    simulation: Simulation, group: int, parameters: dict, first: int, count: int
+) -> list[Tally]:
+    """Simulate `count` blocks, here or on a worker, and sum up each group of them."""
+    at_once = group * (executors.worker_threads() or numba.get_num_threads())
+    end, tallies = first + count, []
+    for start in range(first, end, at_once):
+        results = simulation.simulate(start, min(at_once, end - start))
+        for offset in range(0, len(results), group):
+            path = (start + offset) * LANES
+            values = np.hstack(list(results[offset : offset + group]))
+            values = values[:, : simulation.runs - path]
+            _check_finite(values, path, simulation, parameters)
+            tallies.append(Tally(simulation.variables))
+            tallies[-1].add(simulation.reduce(values[:-1]), values[-1])
+    return tallies
 
 
 def _check_finite(
-    values: NDArray[np.float64], block: int, simulation: Simulation, parameters: dict
+    values: NDArray[np.float64], path: int, simulation: Simulation, parameters: dict
 ) -> None:
     wrong = np.flatnonzero(~np.isfinite(values).all(axis=0))
     if wrong.size:
         given = ", ".join(f"{name}={value:g}" for name, value in parameters.items())
         raise RuntimeError(
-            f"path {block * LANES + wrong[0]} of seed {simulation.seed} overflowed, with {given}: "
+            f"path {path + wrong[0]} of seed {simulation.seed} overflowed, with {given}: "
             f"the step, {simulation.step:g} s, is too long for this loop, or the estimator is "
             "unstable in it"
         )

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from robsmooth import validation
 
@@ -50,12 +50,12 @@ class MeanSquare:
         confidence = validation.real(
             "confidence", confidence, low=0.0, high=1.0, low_open=True, high_open=True
         )
-        reach = float(norm.isf((1 - confidence) / 2)) * self.standard_error
+        reach = float(ndtri((1 + confidence) / 2)) * self.standard_error
         return self.mean_square - reach, self.mean_square + reach
 
 
 class Moments:
-    """Means and variances of values that come block by block, whatever the blocks' sizes."""
+    """Means and variances of values that come in parts, whatever the parts' sizes."""
 
     def __init__(self, variables: int):
         self.count = 0
@@ -63,16 +63,23 @@ class Moments:
         self.squares = np.zeros(variables)  # sums of squared deviations from the mean
 
     def add(self, values: NDArray[np.float64]) -> None:
-        """Add a block, (variables, paths) (Chan, Golub and LeVeque's update)."""
-        added = values.shape[1]
-        if added == 0:
+        """Add values, (variables, paths)."""
+        if values.shape[1] == 0:
             return
-        count = self.count + added
-        means = values.mean(axis=1)
-        shift = means - self.means
-        self.squares += ((values - means[:, None]) ** 2).sum(axis=1)
-        self.squares += shift**2 * (self.count * added / count)
-        self.means += shift * (added / count)
+        added = Moments(len(values))
+        added.count = values.shape[1]
+        added.means = values.mean(axis=1)
+        added.squares = ((values - added.means[:, None]) ** 2).sum(axis=1)
+        self.merge(added)
+
+    def merge(self, other: "Moments") -> None:
+        """Add other values, of which the moments are given (Chan, Golub and LeVeque's update)."""
+        if other.count == 0:
+            return
+        count = self.count + other.count
+        shift = other.means - self.means
+        self.squares += other.squares + shift**2 * (self.count * other.count / count)
+        self.means += shift * (other.count / count)
         self.count = count
 
     def mean_square(self, variable: int, plain: int | None = None) -> MeanSquare:
@@ -135,12 +142,19 @@ class Tally:
         self.slipped_paths = 0
 
     def add(self, values: NDArray[np.float64], slips: NDArray[np.float64]) -> None:
-        """Add a block: the variables (variables, paths) and the slips (paths,)."""
+        """Add paths: the variables (variables, paths) and the slips (paths,)."""
         kept = slips == 0
         self.all.add(values)
         self.locked.add(values[:, kept])
         self.slips += int(slips.sum())
         self.slipped_paths += int((~kept).sum())
+
+    def merge(self, other: "Tally") -> None:
+        """Add the paths of another tally."""
+        self.all.merge(other.all)
+        self.locked.merge(other.locked)
+        self.slips += other.slips
+        self.slipped_paths += other.slipped_paths
 
     def state(self) -> dict:
         """All of it as JSON values, every bit."""
