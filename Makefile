@@ -3,6 +3,7 @@
 PYTHON  = python3
 PROFILE = paper
 ONLY    =
+DASK    =
 
 UV      = .uv/bin/uv
 BIN     = .venv/bin
@@ -21,7 +22,7 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 unexport PYTHONDONTWRITEBYTECODE
 
 .NOTPARALLEL:
-.PHONY: help setup figures lab test format lock upgrade clean distclean
+.PHONY: help setup figures lab test bench format lock upgrade clean distclean
 
 help:  ## list the targets and variables
 	@echo 'Targets:'
@@ -29,12 +30,13 @@ help:  ## list the targets and variables
 	@echo 'Variables:'
 	@echo '  PROFILE     paper (default) or quick: the scale of the Monte Carlo and of the sweeps'
 	@echo '  ONLY        notebooks to run, for example ONLY=03 or ONLY=02,sweep (default: all)'
+	@echo '  DASK        a Dask scheduler to compute on, for example DASK=tcp://10.0.0.1:8786'
 	@echo '  PYTHON      the Python, 3.11 or newer, to make .venv with (default: python3)'
 
 setup: $(ENVIRONMENT)  ## make .venv from the lock, hash-checked (the other targets do it as needed)
 
-figures: $(ENVIRONMENT)  ## run the notebooks that are not fresh; write figures/ and data/
-	@$(BIN)/robsmooth figures --profile '$(PROFILE)' $(if $(ONLY),--only '$(ONLY)')
+figures: $(if $(DASK),$(DEVELOPMENT),$(ENVIRONMENT))  ## run the notebooks that are not fresh; write figures/ and data/
+	@$(BIN)/robsmooth figures --profile '$(PROFILE)' $(if $(ONLY),--only '$(ONLY)') $(if $(DASK),--dask '$(DASK)')
 
 lab: $(ENVIRONMENT)  ## open the notebooks in JupyterLab
 	$(BIN)/jupyter lab --notebook-dir=notebooks
@@ -43,6 +45,9 @@ test: $(DEVELOPMENT)  ## lint, format check, and all tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+bench: .venv/bench.stamp  ## measure the speed against NumPy, JAX, C++ and others (four minutes)
+	@$(BIN)/robsmooth bench --write
 
 format: $(DEVELOPMENT)  ## format code and notebooks; take out notebook outputs
 	$(BIN)/ruff check --fix-only .

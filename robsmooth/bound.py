@@ -1,10 +1,9 @@
 r"""The least bound: minimisation of V over tau and lambda.
 
-An interior-point method, as the paper used, from several starts: the constraint
+Sequential quadratic programming from several starts, under the constraint
 :math:`M(\lambda)^{-1} \ge JJ'`, which is the linear matrix inequality
-:math:`I - J'M(\lambda)J \ge 0`, enters through its logarithmic barrier, whose weight falls. The
-corner where several constraints meet is then found by sequential quadratic programming. Two facts
-about V help:
+:math:`I - J'M(\lambda)J \ge 0`. V has more than one local minimum: where noise is strong, ignoring
+the measurement is one. Two facts about V help:
 
 - :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`, so that the least bound lies on the boundary of
   the constraint, and a step onto it is exact;
@@ -37,12 +36,10 @@ from robsmooth.smoother import (
 
 VANISHING = 1e-6  # stands for zero, relative to the largest multiplier
 _CANDIDATE = 1e-2  # a multiplier found below this may be on its way to zero
-_BARRIERS = (1e-1, 1e-2)
 _REFUSED = 1e2  # the objective, a logarithm, where there is no design
 _REACH = 10.0  # how far from its start the search may go, in natural logarithms
 _ROUNDS = 5  # of quadratic programming, each in units of its start
 _PROGRESS = 1e-7  # a round that lowers the bound by less, relatively, is the last
-_SAME = 1e-2  # ends of the descent whose bounds differ by less, relatively, are taken for one
 _TAU_REACH = 3.0  # how far tau may move as multipliers vanish, in natural logarithms
 _SAMPLES = 32
 _TAU_DECADES = np.arange(-2.0, 8.0, 1.0)
@@ -50,7 +47,7 @@ _TAU_DECADES = np.arange(-2.0, 8.0, 1.0)
 
 @one_thread
 def minimize_bound(
-    plant: AugmentedSystem, cost: str = "filtered", *, starts: int = 8, seed: int = 0
+    plant: AugmentedSystem, cost: str = "filtered", *, starts: int = 4, seed: int = 0
 ) -> RobustSmoother:
     r"""Design the smoother with the least bound V over :math:`\tau` and :math:`\lambda`.
 
@@ -84,9 +81,8 @@ def minimize_bound(
     check_measurement_noise(plant)
     check_stable_plant(plant)
     points = _starting_points(plant, cost, starts, seed)
-    ends = [_onto_boundary(plant, _descend(plant, cost, point)) for point in points]
-    # The end that is lowest here need not be the one that leads lowest.
-    polished = [_polish(plant, cost, end) for end in _different(plant, cost, ends)]
+    # The start that is lowest need not be the one that leads lowest.
+    polished = [_polish(plant, cost, point) for point in points]
     best = _try_edge(plant, cost, min(polished, key=lambda point: _objective(plant, cost, point)))
     design = design_smoother(plant, *_split(best), cost)
     return replace(design, bound_infimum=_infimum(plant, cost, best))
@@ -169,30 +165,6 @@ def _natural_tau(plant: AugmentedSystem, cost: str, multipliers: np.ndarray) -> 
     return float(np.linalg.norm(plant.C_p0, 2) ** 2 / information) if information > 0.0 else 1.0
 
 
-def _descend(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:
-    """Follow the central path: minimise log V - weight log det(I - J'MJ) for falling weights."""
-
-    def with_barrier(at: np.ndarray, weight: float) -> float:
-        spectrum = np.linalg.eigvalsh(_gap(plant, at))
-        if spectrum.min() <= 0.0:
-            return _REFUSED
-        return _objective(plant, cost, at) - weight * np.log(spectrum).sum()
-
-    for weight in _BARRIERS:
-        options = {"maxiter": 8}  # each weight only brings the next one's start near
-        result = minimize(
-            with_barrier,
-            point,
-            args=(weight,),
-            method="L-BFGS-B",
-            bounds=_box(point),
-            options=options,
-        )
-        if result.fun < with_barrier(point, weight):
-            point = result.x
-    return point
-
-
 def _polish(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:
     """Minimise log V under the constraint itself."""
     point = _onto_boundary(plant, point)
@@ -202,16 +174,6 @@ def _polish(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:
         if _objective(plant, cost, point) > before - _PROGRESS:
             break
     return _best_tau(plant, cost, point)
-
-
-def _different(plant: AugmentedSystem, cost: str, points: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the points but for those with the same bound as an earlier one."""
-    found: dict[float, np.ndarray] = {}
-    for point in points:
-        bound = _objective(plant, cost, point)
-        if all(abs(bound - other) > _SAME for other in found):
-            found[bound] = point
-    return list(found.values())
 
 
 def _quadratic_programming(plant: AugmentedSystem, cost: str, point: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ import argparse
 import ast
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -58,6 +59,7 @@ def figures(options: argparse.Namespace) -> int:
             force=options.force,
             time_limit=options.time_limit,
             build=build,
+            scheduler=options.dask,
             started=started,
             finished=finished,
         )
@@ -103,6 +105,13 @@ def verdicts(options: argparse.Namespace) -> int:
     return 0
 
 
+def bench(options: argparse.Namespace) -> int:
+    """Measure the speed of the simulation, and that of its peers, as benchmarks/ has it."""
+    flags = [f"--{name}" for name in ("quick", "write") if getattr(options, name)]
+    command = [sys.executable, "-m", "benchmarks", "--peers", options.peers, *flags]
+    return subprocess.run(command, cwd=_project()).returncode
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="robsmooth", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -141,10 +150,26 @@ def _parser() -> argparse.ArgumentParser:
         help="for a notebook; a cell may take half as long (default: %(default)g)",
     )
     command.add_argument("--force", action="store_true", help="run the fresh ones, too")
+    command.add_argument(
+        "--dask",
+        default="",
+        metavar="ADDRESS",
+        help="compute on the cluster of the Dask scheduler at tcp://host:port",
+    )
     command.add_argument("--build", type=Path, help="folder to work in (default: build)")
 
     command = commands.add_parser("verdicts", help="every printed number with its verdict")
     command.set_defaults(command=verdicts)
+
+    command = commands.add_parser("bench", help="measure the speed of the simulation")
+    command.set_defaults(command=bench)
+    command.add_argument("--quick", action="store_true", help="in seconds; ratios mean little")
+    command.add_argument(
+        "--write", action="store_true", help="write benchmarks/results.* and the README's block"
+    )
+    command.add_argument(
+        "--peers", default="", metavar="NAME[,NAME]", help="parts of their names (default: all)"
+    )
     return parser
 
 

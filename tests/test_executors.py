@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import closing, contextmanager
+from contextlib import closing
 
 import distributed
 import numpy as np
@@ -17,20 +17,10 @@ import pytest
 
 from robsmooth import executors
 from robsmooth.executors import alone, connect, in_order, worker_threads, workers
+from tests.clusters import cluster_of_threads, start_cluster
 
 # Functions that are sent to a worker are made within tests: they travel by value then, because a
 # worker has no module of tests to import.
-
-
-def start_cluster(**options):
-    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True} | options
-    return distributed.LocalCluster(
-        **options,
-        host="127.0.0.1",
-        dashboard_address=None,
-        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # of its other pages, else 8787
-        silence_logs=logging.CRITICAL,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -43,17 +33,6 @@ def cluster():
 def client(cluster):
     with connect(cluster.scheduler_address) as client:
         yield client
-
-
-@contextmanager
-def cluster_of_threads(**options):
-    """A cluster that starts quickly: its workers are threads of this process."""
-    options = {"n_workers": 1, "threads_per_worker": 2, "protocol": "tcp"} | options
-    with (
-        start_cluster(processes=False, **options) as cluster,
-        connect(cluster.scheduler_address) as client,
-    ):
-        yield cluster, client
 
 
 @pytest.fixture

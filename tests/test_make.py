@@ -62,9 +62,10 @@ def test_make_alone_lists_every_target():
 
 
 def test_make_figures_hands_on_its_variables():
-    assert make("-n", "figures").endswith("robsmooth figures --profile 'paper' \n")
-    chosen = make("-n", "figures", "PROFILE=quick", "ONLY=03")
-    assert chosen.endswith("robsmooth figures --profile 'quick' --only '03'\n")
+    assert make("-n", "figures").endswith("robsmooth figures --profile 'paper'  \n")
+    chosen = make("-n", "figures", "PROFILE=quick", "ONLY=03", "DASK=tcp://host:1")
+    wanted = "robsmooth figures --profile 'quick' --only '03' --dask 'tcp://host:1'\n"
+    assert chosen.endswith(wanted)
 
 
 def test_ci_runs_the_tests():

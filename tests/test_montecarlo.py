@@ -32,6 +32,7 @@ from tests.loops import (
     kalman_filter,
     printed_smoother,
     quiet,
+    same_numbers,
     with_parameters,
 )
 
@@ -136,22 +137,15 @@ def test_a_path_depends_on_seed_and_index_alone(protocol, precision):
     assert not np.isin(other[:, :2], whole[:, :2]).any()
 
 
-def same_numbers(result):
-    numbers = result.to_dict()
-    del numbers["wall_time"]
-    return json.dumps(numbers, sort_keys=True)
-
-
 @pytest.mark.parametrize("protocol", ["paper", "ergodic"])
-def test_result_is_the_same_to_the_bit_for_any_threads_and_batches(monkeypatch, protocol):
+@pytest.mark.parametrize("group", [1, 2, 64])
+def test_result_is_the_same_to_the_bit_for_any_threads(monkeypatch, protocol, group):
+    monkeypatch.setattr(run, "BLOCKS_OF_A_GROUP", group)
     arguments = {"protocol": protocol, "runs": 1333, "duration": 2e-5, "seed": 4}
     expected = same_numbers(monte_carlo(PARAMETERS, printed_smoother(), **arguments))
     for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):
         result = monte_carlo(PARAMETERS, printed_smoother(), threads=threads, **arguments)
         assert same_numbers(result) == expected
-    monkeypatch.setattr(run, "STEPS_PER_CALL", 1)
-    result = monte_carlo(PARAMETERS, printed_smoother(), threads=1, **arguments)
-    assert same_numbers(result) == expected
 
 
 def test_result_is_the_same_to_the_bit_with_more_threads_than_cores():

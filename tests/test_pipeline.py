@@ -9,11 +9,13 @@ import sys
 import time
 from pathlib import Path
 
+import nbformat
 import psutil
 import pytest
 
 from robsmooth import cli
 from robsmooth.pipeline import PipelineError, parameters, run_notebooks, runner
+from tests.clusters import cluster_of_threads
 
 FIXTURES = Path(__file__).parent / "notebooks"
 
@@ -45,6 +47,19 @@ class Project:
         source = self.path(name).read_text()
         assert old in source
         self.path(name).write_text(source.replace(old, new))
+
+    def edit_code(self, name, old, new):
+        """Replace in the code of a notebook, written as it stands in a cell."""
+        notebook = nbformat.read(self.path(name), as_version=4)
+        cells = [cell for cell in notebook.cells if old in cell.source]
+        assert len(cells) == 1
+        cells[0].source = cells[0].source.replace(old, new)
+        nbformat.write(notebook, self.path(name))
+
+    def add_optional(self, name):
+        """Give a notebook the parameters that the pipeline sets where they are there."""
+        lines = [f'{each}: str = ""  # may be there' for each in parameters.OPTIONAL]
+        self.edit_code(name, "profile: str", "\n".join([*lines, "profile: str"]))
 
     def run(self, **options):
         return run_notebooks(self.root, **options)
@@ -116,6 +131,8 @@ def test_damaged_profiles_are_an_error(project):
         ({"rums": 5}, r"rums is unknown; did you mean runs\?"),
         ({"xyz": 5}, r"xyz is unknown; known: check, lag, profile, runs, seed$"),
         ({"output_dir": "x"}, "output_dir is set by the pipeline"),
+        ({"scheduler": "x"}, "scheduler is set by the pipeline"),
+        ({"checkpoint_dir": "x"}, "checkpoint_dir is set by the pipeline"),
         ({"runs": "many"}, r"runs must be of type int, not 'many' \(str\)"),
         ({"runs": 2.0}, r"runs must be of type int, not 2.0 \(float\)"),
         ({"runs": True}, r"runs must be of type int, not True \(bool\)"),
@@ -130,7 +147,7 @@ def test_damaged_profiles_are_an_error(project):
     ],
 )
 def test_a_wrong_value_is_refused_before_anything_runs(project, values, message):
-    project.add("good")
+    project.add("good").add_optional("01_good")
     with pytest.raises(PipelineError, match=message):
         project.run(parameters=values)
     assert not (project.root / "build").exists()
@@ -200,6 +217,13 @@ def test_a_parameters_cell_that_cannot_be_checked_is_an_error(project, line, mes
 def test_a_notebook_must_let_its_folders_be_chosen(project, folder):
     project.add("good").edit("01_good", f"{folder}: str", "elsewhere: str")
     with pytest.raises(PipelineError, match=f"the parameters cell must hold {folder}: str"):
+        project.plan()
+
+
+@pytest.mark.parametrize("name", ["scheduler", "checkpoint_dir"])
+def test_what_the_pipeline_may_set_must_be_a_text(project, name):
+    project.add("good").edit("01_good", "seed: int = 7", f"{name}: int = 7")
+    with pytest.raises(PipelineError, match=f"the parameters cell must hold {name}: str"):
         project.plan()
 
 
@@ -402,6 +426,76 @@ def wait_for(condition, seconds=30):
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+# --- clusters and checkpoints --------------------------------------------------------------------
+
+
+def test_a_notebook_that_can_use_a_cluster_is_given_its_scheduler(project):
+    project.add("good", "foreign_kernel").add_optional("01_good")
+    project.edit_code("01_good", "write_text(str(runs))", "write_text(scheduler)")
+    project.edit_code("01_good", "figure.txt", "of_its_own.txt")
+    with cluster_of_threads() as (cluster, _):
+        results = project.run(scheduler=cluster.scheduler_address)
+    assert [result.failure for result in results] == [None, None]
+    assert project.results()["data/result.json"].decode() == cluster.scheduler_address
+    about = (project.root / "figures" / "01_good.provenance.json").read_text()
+    assert cluster.scheduler_address not in about
+    assert project.run()[0].status == "fresh", "the results do not depend on where they are from"
+
+
+@pytest.mark.parametrize(
+    "address, message",
+    [
+        ("tcp://127.0.0.1:1", "--dask: no Dask scheduler answers at tcp://127.0.0.1:1 within 5 s"),
+        ("127.0.0.1:8786", "--dask: the address of a scheduler must be tcp://host:port"),
+    ],
+)
+def test_a_cluster_that_is_not_there_is_one_line_before_anything_runs(
+    project, monkeypatch, capsys, address, message
+):
+    monkeypatch.chdir(project.add("good").root)
+    assert cli.main(["figures", "--dask", address]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"robsmooth: {message}")
+    assert not (project.root / "build").exists()
+
+
+def test_without_dask_a_cluster_is_refused_in_one_line(project, monkeypatch, capsys):
+    monkeypatch.chdir(project.add("good").root)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert cli.main(["figures", "--dask", "tcp://127.0.0.1:8786"]) == 2
+    message = "a cluster needs the package distributed: pip install 'robsmooth[cluster]'"
+    assert capsys.readouterr().err == f"robsmooth: --dask: {message}\n"
+
+
+def test_an_interrupted_notebook_resumes_and_one_with_other_inputs_starts_anew(project):
+    project.add("good").add_optional("01_good")
+    write = """
+with open(Path(checkpoint_dir, "saved"), "a+") as saved:
+    saved.write(str(runs))
+    saved.seek(0)
+    Path(data_dir, "result.json").write_text(saved.read())
+"""
+    project.edit_code("01_good", 'Path(data_dir, "result.json").write_text(str(runs))', write)
+    project.edit_code("01_good", "assert check", 'assert Path("../done").exists()')
+    checkpoints = project.root / "build" / "paper" / "checkpoints"
+    for other in ("01_good-0123456789abcdef", "01_good-wide-0123456789abcdef"):
+        (checkpoints / other).mkdir(parents=True)
+
+    assert project.run()[0].status == "failed"
+    mine = f"01_good-{project.key()[:16]}"
+    assert {path.name for path in checkpoints.iterdir()} == {mine, "01_good-wide-0123456789abcdef"}
+    assert (checkpoints / mine / "saved").read_text() == "50000"
+
+    (project.root / "done").touch()
+    assert project.run()[0].status == "done"
+    assert project.results()["data/result.json"] == b"50000" * 2, "the second run has resumed"
+    assert {path.name for path in checkpoints.iterdir()} == {"01_good-wide-0123456789abcdef"}
+
+    project.edit("01_good", "runs: int = 50_000", "runs: int = 7")
+    assert project.run()[0].status == "done"
+    assert project.results()["data/result.json"] == b"7"
 
 
 # --- the command ---------------------------------------------------------------------------------

@@ -30,6 +30,16 @@ def test_standard_error_is_that_of_the_sample(at):
         assert given.variance_reduction == 1.0
 
 
+def test_merged_moments_are_those_of_all_values():
+    whole = moments_of(SAMPLE[:, :300])
+    for part in (SAMPLE[:, 300:300], SAMPLE[:, 300:]):
+        whole.merge(moments_of(part))
+    expected = moments_of(SAMPLE)
+    assert whole.count == 1000
+    assert_allclose(whole.means, expected.means, rtol=1e-14)
+    assert_allclose(whole.squares, expected.squares, rtol=1e-13)
+
+
 def test_variance_reduction_is_the_ratio_of_the_variances():
     values = np.vstack([SAMPLE[0], 0.1 * SAMPLE[0]])
     assert moments_of(values).mean_square(1, plain=0).variance_reduction == pytest.approx(100)
@@ -73,7 +83,9 @@ def test_tally_keeps_paths_that_slipped_apart_and_survives_json():
     tally = Tally(2)
     tally.add(SAMPLE[:, :400], slips[:400])
     tally = Tally.from_state(json.loads(json.dumps(tally.state())))
-    tally.add(SAMPLE[:, 400:], slips[400:])
+    rest = Tally(2)
+    rest.add(SAMPLE[:, 400:], slips[400:])
+    tally.merge(rest)
     assert (tally.slips, tally.slipped_paths) == (5, 2)
     assert (tally.all.count, tally.locked.count) == (1000, 998)
     kept = SAMPLE[0, slips == 0]

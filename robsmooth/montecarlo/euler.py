@@ -53,18 +53,17 @@ def euler_steps(order, coefficients, steps, state, gaussians):
                 error = fma(-coefficients[reference + j], x[j], error)
                 if j > 0:
                     copied = fma(coefficients[copy + j], x[j], copied)
-            y = x
-            for i in range(n):
-                for j in range(n):
-                    y = tuple_setitem(y, i, fma(coefficients[i * n + j], x[j], y[i]))
             phase = fma(decay, phase, phase)
             state[lane] = fma(diffusion, gaussians[draw + LANES + lane], phase)
             measured = fma(noise, gaussians[draw + lane], sine(error))
             predicted = sine(copied)
             for i in range(n):
-                kicked = fma(coefficients[copy_gain + i], predicted, y[i])
-                kicked = fma(coefficients[sine_gain + i], measured, kicked)
-                state[(1 + i) * LANES + lane] = kicked
+                y = x[i]
+                for j in range(n):
+                    y = fma(coefficients[i * n + j], x[j], y)
+                y = fma(coefficients[copy_gain + i], predicted, y)
+                y = fma(coefficients[sine_gain + i], measured, y)
+                state[(1 + i) * LANES + lane] = y
 
 
 @njit(inline="always")

@@ -22,8 +22,12 @@ from pathlib import Path
 import nbformat
 
 TYPES = {"bool": bool, "int": int, "float": float, "str": str}
-# Set by the pipeline, for each run anew: the folders that figures, and data, are written to.
+# Set by the pipeline, for each run anew, and of no influence on the results. Every notebook has the
+# folders that figures, and data, are written to; the others may be there: the address of a Dask
+# scheduler, and a folder to resume an interrupted run from.
 FOLDERS = ("output_dir", "data_dir")
+OPTIONAL = ("scheduler", "checkpoint_dir")
+SET_BY_PIPELINE = FOLDERS + OPTIONAL
 
 _INTERVAL = re.compile(r"([\[(])\s*([^\s,]+)\s*,\s*([^\s,]+?)\s*([\])])\s*")
 _CHOICES = re.compile(r"\{\s*([^{}]+?)\s*\}\s*")
@@ -103,7 +107,9 @@ def read(notebook: Path) -> dict[str, Parameter]:
     parameters = {parameter.name: parameter for parameter in _lines(tagged[0].source, notebook)}
     for parameter in parameters.values():
         parameter.check(parameter.default, f"{notebook.name}, default")
-    for name in FOLDERS:
+    for name in SET_BY_PIPELINE:
+        if name not in parameters and name in OPTIONAL:
+            continue
         if name not in parameters or parameters[name].type != "str":
             raise PipelineError(f"{notebook.name}: the parameters cell must hold {name}: str")
     return parameters
@@ -114,10 +120,12 @@ def check(
 ) -> dict[str, object]:
     """Check `values`, given for a notebook's `parameters`, by name, type and range."""
     for name in values:
-        if name in FOLDERS:
+        if name in SET_BY_PIPELINE:
             raise PipelineError(f"{where}: {name} is set by the pipeline and cannot be given")
         if name not in parameters:
-            raise unknown(f"{where}: parameter", name, sorted(set(parameters) - set(FOLDERS)))
+            raise unknown(
+                f"{where}: parameter", name, sorted(set(parameters) - set(SET_BY_PIPELINE))
+            )
     return {name: parameters[name].check(value, where) for name, value in values.items()}
 
 

@@ -2,7 +2,8 @@
 
 Notebooks write to a staging folder. Only what a notebook that ran to its end has left there is
 moved to where results live, file by file, each by a rename; so a failed or interrupted run leaves
-the results of earlier ones as they were.
+the results of earlier ones as they were. A notebook that keeps checkpoints finds them again when it
+is next run with the same inputs.
 
 Freshness is judged by content, not by times: a notebook is fresh when everything it depends on has
 the hash it had, and everything it produced is still there unchanged.
@@ -20,10 +21,10 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from robsmooth import files, provenance
+from robsmooth import executors, files, provenance
 from robsmooth.pipeline import parameters as parameters_cell
 from robsmooth.pipeline.execution import Execution, Failure
-from robsmooth.pipeline.parameters import FOLDERS, PipelineError, unknown
+from robsmooth.pipeline.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineError, unknown
 
 PROFILES = ("paper", "quick")
 PACKAGE = Path(__file__).resolve().parent.parent
@@ -59,13 +60,17 @@ class NotebookResult:
 
 @dataclass(frozen=True)
 class Task:
-    """A notebook, its checked parameter values, and the hash of all that its results depend on."""
+    """A notebook, its checked parameter values, and the hash of all that its results depend on.
+
+    `optional` are those of `parameters.OPTIONAL` that it has.
+    """
 
     name: str
     path: Path
     values: Mapping[str, object]
     seed: object
     key: str
+    optional: tuple[str, ...]
 
 
 def run_notebooks(
@@ -77,6 +82,7 @@ def run_notebooks(
     force: bool = False,
     time_limit: float = 1800.0,
     build: Path | None = None,
+    scheduler: str = "",
     started: Callable[[int], None] = lambda count: None,
     finished: Callable[[NotebookResult], None] = lambda result: None,
 ) -> list[NotebookResult]:
@@ -101,6 +107,9 @@ def run_notebooks(
         Seconds for a notebook; a cell may take half as long.
     build : Path, optional
         Folder to work in instead of `root/build`.
+    scheduler : str
+        Address of a Dask scheduler for the notebooks that can use one; empty for this machine. The
+        results are the same, and those that are fresh stay fresh.
     started : callable
         Called with the number of notebooks, once all is checked.
     finished : callable
@@ -122,6 +131,7 @@ def run_notebooks(
         raise PipelineError(f"time_limit must be a positive number of seconds, not {time_limit}")
     places = Places.of(root, profile, bool(parameters), build)
     tasks = plan(root, only, profile, parameters or {})
+    _check_scheduler(scheduler)
     started(len(tasks))
     results = []
     with _alone(places.work):
@@ -133,7 +143,7 @@ def run_notebooks(
             else:
                 results.append(_result(task, places, "fresh", 0.0, produced))
                 finished(results[-1])
-        with closing(_run(waiting, places, profile, jobs, time_limit)) as running:
+        with closing(_run(waiting, places, profile, jobs, time_limit, scheduler)) as running:
             for result in running:
                 results.append(result)
                 finished(result)
@@ -152,7 +162,9 @@ def plan(
     known = {name: parameters_cell.read(folder / f"{name}.ipynb") for name in names}
     for name in overrides:
         if not any(name in parameters for parameters in known.values()):
-            everywhere = sorted({key for each in known.values() for key in each} - {*FOLDERS})
+            everywhere = sorted(
+                {key for each in known.values() for key in each} - {*SET_BY_PIPELINE}
+            )
             raise unknown("--set: parameter", name, everywhere)
     tasks = []
     for name, parameters in known.items():
@@ -167,7 +179,9 @@ def plan(
         defaults = {key: parameter.default for key, parameter in parameters.items()}
         path = folder / f"{name}.ipynb"
         seed = {**defaults, **values}.get("seed")
-        tasks.append(Task(name, path, values, seed, _key(root, path, profile, values)))
+        key = _key(root, path, profile, values)
+        optional = tuple(each for each in OPTIONAL if each in parameters)
+        tasks.append(Task(name, path, values, seed, key, optional))
     return tasks
 
 
@@ -235,8 +249,22 @@ def _fresh(task: Task, places: Places) -> tuple[str, ...] | None:
         return None  # never run, or its stamp or results are gone or damaged
 
 
+def _check_scheduler(address: str) -> None:
+    """Connect to the scheduler once: here an error is one sentence, and comes at once."""
+    try:
+        with executors.connect(address):
+            pass
+    except (ConnectionError, ImportError, ValueError) as error:
+        raise PipelineError(f"--dask: {error}") from error
+
+
 def _run(
-    tasks: Sequence[Task], places: Places, profile: str, jobs: int, time_limit: float
+    tasks: Sequence[Task],
+    places: Places,
+    profile: str,
+    jobs: int,
+    time_limit: float,
+    scheduler: str,
 ) -> Iterator[NotebookResult]:
     """Run tasks, `jobs` at a time; whatever ends this early ends all that it has started."""
     waiting, running = list(tasks), {}
@@ -244,7 +272,7 @@ def _run(
         while waiting or running:
             while waiting and len(running) < jobs:
                 task = waiting.pop(0)
-                running[task.name] = task, _start(task, places, time_limit)
+                running[task.name] = task, _start(task, places, time_limit, scheduler)
             for name, (task, execution) in list(running.items()):
                 if execution.finished():
                     yield _finish(task, execution, places, profile)
@@ -256,16 +284,22 @@ def _run(
         shutil.rmtree(places.work / "staging", ignore_errors=True)
 
 
-def _start(task: Task, places: Places, time_limit: float) -> Execution:
+def _start(task: Task, places: Places, time_limit: float, scheduler: str) -> Execution:
     staging = places.work / "staging" / task.name
     shutil.rmtree(staging, ignore_errors=True)
     for folder in ("figures", "data", "scratch"):
         (staging / folder).mkdir(parents=True)
+    _clear_checkpoints(task, places, keep=_checkpoints(task, places))
     values = {
         **task.values,
         "output_dir": str(staging / "figures"),
         "data_dir": str(staging / "data"),
     }
+    if "scheduler" in task.optional:
+        values["scheduler"] = scheduler
+    if "checkpoint_dir" in task.optional:
+        _checkpoints(task, places).mkdir(parents=True, exist_ok=True)
+        values["checkpoint_dir"] = str(_checkpoints(task, places))
     executed = places.work / "notebooks" / f"{task.name}.ipynb"
     return Execution(task.path, executed, values, staging / "scratch", time_limit)
 
@@ -274,7 +308,9 @@ def _finish(task: Task, execution: Execution, places: Places, profile: str) -> N
     seconds, failure = execution.seconds, execution.failure()
     if failure:
         return _result(task, places, "failed", seconds, (), failure)
-    return _result(task, places, "done", seconds, _publish(task, execution, places, profile))
+    produced = _publish(task, execution, places, profile)
+    _clear_checkpoints(task, places)
+    return _result(task, places, "done", seconds, produced)
 
 
 def _publish(task: Task, execution: Execution, places: Places, profile: str) -> tuple[str, ...]:
@@ -322,6 +358,17 @@ def _listed(about: Path) -> set[str]:
 def _place(file: str, places: Places) -> Path:
     folder, _, name = file.partition("/")
     return {"figures": places.figures, "data": places.data}[folder] / name
+
+
+def _checkpoints(task: Task, places: Places) -> Path:
+    """Folder that a notebook resumes from: another one for each state of its inputs."""
+    return places.work / "checkpoints" / f"{task.name}-{task.key[:16]}"
+
+
+def _clear_checkpoints(task: Task, places: Places, keep: Path | None = None) -> None:
+    for folder in (places.work / "checkpoints").glob("*-*"):
+        if folder.name.rpartition("-")[0] == task.name and folder != keep:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _stamp(task: Task, places: Places) -> Path:

@@ -1,0 +1,75 @@
+"""Measure everything, print it, and keep it where asked to."""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from importlib import metadata
+
+from benchmarks import report, scales
+from benchmarks.peers import cpp
+from robsmooth import provenance
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark; return 1 where a peer's statistics disagree, else 0."""
+    parser = argparse.ArgumentParser(prog="robsmooth bench", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="in seconds; ratios mean little")
+    parser.add_argument("--write", action="store_true", help="write benchmarks/ and the README")
+    parser.add_argument("--peers", default="", metavar="NAME[,NAME]", help="parts of their names")
+    options = parser.parse_args(arguments)
+    if options.write and (options.quick or options.peers):
+        parser.error("--write wants everything measured: leave out --quick and --peers")
+
+    results = measure(options.quick, options.peers)
+    print(report.peers_table(results))
+    for table in report.scale_tables(results):
+        print(table)
+    for text in report.skipped(results) if options.quick else report.remarks(results):
+        print(text)
+    if wrong := report.disagreeing(results):
+        print(f"the statistics of {', '.join(wrong)} disagree with robsmooth's", file=sys.stderr)
+        return 1
+    if options.write:
+        keep(results)
+    return 0
+
+
+def measure(quick: bool, peers: str) -> dict:
+    """Race the peers on one core, and then measure robsmooth's scales on all."""
+    started, load = time.perf_counter(), os.getloadavg()[0]
+    command = [sys.executable, "-m", "benchmarks.race", "--peers", peers]
+    child = subprocess.run(
+        [*command, *(["--quick"] if quick else [])], stdout=subprocess.PIPE, text=True, check=True
+    )
+    curves = scales.scales(scales.QUICK if quick else scales.FULL)
+    about = provenance.collect(started=started)
+    about["load_before"] = load
+    about["compiler"] = cpp.version()
+    about["versions"] |= {name: version(name) for name in ("jax", "diffrax")}
+    return {"about": about, "race": json.loads(child.stdout), "scales": curves}
+
+
+def keep(results: dict) -> None:
+    """Write the results, where everybody took part who should have."""
+    if report.is_complete(results):
+        report.write(results)
+        print("written: benchmarks/results.md, .json, scaling.*, and the README's block")
+    else:
+        wanted = ", ".join(name for name, _ in report.AIMS)
+        print(f"nothing is written, because not all of these could be measured: {wanted}")
+
+
+def version(package: str) -> str | None:
+    """Return a package's version; None where it is not installed."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,304 @@
+"""The results in words, tables and a figure, and in the README."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+from robsmooth import figures, files
+from robsmooth.tables import Table
+
+FOLDER = Path(__file__).parent
+BUSY = 0.3  # of the cores
+BEGIN, END = "<!-- bench: written by make bench -->", "<!-- end of bench -->"
+# What we want: how many times as fast as a peer robsmooth is at least, in which precision.
+AIMS = {
+    ("C++, single", "single"): 0.80,
+    ("C++, mixed", "mixed"): 0.80,
+    ("NumPy, float32", "single"): 10.0,
+    ("NumPy, float64", "mixed"): 10.0,
+    ("JAX, float32", "single"): 8.0,
+}
+
+
+def is_complete(results: dict) -> bool:
+    """Tell whether everybody with an aim was measured, and all peers agree."""
+    peers = results["race"]["peers"]
+    return all(name in peers for name, _ in AIMS) and not disagreeing(results)
+
+
+def disagreeing(results: dict) -> list[str]:
+    """Return the peers whose statistics are not robsmooth's."""
+    return [name for name, peer in results["race"]["peers"].items() if not peer["agrees"]]
+
+
+def remarks(results: dict) -> list[str]:
+    """Say what was skipped and why, what disturbed, and which aims are not met."""
+    return [*skipped(results), *disturbances(results), *shortfalls(results)]
+
+
+def skipped(results: dict) -> list[str]:
+    """Say which peers were left out, and why."""
+    return [f"skipped: {name}: {reason}" for name, reason in results["race"]["skipped"].items()]
+
+
+def disturbances(results: dict) -> list[str]:
+    """Say whether the machine had other things to do."""
+    load, cores = results["about"]["load_before"], results["about"]["machine"]["cores"]
+    if load < BUSY * cores:
+        return []
+    return [f"the machine was busy (load {load:.1f}): ratios to peers stand, the threads' may not"]
+
+
+def shortfalls(results: dict) -> list[str]:
+    """Say which aims are not met."""
+    peers = results["race"]["peers"]
+    return [
+        f"robsmooth, {precision}, is {_ratio(peers[name], precision)} times as fast as {name}; "
+        f"the aim is {aim:g}"
+        for (name, precision), aim in AIMS.items()
+        if name in peers and peers[name][f"ratio_{precision}"] < aim
+    ]
+
+
+# --- tables --------------------------------------------------------------------------------------
+
+
+def peers_table(results: dict) -> Table:
+    """Return rates, ratios and statistics of all peers, the fastest first."""
+    rows = []
+    for name, peer in _sorted_peers(results):
+        off = max(peer["standard_errors_off"].values(), key=abs)
+        rows.append(
+            (
+                name,
+                _span(peer["rate"] / 1e6, [q / 1e6 for q in peer["rate_quartiles"]]),
+                *(_ratio(peer, precision, quartiles=True) for precision in ("single", "mixed")),
+                f"{off:+.1f}" + ("" if peer["agrees"] else " DISAGREES"),
+                f"{peer['paths']} x {peer['steps'] / 100:g} µs",
+            )
+        )
+    race = results["race"]
+    pinned = "one core" if race["pinned"] else "one thread, not kept on one core"
+    return Table(
+        columns=(
+            "implementation",
+            "million steps/s",
+            "robsmooth, single",
+            "robsmooth, mixed",
+            "off by, s.e.",
+            "a round",
+        ),
+        rows=rows,
+        caption=(
+            f"Euler-Maruyama steps of a path a second, on {pinned}, and how many times as fast "
+            f"robsmooth is: medians of {race['rounds']} interleaved rounds, with quartiles. Off "
+            "by: the worse of both mean squares against robsmooth's with "
+            f"{race['reference_paths']} other paths, in standard errors."
+        ),
+    )
+
+
+def scale_tables(results: dict) -> Iterator[Table]:
+    """Yield how time and memory grow."""
+    scales = results["scales"]
+    yield Table(
+        columns=("threads", "speed-up"),
+        rows=[
+            (row["threads"], _span(row["speed_up"], row["quartiles"])) for row in scales["threads"]
+        ],
+        caption="Threads, with quartiles.",
+    )
+    for what in ("runs", "steps"):
+        curve = scales[what]
+        rows = [
+            (size, 1e3 * seconds, 1e6 * seconds / size)
+            for size, seconds in zip(curve[what], curve["seconds"], strict=True)
+        ]
+        yield Table(
+            columns=(what, "ms", "µs each"),
+            rows=rows,
+            caption=f"Time against {what}, all cores: it grows as {what}^{curve['exponent']:.2f}.",
+        )
+    yield Table(
+        columns=("runs", "peak memory, MB"),
+        rows=[(row["runs"], row["megabytes"]) for row in scales["memory"]],
+        caption="Memory of the whole process, in which the runs go from few to many.",
+    )
+    yield Table(
+        columns=("order", "ns a step", "times order 0"),
+        rows=[
+            (row["order"], row["nanoseconds"], _span(row["relative"], row["quartiles"]))
+            for row in scales["orders"]
+        ],
+        caption="Order of the delay model, one thread: the estimator has one state more.",
+    )
+    call = scales["first_call"]
+    rows = [("import robsmooth", call["import"]), ("first simulation thereafter", call["call"])]
+    if "compiling" in call:
+        rows.append(("the same where nothing is compiled yet", call["compiling"]))
+    if "protocol" in scales:
+        rows.append(("50 000 runs of 1 ms, all cores", scales["protocol"]))
+    yield Table(columns=("what", "s"), rows=rows, caption="Waiting times.", digits=2)
+
+
+def words(results: dict) -> Iterator[str]:
+    """Yield the scales in a sentence each."""
+    scales = results["scales"]
+    best = scales["threads"][-1]
+    yield f"{best['threads']} threads are {best['speed_up']:.2f} times as fast as one."
+    yield (
+        f"Time grows as runs^{scales['runs']['exponent']:.2f} and "
+        f"steps^{scales['steps']['exponent']:.2f}."
+    )
+    few, many = scales["memory"][0], scales["memory"][-1]
+    yield (
+        f"From {few['runs']:,} to {many['runs']:,} runs memory grows by "
+        f"{many['megabytes'] - few['megabytes']:.1f} MB."
+    )
+    orders = scales["orders"][1:]
+    yield (
+        f"With a delay model of order {_listed(row['order'] for row in orders)} a step takes "
+        f"{_listed(format(row['relative'], '.2f') for row in orders)} times as long as without."
+    )
+    call = scales["first_call"]
+    yield (
+        f"In a new process the first simulation answers in {call['call']:.2f} s, after an import "
+        f"of {call['import']:.1f} s."
+    )
+
+
+def heading(results: dict) -> str:
+    """Say where and when this was measured."""
+    about = results["about"]
+    machine, versions = about["machine"], about["versions"]
+    cores = f"{machine['cores']} core" + ("s" if machine["cores"] > 1 else "")
+    named = [f"{name} {versions[name]}" for name in ("numba", "numpy", "jax") if versions[name]]
+    parts = [f"Python {versions['python']}", *named, about["compiler"] or "no C++ compiler"]
+    return (
+        f"{machine['processor']}, {cores}, {machine['platform']}; {', '.join(parts)}; "
+        f"{about['written'][:10]}"
+    )
+
+
+def markdown(results: dict) -> str:
+    """Return the whole report."""
+    parts = [
+        "# How fast the simulation is",
+        "Written by `make bench`. The work is the paper's literal protocol: its loop with the "
+        "printed smoother, Euler-Maruyama steps of 0.01 µs.",
+        heading(results) + ".",
+        peers_table(results).markdown(),
+        "\n".join(f"- {text}" for text in remarks(results)),
+        "## Scales",
+        "![How time and memory grow](scaling.png)",
+        *(table.markdown() for table in scale_tables(results)),
+    ]
+    return "\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
+
+
+# --- the README ----------------------------------------------------------------------------------
+
+
+def readme_block(results: dict) -> str:
+    """Return what the README says."""
+    rows = [
+        (name, *(_ratio(peer, precision) for precision in ("single", "mixed")))
+        for name, peer in _sorted_peers(results)
+        if not name.startswith("robsmooth")
+    ]
+    table = Table(
+        columns=("peer", "single", "mixed"),
+        rows=rows,
+        caption=(
+            "How many times as fast robsmooth is on one core, by its precision: medians of "
+            f"{results['race']['rounds']} interleaved rounds."
+        ),
+    )
+    bullets = "\n".join(f"- {text}" for text in words(results))
+    return f"{table.markdown()}\n{bullets}\n\nMeasured on: {heading(results)}.\n"
+
+
+def write_readme(readme: Path, results: dict) -> None:
+    """Put the block between its marks."""
+    text = readme.read_text(encoding="utf-8")
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise ValueError(f"{readme.name} must have the marks {BEGIN!r} and {END!r}")
+    files.write_text(readme, f"{before}{begin}\n{readme_block(results)}{end}{after}")
+
+
+def write(results: dict) -> None:
+    """Write results.json, results.md, the figure and the README's block."""
+    files.write_json(FOLDER / "results.json", results)
+    files.write_text(FOLDER / "results.md", markdown(results))
+    figures.use_style()
+    figure = scaling(results)
+    figures.save_figure(figure, FOLDER, "scaling")
+    plt.close(figure)
+    write_readme(FOLDER.parent / "README.md", results)
+
+
+# --- the figure ----------------------------------------------------------------------------------
+
+
+def scaling(results: dict) -> Figure:
+    """Draw how time and memory grow."""
+    scales = results["scales"]
+    figure, ((runs, steps), (memory, orders)) = plt.subplots(2, 2, figsize=(6.0, 4.2))
+    for axes, what in ((runs, "runs"), (steps, "steps")):
+        thousands = [size / 1000 for size in scales[what][what]]
+        axes.plot([0, thousands[-1]], [0, scales[what]["seconds"][-1]], color="0.4", linestyle=":")
+        axes.plot(thousands, scales[what]["seconds"], "o", color="C0", linestyle="none")
+        axes.set(xlabel=f"thousand {what}", ylabel="time (s)", xlim=(0, None), ylim=(0, None))
+    memory.semilogx(
+        [row["runs"] for row in scales["memory"]],
+        [row["megabytes"] for row in scales["memory"]],
+        "o-",
+    )
+    highest = max(row["megabytes"] for row in scales["memory"])
+    memory.set(xlabel="runs", ylabel="peak memory (MB)", ylim=(0, 1.15 * highest))
+    number = [row["order"] for row in scales["orders"]]
+    orders.plot(number, [row["nanoseconds"] for row in scales["orders"]], "o-")
+    orders.set(
+        xlabel="order of the delay model",
+        ylabel="time of a step (ns)",
+        xticks=number,
+        ylim=(0, None),
+    )
+    return figure
+
+
+# --- helpers -------------------------------------------------------------------------------------
+
+
+def _listed(values: Iterable) -> str:
+    """Return "1, 2 and 3"."""
+    *most, last = map(str, values)
+    return f"{', '.join(most)} and {last}" if most else last
+
+
+def _sorted_peers(results: dict) -> list[tuple[str, dict]]:
+    return sorted(results["race"]["peers"].items(), key=lambda item: -item[1]["rate"])
+
+
+def _ratio(peer: dict, precision: str, quartiles: bool = False) -> str:
+    value = peer[f"ratio_{precision}"]
+    return _span(value, peer[f"ratio_{precision}_quartiles"] if quartiles else None)
+
+
+def _span(value: float, quartiles: list[float] | None = None) -> str:
+    """Return a number with its quartiles, to what digits are worth."""
+
+    def text(number: float) -> str:
+        return (
+            f"{number:.2f}"
+            if number < 9.995
+            else f"{number:.1f}"
+            if number < 99.95
+            else f"{number:.0f}"
+        )
+
+    return text(value) + (f" ({text(quartiles[0])} to {text(quartiles[1])})" if quartiles else "")
