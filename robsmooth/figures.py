@@ -367,22 +367,12 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     saved = 100 * (1 - ratio[:, -1])
     shading = top.contourf(lags, study.noises, saved, levels, extend="min", cmap=colours)
     top.contour(lags, study.noises, saved, [0], colors="k", linewidths=1.0)
-    if saved[0, -1] < 0:
-        top.annotate(
-            "worse than\nfiltering",
-            (lags[-1], study.noises[0]),
-            xytext=(-3, 4),
-            textcoords="offset points",
-            rotation=90,
-            ha="right",
-            va="bottom",
-            fontsize=7,
-        )
     best = np.nanargmin(ratio[:, -1], axis=1)
     top.plot(lags[best], study.noises, "o", color="w", markeredgecolor="k", markersize=4, ls="none")
     top.plot(1e6 * lag, study.noises[middle], "*", color="C1", markeredgecolor="k", markersize=9)
     top.set(xscale="log", yscale="log", ylabel="shot noise, relative to the paper's")
-    levels = [level for level in (0.1, 0.3, 1, 3, 10) if level <= study.noises[-1]]
+    least, most = study.noises[0], study.noises[-1]
+    levels = [level for level in (0.1, 0.3, 1, 3, 10) if least <= level <= most]
     top.set_yticks(levels, [f"{level:g}" for level in levels])
     top.minorticks_off()
     top.grid(visible=False)
