@@ -123,7 +123,7 @@ def test_numpy_takes_the_steps_of_the_problem(problem):
 def test_a_peer_that_cannot_run_says_why(monkeypatch, problem):
     for module in (cpp, octave):
         monkeypatch.setattr(module.shutil, "which", lambda name: None)
-    cpp.library.cache_clear()
+    cpp.compiled.cache_clear()
     with pytest.raises(Unavailable, match="no C\\+\\+ compiler"):
         BY_NAME["C++, single"].prepare(problem)
     with pytest.raises(Unavailable, match="octave is not installed"):

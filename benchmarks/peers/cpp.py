@@ -36,7 +36,7 @@ def version() -> str | None:
 
 
 @cache
-def library(order: int) -> ctypes.CDLL:
+def compiled(order: int) -> ctypes.CDLL:
     """Compile `loop.cpp` for estimators of an order and load it."""
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "loop.so"
@@ -62,7 +62,7 @@ def coefficients(problem: Problem) -> np.ndarray:
 
 def simulator(problem: Problem, precision: str):
     """Return a function of paths, steps and seed, with the (2, paths) squared errors."""
-    function = getattr(library(problem.order), f"{precision}_precision")
+    function = getattr(compiled(problem.order), f"{precision}_precision")
     array, integer, word = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint64
     function.argtypes = (array, array, integer, integer, word, integer, array)
     function.restype = None

@@ -281,7 +281,7 @@ def simulate_blocks(
         Whether the second sine is there.
     start_root : (1 + n, 1 + n) array
     coefficients : array
-        `SplittingLoop.coefficients`, in the precision of `states`.
+        `SplittingStep.coefficients`, in the precision of `states`.
     readout : (3 n,) array of float64
         Rows of the filtered estimate, the smoothed estimate and the oscillator's phase.
     schedule : tuple of 4 int
@@ -289,7 +289,7 @@ def simulate_blocks(
     seed : uint64
     first_block : int
         Block b holds the paths ``b * LANES`` to ``(b + 1) * LANES - 1``.
-    states : (blocks, rows(n) * LANES + coefficients.size) array of float32 or float64
+    states : (blocks, rows(n) * LANES) array of float32 or float64
         Work space; its type is the precision of the simulation.
     results : (blocks, OUTPUTS * LANES) array of float64
         Written.
