@@ -356,7 +356,7 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
         To mark, s.
     """
     i = study.gammas.index(gamma)
-    ratio = (study.quantities["smoothed"] / study.quantities["filtered"])[i]
+    ratio = study.ratio[i]
     floor = (study.quantities["optimal"] / study.quantities["filtered"])[i]
     lags = 1e6 * np.array(study.lags)
     middle = int(np.argmin(np.abs(np.log(study.noises))))

@@ -62,7 +62,7 @@ from scipy.special import comb
 from robsmooth import validation
 from robsmooth.blas import one_thread
 from robsmooth.errors import UnstableLoopError
-from robsmooth.loop import Loop, homodyne_loop
+from robsmooth.loop import Loop, check_stationary, homodyne_loop
 
 TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
 USELESS = 0.02  # relative truncation error above which there is no result
@@ -299,7 +299,7 @@ def _whitened(loop: Loop) -> _Whitened:
 
     # The arguments of the sines that are not linear all the same span the first coordinates.
     rows = loop.arguments() @ S
-    gains = inverse @ np.array([[0.0, *loop.sine_gain], [0.0, *loop.copy_gain]]).T / rate
+    gains = inverse @ loop.gains() / rate
     remainders = np.linalg.norm(rows, axis=1) ** 3 * np.linalg.norm(gains, axis=0)
     active = remainders > _NEGLIGIBLE
     rotation, arguments = np.linalg.qr(rows[active].T, mode="complete")
@@ -369,15 +369,9 @@ def _whiter(
     does not mix coordinates of different rates.
     """
     drift = loop.linearised_drift(*slopes) / rate
-    slowest = -np.linalg.eigvals(drift).real.max()
-    if not slowest > 0:
-        raise UnstableLoopError(
-            "the loop has no stationary state: linearised, its slowest mode has the decay rate "
-            f"{rate * slowest:.3g} 1/s"
-        )
-    noise = np.zeros((1 + loop.order, 2))
-    noise[0, 0], noise[1:, 1] = loop.phase_diffusion, loop.noise_gain
-    factor = _covariance_factor(inverse @ drift @ S, inverse @ noise / math.sqrt(rate))
+    check_stationary(rate * np.linalg.eigvals(drift))
+    noise = inverse @ loop.noise_gains() / math.sqrt(rate)
+    factor = _covariance_factor(inverse @ drift @ S, noise)
     deviations = np.linalg.norm(factor, axis=1)
     deviations[deviations == 0.0] = 1.0
     triangle, order = qr((factor / deviations[:, None]).T, mode="r", pivoting=True)

@@ -13,7 +13,7 @@ import os
 import stat
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -30,6 +30,13 @@ FULL = {
 
 class CheckpointError(ValueError):
     """A file that cannot be this computation's checkpoint; it was left as it is."""
+
+
+def open_journal(
+    path: str | os.PathLike | None, identity: Mapping[str, object]
+) -> "AbstractContextManager[Journal | None]":
+    """Return the `Journal` at a path, to be entered; with no path, what gives None on entry."""
+    return nullcontext() if path is None else Journal(path, identity)
 
 
 class Journal:

@@ -107,6 +107,10 @@ class Loop:
         )
         return drift
 
+    def gains(self) -> NDArray[np.float64]:
+        r"""Columns by which the two sines drive :math:`(\varphi, \hat x)`, 1/s."""
+        return np.array([[0.0, *self.sine_gain], [0.0, *self.copy_gain]]).T
+
     def arguments(self) -> NDArray[np.float64]:
         r"""Rows that read the arguments of the two sines out of :math:`(\varphi, \hat x)`."""
         return np.array([[1.0, *-self.reference], [0.0, *self.copy]])
@@ -121,12 +125,7 @@ class Loop:
         """
         drift = self.linearised_drift(sine_slope, copy_slope)
         eigenvalues = np.linalg.eigvals(drift)
-        slowest = -eigenvalues.real.max()
-        if not slowest > 0:
-            raise UnstableLoopError(
-                "the loop has no stationary state: linearised, its slowest mode has the decay rate "
-                f"{slowest:.3g} 1/s"
-            )
+        check_stationary(eigenvalues)
         # In units of the fastest time constant: the result does not depend on the unit of time.
         scale = np.abs(eigenvalues).max()
         P = solve_continuous_lyapunov(drift / scale, -self.noise_covariance() / scale)
@@ -156,12 +155,16 @@ class Loop:
             "statistical linearisation finds no stationary state: the loop loses lock"
         )
 
+    def noise_gains(self) -> NDArray[np.float64]:
+        r"""Columns by which dV and dW drive :math:`(\varphi, \hat x)`."""
+        gains = np.zeros((1 + self.order, 2))
+        gains[0, 0], gains[1:, 1] = self.phase_diffusion, self.noise_gain
+        return gains
+
     def noise_covariance(self) -> NDArray[np.float64]:
         r"""Covariance rate of the noise that drives :math:`(\varphi, \hat x)`."""
-        covariance = np.zeros((1 + self.order, 1 + self.order))
-        covariance[0, 0] = self.phase_diffusion**2
-        covariance[1:, 1:] = np.outer(self.noise_gain, self.noise_gain)
-        return covariance
+        gains = self.noise_gains()
+        return gains @ gains.T
 
     def rates(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> tuple[float, float]:
         """Slowest decay rate and largest eigenvalue magnitude of the linearised estimator, 1/s.
@@ -179,10 +182,19 @@ class Loop:
         Modes that no sine is driven by and sees, as a smoother's delay, have no part in it.
         """
         A = self.linearised_drift()[1:, 1:]
-        gains = np.column_stack([self.sine_gain, self.copy_gain])
-        rows = np.vstack([self.reference, self.copy])
+        gains, rows = self.gains()[1:], self.arguments()[:, 1:]
         rate = max(np.abs(rows @ gains).max(), math.sqrt(np.abs(rows @ A @ gains).max()))
         return float(rate) or self.rates()[1]
+
+
+def check_stationary(eigenvalues: NDArray[np.complexfloating]) -> None:
+    """Raise an UnstableLoopError unless a drift with these eigenvalues, 1/s, is stable."""
+    slowest = -eigenvalues.real.max()
+    if not slowest > 0:
+        raise UnstableLoopError(
+            "the loop has no stationary state: linearised, its slowest mode has the decay rate "
+            f"{slowest:.3g} 1/s"
+        )
 
 
 def homodyne_loop(

@@ -9,7 +9,6 @@ computed in one piece, here or on a cluster, and what a checkpoint holds.
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -25,7 +24,7 @@ from robsmooth.bound import minimize_bound
 from robsmooth.covariance import error_covariance
 from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.homodyne import HomodyneParameters
-from robsmooth.journal import Journal
+from robsmooth.journal import open_journal
 from robsmooth.montecarlo import LossOfLockWarning, monte_carlo
 from robsmooth.smoother import design_smoother
 
@@ -73,16 +72,13 @@ class Study:
         """Number of designs that there are."""
         return int(np.isfinite(self.quantities["bound"]).sum())
 
+    @property
+    def ratio(self) -> NDArray[np.float64]:
+        """Smoothed over filtered mean square error in the nonlinear loop."""
+        return self.quantities["smoothed"] / self.quantities["filtered"]
+
     def __repr__(self) -> str:
-        sizes = " x ".join(
-            f"{len(axis)} {name}"
-            for axis, name in (
-                (self.gammas, "gammas"),
-                (self.noises, "noises"),
-                (self.orders, "orders"),
-                (self.lags, "lags"),
-            )
-        )
+        sizes = " x ".join(f"{len(getattr(self, name + 's'))} {name}s" for name in AXES)
         return f"Study({sizes}: {self.designs} designs, {len(self.failures)} columns without)"
 
 
@@ -157,35 +153,29 @@ def parameter_study(
         replace(parameters, gamma=gammas[i], alpha=parameters.alpha / noises[j] ** 0.5)
         for i, j in columns
     ]
+    compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
+    with open_journal(checkpoint, identity) as journal:
+        results = journal.records if journal else []
+        calls = [(loop,) for loop in loops[len(results) :]]
+        # what was done before counts for the progress, but not for the rate
+        with tqdm(
+            total=len(loops), initial=len(results), unit="column", disable=not progress
+        ) as bar:
+            for result in executors.in_order(compute, calls, client):
+                if journal:
+                    journal.append(result)
+                results.append(result)
+                bar.update()
+
     shape = tuple(len(axis) for axis in axes.values())
     quantities = {name: np.full(shape, np.nan) for name in QUANTITIES}
     failures = {}
-    compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
-    with (
-        Journal(checkpoint, identity) if checkpoint is not None else nullcontext() as journal,
-        tqdm(total=len(columns), unit="column", disable=not progress) as bar,
-    ):
-        results = journal.records if journal else []
-        done = len(results)
-        for column, result in zip(columns[:done], results, strict=True):
-            _enter(result, column, quantities, failures, gammas, noises)
-        bar.update(done)
-        calls = ((loop,) for loop in loops[done:])
-        computed = executors.in_order(compute, calls, client)
-        for column, result in zip(columns[done:], computed, strict=True):
-            if journal:
-                journal.append(result)
-            _enter(result, column, quantities, failures, gammas, noises)
-            bar.update()
+    for (i, j), result in zip(columns, results, strict=True):
+        if "failure" in result:
+            failures[gammas[i], noises[j]] = result["failure"]
+        for name, values in result.get("quantities", {}).items():
+            quantities[name][i, j] = values
     return Study(gammas, noises, orders, lags, quantities, failures)
-
-
-def _enter(result, column, quantities, failures, gammas, noises) -> None:
-    i, j = column
-    if "failure" in result:
-        failures[gammas[i], noises[j]] = result["failure"]
-    for name, values in result.get("quantities", {}).items():
-        quantities[name][column] = np.array(values, dtype=float)
 
 
 @one_thread

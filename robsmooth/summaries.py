@@ -19,7 +19,7 @@ from robsmooth.covariance import (
 )
 from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.estimator import Estimator
-from robsmooth.galerkin import stationary_errors
+from robsmooth.galerkin import FARTHEST, stationary_errors
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
 from robsmooth.riccati import RiccatiError
@@ -293,11 +293,6 @@ def routes_table(found: Iterable[Routes]) -> Table:
     )
 
 
-# rad^2: with a larger variance of the error, the solution of statistical linearisation is that of a
-# loop whose sine has no mean slope any more, not that of one in lock.
-LARGEST_IN_LOCK = (math.pi / 2) ** 2
-
-
 @dataclass(frozen=True)
 class NoisySimulation:
     """A design in the loop with a multiple of the phase noise."""
@@ -329,7 +324,7 @@ def noise_sweep(
             linearised = _predict(design, "power of the phase noise", factor, values).filtered
         except UnstableLoopError:
             linearised = math.nan
-        if linearised > LARGEST_IN_LOCK:
+        if linearised > FARTHEST**2:  # of a loop whose sine has no mean slope any more
             linearised = math.nan
         found.append(NoisySimulation(factor, simulated, moments, linearised))
     return found
@@ -371,7 +366,7 @@ def noise_table(found: Iterable[NoisySimulation]) -> Table:
 
 def study(found: Study, lag: float) -> Table:
     """Return the best lag for each sector and noise, and what it and a given one save."""
-    ratio = found.quantities["smoothed"] / found.quantities["filtered"]
+    ratio = found.ratio
     near = int(np.argmin(np.abs(np.log(np.array(found.lags) / lag))))
     rows = []
     for i, gamma in enumerate(found.gammas):

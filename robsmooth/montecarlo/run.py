@@ -12,7 +12,7 @@ import platform
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from robsmooth import executors, validation
 from robsmooth.blas import one_thread
-from robsmooth.journal import Journal
+from robsmooth.journal import Journal, open_journal
 from robsmooth.loop import Loop, homodyne_loop
 from robsmooth.montecarlo.euler import FILTERED, SMOOTHED
 from robsmooth.montecarlo.lanes import threads_of_kernels
@@ -254,7 +254,7 @@ def monte_carlo(
 
     with (
         _threads(threads),
-        Journal(checkpoint, identity) if checkpoint is not None else nullcontext() as journal,
+        open_journal(checkpoint, identity) as journal,
     ):
         tally = _tally(simulation, journal, client, progress, inputs["parameters"])
 

@@ -90,7 +90,7 @@ class SplittingStep:
         transition = expm(drift * step)
         root = np.zeros((1 + loop.order, splitting.draws(loop.order)))
         root[:, : 1 + loop.order] = _root(_noise_over(step, drift, loop.noise_covariance()))
-        gains = step * np.vstack([loop.sine_gain, loop.copy_gain])
+        gains = step * loop.gains()[1:].T
         arguments = np.vstack([loop.reference, loop.copy])
         products = arguments @ gains.T
         coefficients = [
