@@ -1,54 +1,17 @@
-"""The figures, and the one way to save one."""
+"""The figures of the paper, and of what is said of it."""
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from importlib.resources import as_file
-from importlib.resources import files as package_files
-from pathlib import Path
 
-import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from robsmooth import files
 from robsmooth.delay import pade_delay
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import MeanSquare
 from robsmooth.smoother import RobustSmoother, design_smoother
-from robsmooth.study import Study
-
-FORMATS = ("pdf", "svg", "png")
-# Nothing in a file says when, or by which release, it was made: equal figures are equal bytes.
-_METADATA = {
-    "pdf": {"CreationDate": None, "ModDate": None, "Producer": None, "Creator": None},
-    "svg": {"Date": None, "Creator": None},
-    "png": {"Software": None},
-}
-
-
-def use_style() -> None:
-    """Set matplotlib to the style of all figures."""
-    with as_file(package_files("robsmooth") / "robsmooth.mplstyle") as path:
-        plt.style.use(path)
-
-
-def save_figure(figure: Figure, directory: Path | str, name: str) -> None:
-    """Write a figure as PDF, SVG and PNG, byte for byte the same for the same figure.
-
-    Parameters
-    ----------
-    figure : Figure
-    directory : path
-        Made where missing.
-    name : str
-        File name without suffix.
-    """
-    for suffix in FORMATS:
-        path = Path(directory) / f"{name}.{suffix}"
-        with files.atomic_path(path) as temporary, mpl.rc_context({"svg.hashsalt": name}):
-            figure.savefig(temporary, format=suffix, metadata=_METADATA[suffix])
 
 
 def sector(parameters: HomodyneParameters, variance: float) -> Figure:
@@ -340,54 +303,5 @@ def loss_of_lock(
     bottom.set(xlabel="factor on the power of the phase noise", ylabel="cycle slips (1/s)")
     ticks = [factor for factor in (1, 2, 5, 10, 20, 50) if factor <= max(factors)]
     bottom.set_xticks(ticks, [f"{tick}" for tick in ticks])
-    bottom.minorticks_off()
-    return figure
-
-
-def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
-    """Draw what smoothing saves of the filtered error, over lag and noise, and for each order.
-
-    Parameters
-    ----------
-    study : Study
-    gamma : float
-        Of the sector, one of the study's.
-    lag : float
-        To mark, s.
-    """
-    i = study.gammas.index(gamma)
-    ratio = study.ratio[i]
-    floor = (study.quantities["optimal"] / study.quantities["filtered"])[i]
-    lags = 1e6 * np.array(study.lags)
-    middle = int(np.argmin(np.abs(np.log(study.noises))))
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(3.4, 4.6), sharex=True)
-
-    levels = np.arange(0, 61, 10)
-    colours = mpl.colormaps["cividis"].with_extremes(under="0.85")
-    saved = 100 * (1 - ratio[:, -1])
-    shading = top.contourf(lags, study.noises, saved, levels, extend="min", cmap=colours)
-    top.contour(lags, study.noises, saved, [0], colors="k", linewidths=1.0)
-    best = np.nanargmin(ratio[:, -1], axis=1)
-    top.plot(lags[best], study.noises, "o", color="w", markeredgecolor="k", markersize=4, ls="none")
-    top.plot(1e6 * lag, study.noises[middle], "*", color="C1", markeredgecolor="k", markersize=9)
-    top.set(xscale="log", yscale="log", ylabel="shot noise, relative to the paper's")
-    least, most = study.noises[0], study.noises[-1]
-    levels = [level for level in (0.1, 0.3, 1, 3, 10) if least <= level <= most]
-    top.set_yticks(levels, [f"{level:g}" for level in levels])
-    top.minorticks_off()
-    top.grid(visible=False)
-    figure.colorbar(shading, ax=top, label="saved by smoothing (%)", pad=0.02)
-
-    for order, values in zip(study.orders, ratio[middle], strict=True):
-        bottom.plot(lags, values, label=f"order {order}")
-    bottom.plot(lags, floor[middle, -1], color="0.4", linestyle=":", label="optimum, linear")
-    bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
-    bottom.axvline(1e6 * lag, color="C1", linestyle="--", linewidth=0.8)
-    bottom.set(
-        xlabel="lag (µs)", ylabel="smoothed / filtered error", ylim=(0.4, 1.6), xlim=lags[[0, -1]]
-    )
-    bottom.legend(loc="upper left")
-    ticks = [tick for tick in (0.3, 1, 3, 10, 30) if lags[0] <= tick <= lags[-1]]
-    bottom.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     bottom.minorticks_off()
     return figure
