@@ -15,7 +15,7 @@ from robsmooth import provenance
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; return 1 where a peer's statistics disagree, else 0."""
+    """Run the benchmark; return 1 where a peer's results disagree, else 0."""
     parser = argparse.ArgumentParser(prog="robsmooth bench", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="in seconds; ratios mean little")
     parser.add_argument("--write", action="store_true", help="write benchmarks/ and the README")
@@ -25,13 +25,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("--write wants everything measured: leave out --quick and --peers")
 
     results = measure(options.quick, options.peers)
-    print(report.peers_table(results))
-    for table in report.scale_tables(results):
+    for table in (
+        report.peers_table(results),
+        *report.scale_tables(results),
+        report.records_table(results),
+    ):
         print(table)
     for text in report.skipped(results) if options.quick else report.remarks(results):
         print(text)
     if wrong := report.disagreeing(results):
-        print(f"the statistics of {', '.join(wrong)} disagree with robsmooth's", file=sys.stderr)
+        print(f"the results of {', '.join(wrong)} disagree with robsmooth's", file=sys.stderr)
         return 1
     if options.write:
         keep(results)
@@ -39,18 +42,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def measure(quick: bool, peers: str) -> dict:
-    """Race the peers on one core, and then measure robsmooth's scales on all."""
+    """Race the peers and the records on one core, and then measure robsmooth's scales on all."""
     started, load = time.perf_counter(), os.getloadavg()[0]
-    command = [sys.executable, "-m", "benchmarks.race", "--peers", peers]
-    child = subprocess.run(
-        [*command, *(["--quick"] if quick else [])], stdout=subprocess.PIPE, text=True, check=True
-    )
+    race = on_one_core("benchmarks.race", "--peers", peers, *(["--quick"] if quick else []))
+    records = on_one_core("benchmarks.throughput", *(["--quick"] if quick else []))
     curves = scales.scales(scales.QUICK if quick else scales.FULL)
     about = provenance.collect(started=started)
     about["load_before"] = load
     about["compiler"] = cpp.version()
     about["versions"] |= {name: version(name) for name in ("jax", "diffrax")}
-    return {"about": about, "race": json.loads(child.stdout), "scales": curves}
+    return {"about": about, "race": race, "scales": curves, "records": records}
+
+
+def on_one_core(module: str, *arguments: str) -> dict:
+    """Return what a module prints in a process of its own, which it keeps on one core."""
+    command = [sys.executable, "-m", module, *arguments]
+    return json.loads(subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout)
 
 
 def keep(results: dict) -> None:

@@ -1,42 +1,79 @@
 """robsmooth: robust continuous-time fixed-lag smoothing for nonlinear uncertain systems."""
 
 from robsmooth import baselines, homodyne
+from robsmooth.analysis import AnalysisBound, analysis_bound
 from robsmooth.augmented import AugmentedSystem, augment
 from robsmooth.bound import minimize_bound
 from robsmooth.covariance import delta_sweep, error_covariance, statistical_linearisation
+from robsmooth.discrete import DiscreteSmoother
 from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.galerkin import StationaryErrors, stationary_errors
+from robsmooth.lag import LagChoice, LagSweep, best_lag, choose_lag, lag_sweep
+from robsmooth.limit import limiting_smoother
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
+from robsmooth.nonlinear import (
+    InadmissibleWarning,
+    SamplePaths,
+    SimulatedError,
+    SimulationResult,
+    sample_paths,
+    simulate,
+)
+from robsmooth.records import smooth_record
 from robsmooth.reproduction import verdicts
 from robsmooth.smoother import RobustSmoother, design_smoother
+from robsmooth.storage import load, save
 from robsmooth.study import Study, parameter_study
 from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
+from robsmooth.worst_case import WorstCase, WorstDynamicCase, worst_case, worst_dynamic_case
 
 __all__ = [
+    "AnalysisBound",
     "AugmentedSystem",
+    "DiscreteSmoother",
     "Estimator",
+    "InadmissibleWarning",
     "InfeasibleDesignError",
+    "LagChoice",
+    "LagSweep",
     "LossOfLockWarning",
     "MeanSquare",
     "MonteCarloResult",
     "Nonlinearity",
     "RobustSmoother",
+    "SamplePaths",
+    "SimulatedError",
+    "SimulationResult",
     "StationaryErrors",
     "Study",
     "UncertainSystem",
     "Uncertainty",
     "UnstableLoopError",
+    "WorstCase",
+    "WorstDynamicCase",
+    "analysis_bound",
     "augment",
     "baselines",
+    "best_lag",
+    "choose_lag",
     "delta_sweep",
     "design_smoother",
     "error_covariance",
     "homodyne",
+    "lag_sweep",
+    "limiting_smoother",
+    "load",
     "minimize_bound",
     "monte_carlo",
     "parameter_study",
+    "sample_paths",
+    "save",
+    "simulate",
+    "smooth_record",
     "stationary_errors",
     "statistical_linearisation",
     "verdicts",
+    "worst_case",
+    "worst_dynamic_case",
 ]

@@ -185,7 +185,8 @@ class AugmentedSystem:
                 "Assumption 1",
                 f"noise {worst} of {self.system.q} does not enter through the uncertainty channels "
                 f"(relative misfit {misfit[worst]:.2g}); declare a channel for it with "
-                "Uncertainty(B, C, D), with C zero if it carries no uncertainty",
+                f"Uncertainty(B=B1[:, [{worst}]], C=..., D=D21[:, [{worst}]]), with C zero if it "
+                "carries no uncertainty, or make the system with UncertainSystem.from_plant",
             )
         return J
 
@@ -207,23 +208,22 @@ class AugmentedSystem:
         Returns
         -------
         (r + 2g, h + 2g) array
+
+        Raises
+        ------
+        ValueError, TypeError
+            For another number of entries, or one that is no number or block of its channel's size.
         """
-        k, g = self.system.k, self.system.g
-        uncertainties = list(uncertainties) or [0.0] * k
-        nonlinearities = list(nonlinearities) or [0.0] * g
-        for name, given, wanted in (
-            ("uncertainties", uncertainties, k),
-            ("nonlinearities", nonlinearities, g),
-        ):
-            if len(given) != wanted:
-                raise ValueError(f"{name} must have {wanted} entries, got {len(given)}")
-        values = [*uncertainties, *nonlinearities, *nonlinearities]
+        uncertain = _entries("uncertainties", uncertainties, self.system.k)
+        slopes = _entries("nonlinearities", nonlinearities, self.system.g)
         blocks = []
-        for value, rows, columns in zip(values, self.input_sizes, self.output_sizes, strict=True):
-            if np.ndim(value) == 0:
-                blocks.append(validation.real("a Delta", value) * np.eye(rows, columns))
+        for (name, value), rows, columns in zip(
+            (*uncertain, *slopes, *slopes), self.input_sizes, self.output_sizes, strict=True
+        ):
+            if isinstance(value, list | tuple) or np.ndim(value) > 0:
+                blocks.append(validation.matrix(name, value, (rows, columns)))
             else:
-                blocks.append(validation.matrix("a block of Delta", value, (rows, columns)))
+                blocks.append(validation.real(name, value) * np.eye(rows, columns))
         return block_diag(np.zeros((0, 0)), *blocks)
 
     def __repr__(self) -> str:
@@ -311,9 +311,45 @@ def compact(
     return AugmentedSystem(system, pade_delay(delay, order, system.m), J_21)
 
 
+def check_noise(condition: str, D: Matrix) -> None:
+    """Check D D' > 0 in a form free of units: no measurement without noise of its own.
+
+    Raises
+    ------
+    InfeasibleDesignError
+        Of the given condition.
+    """
+    intensity = D @ D.T
+    size = np.sqrt(np.diag(intensity))
+    if (size == 0.0).any():
+        raise InfeasibleDesignError(
+            condition,
+            f"measurement {int(np.argmin(size))} has no noise; give its row of D21 "
+            "a noise of its own, however small",
+        )
+    smallest = np.linalg.eigvalsh(intensity / np.outer(size, size)).min()
+    if not smallest > 1e-12:
+        raise InfeasibleDesignError(
+            condition,
+            "some combination of the measurements has no noise: the smallest eigenvalue of the "
+            f"noise's correlation matrix is {smallest:.2g}",
+        )
+
+
 def _combination(weights: Sequence[float], matrices: Sequence[Matrix], size: int) -> Matrix:
     if len(weights) != len(matrices):
         raise ValueError(f"multipliers must have {len(matrices)} entries, got {len(weights)}")
     return sum(
         (w * matrix for w, matrix in zip(weights, matrices, strict=True)), np.zeros((size, size))
     )
+
+
+def _entries(name: str, given: Sequence, count: int) -> list[tuple[str, float | Matrix]]:
+    """Return what is given for each of `count` channels, with a name; zero where it is left out."""
+    try:
+        values = list(given) or [0.0] * count
+    except TypeError:
+        raise TypeError(f"{name} must be a sequence of length {count}, got {given!r}") from None
+    if len(values) != count:
+        raise ValueError(f"{name} must have {count} entries, got {len(values)}")
+    return [(f"{name}[{index}]", value) for index, value in enumerate(values)]

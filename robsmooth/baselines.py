@@ -14,13 +14,16 @@ exact optimal errors          what no fixed-lag or two-sided linear smoother can
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import expm, solve_continuous_lyapunov
+from scipy.linalg import cho_factor, cho_solve
 
 from robsmooth import validation
-from robsmooth.augmented import AugmentedSystem, augment, compact
+from robsmooth.augmented import AugmentedSystem, augment, check_noise, compact
+from robsmooth.blas import one_thread
 from robsmooth.bound import minimize_bound
+from robsmooth.delay import DelayModel, pade_delay
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.estimator import Estimator
+from robsmooth.lyapunov import ERROR_TOLERANCE, check_certainty, covariances, square_root
 from robsmooth.riccati import RiccatiError, solve_riccati
 from robsmooth.smoother import RobustSmoother
 from robsmooth.systems import UncertainSystem, Uncertainty
@@ -51,6 +54,7 @@ def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
     return fixed_lag_smoother(system, delay=0.0, order=0, copies=copies)
 
 
+@one_thread
 def fixed_lag_smoother(
     system: UncertainSystem, delay: float, order: int, copies: bool = False
 ) -> Estimator:
@@ -81,9 +85,9 @@ def fixed_lag_smoother(
     processes", IEEE Trans. Inf. Theory 20(1), 1974.
     """
     plant = compact(system, delay, order)
-    A, C2 = plant.A_p, plant.C2_tilde[: system.l]
-    _, gain = _kalman(A, plant.B_p1[:, : system.q], C2, system.D21)
-    estimator = _linear_estimator(plant, A - gain @ C2, gain, plant.C_p0)
+    _, gain = _kalman(system, plant.delay_model)
+    A_c = plant.A_p - gain @ plant.C2_tilde[: system.l]
+    estimator = _linear_estimator(plant, A_c, gain, plant.C_p0)
     return _with_copies(estimator, gain) if copies else estimator
 
 
@@ -140,6 +144,7 @@ def ngcf(system: UncertainSystem) -> RobustSmoother:
     return minimize_bound(augment(system, 0.0, 0))
 
 
+@one_thread
 def optimal_fixed_lag_error(system: UncertainSystem, lag: float) -> Matrix:
     r"""Return the exact optimal fixed-lag error covariance of the nominal linear system.
 
@@ -155,7 +160,14 @@ def optimal_fixed_lag_error(system: UncertainSystem, lag: float) -> Matrix:
     Returns
     -------
     (m, m) array
-        In the squared unit of w.
+        In the squared unit of w, to rounding of the filter's error.
+
+    Raises
+    ------
+    InfeasibleDesignError
+        As in `kalman_bucy`.
+    ArithmeticError
+        Where the filter's time constants are so far apart that rounding would spoil the result.
 
     References
     ----------
@@ -166,14 +178,22 @@ def optimal_fixed_lag_error(system: UncertainSystem, lag: float) -> Matrix:
     two_sided = np.ndim(lag) == 0 and lag == np.inf
     if not two_sided:
         lag = validation.real("lag", lag, low=0.0)
-    P, gain = _kalman(system.A, system.B1, system.C2, system.D21)
+    P, gain = _kalman(system, pade_delay(0.0, 0, system.m))
     A_f = system.A - gain @ system.C2
-    R = system.D21 @ system.D21.T
-    information = solve_continuous_lyapunov(A_f.T, -system.C2.T @ np.linalg.solve(R, system.C2))
-    if not two_sided:
-        decay = expm(A_f * lag)
-        information = information - decay.T @ information @ decay
-    return system.C0 @ (P - P @ information @ P) @ system.C0.T
+    R = cho_factor(system.D21 @ system.D21.T)
+    rate = system.C2.T @ cho_solve(R, system.C2)
+    found = covariances(A_f.T, rate, 0.0 if two_sided else lag)
+    information = found.stationary if two_sided else found.grown
+    root = square_root(P)
+    known, directions = np.linalg.eigh(root.T @ information @ root)
+    uncertain = max(np.linalg.norm(root.T @ found.error @ root, 2), known.max() - 1.0)
+    if not uncertain <= ERROR_TOLERANCE:
+        raise ArithmeticError(
+            f"what the lag takes off the filter's error is certain to {uncertain:.2g} of that "
+            "only: the time constants of the filter are too far apart"
+        )
+    remaining = system.C0 @ root @ directions * np.sqrt(np.maximum(1.0 - known, 0.0))
+    return remaining @ remaining.T
 
 
 def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
@@ -191,29 +211,35 @@ def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
     return optimal_fixed_lag_error(system, np.inf)
 
 
-def _kalman(A: Matrix, B: Matrix, C: Matrix, D: Matrix) -> tuple[Matrix, Matrix]:
-    """Return error covariance and gain of the Kalman-Bucy filter, noises correlated or not."""
-    R = D @ D.T
-    size = np.sqrt(np.diag(R))
-    if (size == 0.0).any() or not np.linalg.eigvalsh(R / np.outer(size, size)).min() > 1e-12:
-        raise InfeasibleDesignError(
-            "The Kalman-Bucy filter's condition D21 D21' > 0",
-            "some combination of the measurements has no noise",
-        )
-    cross = B @ D.T
-    information = np.linalg.solve(R, C)
+def _kalman(system: UncertainSystem, model: DelayModel) -> tuple[Matrix, Matrix]:
+    """Return covariance and gain of the Kalman-Bucy filter of a system with a delay model behind.
+
+    The covariance is that of the errors of x and of the model's state with the error of x. Of the
+    Riccati solution only the gain is used: a covariance that follows from the gain cannot be
+    negative, and its own error is that of the gain squared (Kleinman's step, in Joseph's form). As
+    no measurement sees the model, nor does the model feed back, it needs no equation of its own.
+    """
+    A, B, C, D = system.A, system.B1, system.C2, system.D21
+    check_noise("The Kalman-Bucy filter's condition D21 D21' > 0", D)
+    R, cross = cho_factor(D @ D.T), B @ D.T
+    uncorrelated = B - cross @ cho_solve(R, D)
     try:
-        solution = solve_riccati(
-            (A - cross @ information).T,
-            B @ B.T - cross @ np.linalg.solve(R, cross.T),
-            C.T @ information,
-        )
+        P = solve_riccati(
+            (A - cross @ cho_solve(R, C)).T, uncorrelated @ uncorrelated.T, C.T @ cho_solve(R, C)
+        ).X
     except RiccatiError as error:
         raise InfeasibleDesignError(
             "The Kalman-Bucy filter's Riccati equation", str(error)
         ) from None
-    P = solution.X
-    return P, np.linalg.solve(R, (P @ C.T + cross).T).T
+    gain = cho_solve(R, C @ P + cross.T).T
+    states = len(model.F)
+    drift = np.block([[A - gain @ C, np.zeros((system.n, states))], [model.G @ system.C0, model.F]])
+    noise = np.vstack([B - gain @ D, np.zeros((states, system.q))])
+    found, x = covariances(drift, noise @ noise.T), slice(system.n)
+    check_certainty("the filter's error", found.stationary[x, x], found.error[x, x])
+    P = found.stationary[:, x]
+    cross = np.vstack([cross, np.zeros((states, system.l))])
+    return P, cho_solve(R, (P @ C.T + cross).T).T
 
 
 def _linear_estimator(plant: AugmentedSystem, A_c: Matrix, gain: Matrix, C_w: Matrix) -> Estimator:

@@ -11,6 +11,19 @@ transposes that the paper leaves out,
              (C_s e^{\mathbf A\delta}\mathbf P C')' + C_s\mathbf P C_s', \qquad
     C = [C_{p0}\; 0],\quad C_s = [0\; C_a].
 
+Its terms nearly cancel where the estimate is good. What is computed here is the same in two that
+cannot be negative,
+
+.. math::
+
+    P_{sa} = (C - C_s e^{\mathbf A\delta})\,\mathbf P\,(C - C_s e^{\mathbf A\delta})'
+             + C_s \mathbf W C_s', \qquad
+    \mathbf W = \mathbf P - e^{\mathbf A\delta}\mathbf P e^{\mathbf A'\delta}:
+
+what the state one lag back contributes, and the noise since then (`robsmooth.lyapunov` finds `W`
+without the subtraction). The state is :math:`[x_p;\; x_p - \hat x_p]`, so that a small error is
+small from the start.
+
 The paper drives the copies with the fictitious noise of the design. A real loop has no such noise:
 `copy_noise=False` leaves it out.
 """
@@ -20,7 +33,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm, solve_continuous_lyapunov
+from scipy.linalg import block_diag
 from scipy.optimize import brentq
 
 from robsmooth import validation
@@ -28,10 +41,13 @@ from robsmooth.augmented import AugmentedSystem
 from robsmooth.blas import one_thread
 from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
+from robsmooth.lyapunov import check_certainty, covariances
 from robsmooth.validation import Matrix
 
 OUTPUTS = ("smoothed", "filtered")
-_RESIDUAL_TOLERANCE = 1e-8
+_BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once
+_ROUNDING = 1e-12  # of eigenvalues, relative to the largest entry
+_FAR = 1e3  # times the variance at the tangent: no statistical linearisation holds there
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,28 +68,21 @@ class ClosedLoop:
     estimator: Estimator
 
     def covariance(self) -> Matrix:
-        """Return the stationary covariance P of X, checked by its residual."""
-        Q = self.B @ self.B.T
-        P = solve_continuous_lyapunov(self.A, -Q)
-        P = (P + P.T) / 2
-        residual = np.linalg.norm(self.A @ P + P @ self.A.T + Q)
-        if not residual <= _RESIDUAL_TOLERANCE * 2 * np.linalg.norm(self.A) * np.linalg.norm(P):
-            raise ArithmeticError(
-                f"the Lyapunov equation of the closed loop was solved to {residual:.2g} only"
-            )
-        return P
+        """Return the stationary covariance P of X."""
+        T = _error_coordinates(self.estimator)
+        B = T @ self.B
+        found = covariances(T @ self.A @ T, B @ B.T)
+        outputs = block_diag(self.estimator.plant.C_p0, self.estimator.C_f) @ T
+        check_certainty(
+            "the covariance of the closed loop",
+            _squared(outputs, found.stationary),
+            _squared(outputs, found.error),
+        )
+        return _squared(T, found.stationary)
 
     def error_covariance(self, output: str) -> Matrix:
         """Return the (m, m) stationary covariance of the smoothed or filtered error."""
-        plant = self.estimator.plant
-        P = self.covariance()
-        truth = np.hstack([plant.C_p0, np.zeros_like(self.estimator.C_f)])
-        if output == "filtered":
-            error = truth - np.hstack([np.zeros_like(plant.C_p0), self.estimator.C_f])
-            return error @ P @ error.T
-        estimate = np.hstack([np.zeros_like(plant.C_p0), self.estimator.C_a])
-        cross = estimate @ expm(self.A * plant.delay) @ P @ truth.T
-        return truth @ P @ truth.T - cross - cross.T + estimate @ P @ estimate.T
+        return _error_covariance(self.estimator, self.A, self.B, output)
 
 
 def closed_loop(
@@ -115,41 +124,88 @@ def closed_loop(
     """
     validation.instance("smoother", estimator, Estimator)
     plant = estimator.plant
-    B1, C1, D12 = plant.B1_tilde, plant.C1_tilde, plant.D12_tilde
-    Delta = validation.matrix("Delta", Delta, (B1.shape[1], C1.shape[0]))
-    norm = np.linalg.norm(Delta / _output_weights(plant), 2) if Delta.size else 0.0
-    if norm > 1.0 + 1e-12 and not allow_inadmissible:
+    shape = plant.B1_tilde.shape[1], plant.C1_tilde.shape[0]
+    Delta = validation.matrix("Delta", Delta, shape)
+    if not allow_inadmissible:
+        _check_norm(_norm(plant, Delta))
+    A, B = _loop(estimator, Delta, copy_noise)
+    _check_stability(A)
+    return ClosedLoop(A, B, estimator)
+
+
+def _norm(plant: AugmentedSystem, Delta: Matrix) -> float:
+    """Return the norm of Delta, in which the nonlinearities' Lipschitz constants are units."""
+    constants = [c.lipschitz for c in plant.system.nonlinearities]
+    ones = [1.0] * (Delta.shape[1] - 2 * len(constants))
+    weights = np.array([*ones, *constants, *constants])
+    return float(np.linalg.norm(Delta / weights, 2)) if Delta.size else 0.0
+
+
+def _check_norm(norm: float) -> None:
+    if norm > 1.0 + 1e-12:
         raise ValueError(
             f"Delta must have norm at most 1 to be admissible, got {norm:.6g} (columns of "
             "nonlinearities count divided by their Lipschitz constants); "
             "allow_inadmissible=True computes it all the same"
         )
-    gain, D21 = estimator.B_c, plant.D21_tilde
-    A = np.block(
-        [
-            [plant.A_p + B1 @ Delta @ C1, B1 @ Delta @ D12 @ estimator.C_c],
-            [
-                gain @ (plant.C2_tilde + D21 @ Delta @ C1),
-                estimator.A_c + gain @ D21 @ Delta @ D12 @ estimator.C_c,
-            ],
-        ]
-    )
-    noise = plant.D21_bar.copy()
-    if not copy_noise:
-        noise[plant.system.l :] = 0.0
+
+
+def _check_stability(A: Matrix) -> None:
+    """Refuse a loop that is clearly unstable; what rounding hides, its covariance will tell."""
     abscissa = np.linalg.eigvals(A).real.max()
-    if not abscissa < 0.0:
+    if not abscissa < _ROUNDING * np.abs(A).max():
         raise UnstableLoopError(
             f"the closed loop is not stable: it has an eigenvalue with real part {abscissa:.4g} 1/s"
         )
-    return ClosedLoop(A, np.vstack([plant.B_p1, gain @ noise]), estimator)
 
 
-def _output_weights(plant: AugmentedSystem) -> np.ndarray:
-    """Return the weights of zeta-tilde in its constraints: the Lipschitz constants, or one."""
-    constants = [c.lipschitz for c in plant.system.nonlinearities]
-    ones = [1.0] * (len(plant.C1_tilde) - 2 * len(constants))
-    return np.array([*ones, *constants, *constants])
+def _loop(estimator: Estimator, Delta: Matrix, copy_noise: bool) -> tuple[Matrix, Matrix]:
+    """Return A and B of (eqclosed), for one Delta or (N, ., .) of them."""
+    plant, gain = estimator.plant, estimator.B_c
+    alone = np.block(
+        [
+            [plant.A_p, np.zeros((plant.n, len(estimator.A_c)))],
+            [gain @ plant.C2_tilde, estimator.A_c],
+        ]
+    )
+    into = np.vstack([plant.B1_tilde, gain @ plant.D21_tilde])
+    out_of = np.hstack([plant.C1_tilde, plant.D12_tilde @ estimator.C_c])
+    noise = plant.D21_bar.copy()
+    if not copy_noise:
+        noise[plant.system.l :] = 0.0
+    return alone + into @ Delta @ out_of, np.vstack([plant.B_p1, gain @ noise])
+
+
+def _error_coordinates(estimator: Estimator) -> Matrix:
+    """Return T = inv(T) with T [x_p; x_hat] = [x_p; x_p - x_hat]."""
+    n, n_c = estimator.plant.n, len(estimator.A_c)
+    if n != n_c:
+        return np.eye(n + n_c)  # of an estimator of another order there is no such error
+    return np.kron([[1.0, 0.0], [1.0, -1.0]], np.eye(n))
+
+
+def _error_covariance(estimator: Estimator, A: Matrix, B: Matrix, output: str) -> Matrix:
+    """Return the (..., m, m) error covariance of one loop, or of many with drifts A."""
+    plant, T = estimator.plant, _error_coordinates(estimator)
+    estimate = estimator.C_a if output == "smoothed" else estimator.C_f
+    truth = np.hstack([plant.C_p0, np.zeros_like(estimate)]) @ T
+    estimate = np.hstack([np.zeros_like(plant.C_p0), estimate]) @ T
+    B = T @ B
+    found = covariances(T @ A @ T, B @ B.T, plant.delay if output == "smoothed" else 0.0)
+    E, error = found.transition, found.error
+    past = truth - estimate @ E
+    result = _squared(past, found.stationary) + _squared(estimate, found.grown)
+    since = error - _squared(E, error)
+    check_certainty(
+        "the error covariance", result, _squared(past, error) + _squared(estimate, since)
+    )
+    return result
+
+
+def _squared(C: Matrix, P: Matrix) -> Matrix:
+    """Return C P C', symmetric."""
+    result = C @ P @ C.swapaxes(-1, -2)
+    return (result + result.swapaxes(-1, -2)) / 2
 
 
 def error_covariance(
@@ -183,6 +239,8 @@ def error_covariance(
     ------
     UnstableLoopError
         Where the closed loop is not asymptotically stable.
+    ArithmeticError
+        Where the estimated rounding error is above a millionth of a variance.
     ValueError, TypeError
         For a Delta of the wrong shape or with norm above one, or an unknown output.
 
@@ -216,13 +274,26 @@ def delta_sweep(
     Returns
     -------
     (N, m, m) array
+
+    Raises
+    ------
+    UnstableLoopError, ArithmeticError, ValueError, TypeError
+        As `error_covariance`, where it would at any of them.
     """
     validation.instance("smoother", smoother, Estimator)
     slopes = validation.array("nonlinearities", nonlinearities, ndim=1)
+    output = validation.choice("output", output, OUTPUTS)
     plant = smoother.plant
-    deltas = (plant.structured_delta((), [slope] * plant.system.g) for slope in slopes)
-    covariances = [error_covariance(smoother, D, output, copy_noise) for D in deltas]
-    return np.array(covariances).reshape(-1, plant.system.m, plant.system.m)
+    pattern = plant.structured_delta((), [1.0] * plant.system.g)
+    _check_norm(_norm(plant, pattern) * np.abs(slopes).max(initial=0.0))
+    result = np.empty((slopes.size, plant.system.m, plant.system.m))
+    chunk = max(_BATCH // (plant.n + len(smoother.A_c)) ** 2, 1)
+    for start in range(0, slopes.size, chunk):
+        some = slice(start, start + chunk)
+        A, B = _loop(smoother, slopes[some, None, None] * pattern, copy_noise)
+        _check_stability(A)
+        result[some] = _error_covariance(smoother, A, B, output)
+    return result
 
 
 @dataclass(frozen=True)
@@ -267,6 +338,9 @@ def statistical_linearisation(
     ------
     UnstableLoopError
         Where no self-consistent variance exists: the linearised loop loses lock.
+    ValueError, TypeError
+        For another kind of plant, an estimator without a copy, or an `equivalent_slope` that is not
+        callable or does not return a finite number.
     """
     validation.instance("smoother", smoother, Estimator)
     plant = smoother.plant
@@ -281,23 +355,28 @@ def statistical_linearisation(
             "robsmooth.baselines does with copies=True"
         )
 
-    def loop(slope: float) -> ClosedLoop:
-        Delta = plant.structured_delta((), [slope])
-        return closed_loop(smoother, Delta, copy_noise=False, allow_inadmissible=True)
+    if not callable(equivalent_slope):
+        raise TypeError(f"equivalent_slope must be callable, got {equivalent_slope!r}")
 
-    def excess(variance: float) -> float:
-        slope = equivalent_slope(variance)
-        return loop(slope).error_covariance("filtered")[0, 0] - variance
+    def slope(variance: float) -> float:
+        return validation.real("equivalent_slope of a variance", equivalent_slope(variance))
 
-    low = 0.0
-    high = loop(equivalent_slope(0.0)).error_covariance("filtered")[0, 0]
-    while excess(high) > 0.0:
+    def error(variance: float, output: str) -> float:
+        Delta = plant.structured_delta((), [slope(variance)])
+        loop = closed_loop(smoother, Delta, copy_noise=False, allow_inadmissible=True)
+        return loop.error_covariance(output)[0, 0]
+
+    low, linear = 0.0, error(0.0, "filtered")
+    high = linear
+    while error(high, "filtered") > high:
         low, high = high, 1.25 * high
-        if high > 10.0 * np.pi**2:
+        if high > _FAR * linear:
             raise UnstableLoopError(
                 "no stationary variance: the statistically linear loop diverges"
             )
-    variance = brentq(excess, low, high, xtol=1e-15, rtol=1e-13)
-    slope = equivalent_slope(variance)
-    smoothed = loop(slope).error_covariance("smoothed")[0, 0]
-    return StatisticalLinearisation(float(slope), float(variance), float(smoothed))
+    variance = brentq(
+        lambda P: error(P, "filtered") - P, low, high, xtol=max(1e-15 * high, 1e-300), rtol=1e-13
+    )
+    return StatisticalLinearisation(
+        float(slope(variance)), float(variance), float(error(variance, "smoothed"))
+    )

@@ -9,12 +9,20 @@ with the copies :math:`\tilde\mu_i = \psi_i(\tilde\nu_i)` closing the loop aroun
 filter is the case where the copies' gains are zero.
 """
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robsmooth import validation
 from robsmooth.augmented import AugmentedSystem
+from robsmooth.discrete import DiscreteSmoother
+from robsmooth.statespace import Blocks
 from robsmooth.validation import Matrix, frozen
+
+if TYPE_CHECKING:
+    import control
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,3 +62,64 @@ class Estimator:
         """Eigenvalues of A_c, 1/s, the slowest first."""
         poles = np.linalg.eigvals(self.A_c)
         return poles[np.lexsort((poles.imag, -poles.real))]
+
+    def to_statespace(
+        self,
+        slopes: Sequence[float] | None = None,
+        outputs: str | Iterable[str] | None = None,
+    ) -> "control.StateSpace":
+        """Return the estimator as a python-control object.
+
+        Its inputs are ``y[0]``, ..., the measurement dy/dt, and ``mu_copy[0]``, ..., what the
+        copies of the nonlinearities give at its output ``nu_copy``.
+
+        Parameters
+        ----------
+        slopes : (g,) sequence of floats, optional
+            Closes the copies: each nonlinearity becomes a constant slope, and ``mu_copy`` goes.
+            Zeros are the nominal case.
+        outputs : str or sequence of str, optional
+            Which to keep, of ``smoothed`` (of w one lag back), ``filtered`` (of w now) and
+            ``nu_copy``. Default: all.
+
+        Returns
+        -------
+        control.StateSpace
+        """
+        l, m, g = self.plant.system.l, self.plant.system.m, self.plant.system.g  # noqa: E741
+        A, gain, copies, nu = self.A_c, self.B_c[:, :l], self.B_c[:, l:], self.C_c[m:]
+        inputs = {"y": gain, "mu_copy": copies}
+        if slopes is not None:
+            slopes = validation.array("slopes", slopes, ndim=1)
+            if slopes.size != g:
+                raise ValueError(f"slopes must have {g} entries, got {slopes.size}")
+            A = A + copies * slopes @ nu
+            inputs = {"y": gain}
+        read_outs = {"smoothed": self.C_a, "filtered": self.C_f, "nu_copy": nu}
+        return Blocks(A, inputs, read_outs).select(None, outputs).to_control()
+
+    def discretize(
+        self, dt: float, functions: Iterable[Callable | None] | None = None
+    ) -> DiscreteSmoother:
+        """Return the estimator in discrete time, for a measured record.
+
+        Parameters
+        ----------
+        dt : float
+            Length of a sample's interval, s. A sample is the mean of dy/dt over it.
+        functions : sequence of g callables, optional
+            The nonlinearities' functions, instead of those of the plant; None keeps the plant's.
+            One that numba has compiled for scalars is a hundred times as fast as others.
+
+        Returns
+        -------
+        DiscreteSmoother
+
+        Raises
+        ------
+        ValueError, TypeError
+            For a dt that is not positive, or a copy without a function.
+        ArithmeticError
+            Where the estimator is unstable, and dt too long for it.
+        """
+        return DiscreteSmoother(self, dt, functions)

@@ -4,28 +4,31 @@ r"""The algebraic Riccati equation, solved by scipy and certified before its ans
 
 with symmetric `Q` and `S` of any sign; wanted is the stabilising solution, for which
 :math:`A - SX` is stable. `scipy.linalg.solve_continuous_are` can return nonsense past the boundary
-where no such solution exists, so the answer, after a few steps of Newton's method where they help,
-counts only with its certificate: a small residual, symmetry, and a stable closed loop.
+where no such solution exists. So its answer is the start of Newton's method, down to rounding, and
+the result counts only with its certificate: a small residual, a small last step, which estimates
+the error, and a stable closed loop.
 
-The data are first brought to units in which they are of order one: time in units of
+The data are first brought to units in which they are of order one. Each state has a unit of its
+own, which balances the Hamiltonian matrix. Time is then in units of
 :math:`1/(|A| + \sqrt{|Q||S|})` and :math:`X = p X'` with :math:`p = |Q|/(a + \sqrt{|Q||S|})`, where
 `a` is the decay rate of the slowest mode of `A`, or zero where `A` is not stable. No result depends
-on the units of time or of the signals.
+on the units of time, of the signals or of the states.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, schur, solve_continuous_are
+from scipy.linalg.lapack import dgebal, dtrsyl
 
 from robsmooth.blas import one_thread
 from robsmooth.validation import Matrix
 
 RESIDUAL_TOLERANCE = 1e-8
-_NEARLY_LINEAR = 1e-5  # the square of this, relative, is what the quadratic term changes
-_REFINEMENTS = 8
-_ROUNDING = 1e-15  # a relative residual below this is not worth a step
-_GOOD = 1e-11  # and one below this is worth steps only while they help
+ERROR_TOLERANCE = 1e-6
+_NEARLY_LINEAR = 1e-5  # the square of this, relative, is what the quadratic part changes
+_REFINEMENTS = 20
+_ROUNDING = 1e-15  # a step smaller than this, relative to the solution, is the last
 _EMPTY = 1e-14  # directions of S below this, relative to its norm, are rounding
 
 
@@ -42,17 +45,23 @@ class RiccatiSolution:
     X : (n, n) array
         The solution, symmetric.
     residual : float
-        Norm of the equation's residual, relative to the sum of the norms of its terms.
+        Backward error: the norm of the equation's residual, relative to
+        2 |A| |X| + |Q| + |S| |X|^2.
     smallest_eigenvalue : float
         Smallest eigenvalue of X, relative to its norm.
     decay_rate : float
         How far the spectrum of A - S X lies left of the imaginary axis, 1/(unit of time).
+    error : float
+        Estimated error of X, relative to its norm: the last step of Newton's method.
+
+    All norms, and the eigenvalue, are those in the units of the states that balance the equation.
     """
 
     X: Matrix
     residual: float
     smallest_eigenvalue: float
     decay_rate: float
+    error: float
 
 
 @one_thread
@@ -71,103 +80,123 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     Raises
     ------
     RiccatiError
-        Where scipy finds none, or what it returns fails the certificate.
+        Where none is found that passes the certificate.
     """
     Q, S = (Q + Q.T) / 2, (S + S.T) / 2
-    size_A, size_Q, size_S = (np.linalg.norm(value, 2) for value in (A, Q, S))
-    speed = np.sqrt(size_Q) * np.sqrt(size_S)
-    time = 1.0 / (size_A + speed or 1.0)
     decay = -np.linalg.eigvals(A).real.max()
-    nearly_linear = decay > 0.0 and speed <= _NEARLY_LINEAR * decay
-    unit = size_Q / (speed + max(decay, 0.0)) if size_Q and (speed or decay > 0.0) else 1.0
-    time, unit = np.exp2(np.rint(np.log2([time, unit])))  # powers of two scale without rounding
-    A, Q, S = A * time, Q * (time / unit), S * (time * unit)
+    scales = _units(A, Q, S, decay)  # before the states are balanced, and again after
+    A, Q, S = _rescaled(A, Q, S, *scales)
+    states = _balancing_units(A, Q, S)
+    products = np.outer(states, states)
+    A, Q, S = A / states[:, None] * states, Q * products, S / products
+    again = _units(A, Q, S, decay * scales[0])
+    A, Q, S = _rescaled(A, Q, S, *again)
+    time, unit = scales * again
 
-    failure = None
-    for start in (_linear,) if nearly_linear else (_pencil, _unbalanced_pencil):
+    starts, failure = (_pencil, _nothing), None
+    if np.sqrt(np.abs(Q).max()) * np.sqrt(np.abs(S).max()) <= _NEARLY_LINEAR * decay * time:
+        starts = (_nothing, _pencil)
+    for start in starts:
         try:
-            X = _refine(A, Q, S, start(A, Q, S))
-            return _certify(A, Q, S, X, time, unit)
-        except (LinAlgError, ValueError) as error:
-            failure = failure or _sentence(error)
-            break  # there is none: an inaccurate answer is another matter
-        except RiccatiError as error:
-            failure = failure or str(error)
+            X, error = _refine(A, Q, S, start(A, Q, S))
+            residual, smallest, rate = _certify(A, Q, S, X, error)
+        except (LinAlgError, ValueError, RiccatiError) as reason:
+            failure = failure or " ".join(str(reason).split()).rstrip(".")
+        else:
+            return RiccatiSolution(unit * X / products, residual, smallest, rate / time, error)
     raise RiccatiError(f"no stabilising solution found: {failure}")
 
 
-def _pencil(A: Matrix, Q: Matrix, S: Matrix, balanced: bool = True) -> Matrix:
+def _units(A: Matrix, Q: Matrix, S: Matrix, decay: float) -> np.ndarray:
+    """Return the units of time and of X, powers of two because these scale without rounding."""
+    size = np.abs(Q).max()
+    speed = np.sqrt(size) * np.sqrt(np.abs(S).max())
+    rate = speed + max(decay, 0.0)
+    time, unit = 1.0 / (np.abs(A).max() + speed or 1.0), size / rate if size and rate else 1.0
+    return np.exp2(np.rint(np.log2([time, unit])))
+
+
+def _rescaled(
+    A: Matrix, Q: Matrix, S: Matrix, time: float, unit: float
+) -> tuple[Matrix, Matrix, Matrix]:
+    return A * time, Q * (time / unit), S * (time * unit)
+
+
+def _balancing_units(A: Matrix, Q: Matrix, S: Matrix) -> np.ndarray:
+    """Return the units of the states in which the rows of the Hamiltonian match its columns."""
+    n = len(A)
+    sizes = np.abs(np.block([[A, S], [Q, A.T]]))
+    both = dgebal(sizes, scale=1)[3]
+    return np.exp2(np.rint(np.log2(both[:n] / both[n:]) / 2.0))
+
+
+def _nothing(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
+    """Return zero, from where Newton's method first solves the equation's linear part.
+
+    It is the better start where the quadratic part is next to nothing. It also may lead to the
+    solution where time constants lie so far apart that the pencil is too inaccurate.
+    """
+    return np.zeros_like(A)
+
+
+def _pencil(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
     """Return what scipy finds, by the ordered eigenvalues of the extended pencil."""
     weights, directions = np.linalg.eigh(S)
     used = np.abs(weights) > _EMPTY * np.abs(weights).max()
     if not used.any():
-        raise LinAlgError("the equation is linear and A is not stable")
+        raise LinAlgError("the equation is linear, and A is not stable")
     B = directions[:, used] * np.sqrt(np.abs(weights[used]))
-    return solve_continuous_are(A, B, Q, np.diag(np.sign(weights[used])), balanced=balanced)
+    return solve_continuous_are(A, B, Q, np.diag(np.sign(weights[used])), balanced=False)
 
 
-def _unbalanced_pencil(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Do the same without scipy's balancing, which very fast states upset."""
-    return _pencil(A, Q, S, balanced=False)
-
-
-def _linear(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return the solution without the quadratic term.
-
-    Where that term is small, the pencil would lose the digits that it lacks.
-    """
-    return solve_continuous_lyapunov(A.T, -Q)
-
-
-def _refine(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> Matrix:
-    """Return the best of a few steps of Newton's method, the start included."""
-    X = (X + X.T) / 2
-    best, lowest = X, _residual(A, Q, S, X)
+def _refine(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> tuple[Matrix, float]:
+    """Follow Newton's method while it helps; return the solution and the size of the last step."""
+    X, error = (X + X.T) / 2, np.inf
     for _ in range(_REFINEMENTS):
-        closed = A - S @ X
-        if lowest < _ROUNDING or not np.isfinite(closed).all():
+        step = _newton_step(A, Q, S, X)
+        size = np.linalg.norm(step) / (np.linalg.norm(X + step) or 1.0)
+        if size > error / 2 and error < ERROR_TOLERANCE:
+            break  # what is left is rounding
+        X, error = X + step, size
+        if error < _ROUNDING:
             break
-        if np.linalg.eigvals(closed).real.max() > -_EMPTY * np.linalg.norm(closed):
-            break
-        step = solve_continuous_lyapunov(closed.T, -(A.T @ X + X @ A + Q - X @ S @ X))
-        X = X + (step + step.T) / 2
-        residual = _residual(A, Q, S, X)
-        helped = residual < lowest / 2
-        if residual < lowest:
-            best, lowest = X, residual
-        if lowest < _GOOD and not helped:
-            break
-    return best
+    return X, float(error)
 
 
-def _residual(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> float:
-    """Return the norm of the equation's residual, relative to the sum of those of its terms."""
-    terms = (A.T @ X, X @ A, Q, -X @ S @ X)
-    scale = sum(np.linalg.norm(term) for term in terms)
-    return float(np.linalg.norm(sum(terms)) / scale) if scale > 0.0 else 0.0
+def _newton_step(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> Matrix:
+    """Return the Z of closed' Z + Z closed + residual = 0."""
+    closed = A - S @ X
+    if not np.isfinite(closed).all():
+        raise RiccatiError("the solver returned entries that are not finite")
+    T, U = schur(closed.T)
+    _check_stability(T.diagonal().max())  # the real parts are on a real Schur form's diagonal
+    Z, scale, _ = dtrsyl(T, T, -U.T @ _residual(A, Q, S, X) @ U, tranb="T")
+    Z = U @ (Z / scale) @ U.T
+    return (Z + Z.T) / 2
+
+
+def _residual(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> Matrix:
+    half = A.T @ X
+    return half + half.T + Q - X @ S @ X
 
 
 def _certify(
-    A: Matrix, Q: Matrix, S: Matrix, X: Matrix, time: float, unit: float
-) -> RiccatiSolution:
-    """Check a solution of the scaled equation and return it in the user's units."""
-    size = np.linalg.norm(X)
-    if not np.isfinite(size):
-        raise RiccatiError("the solver returned entries that are not finite")
-    if np.linalg.norm(X - X.T) > RESIDUAL_TOLERANCE * size:
-        raise RiccatiError("the solver's answer is not symmetric")
-    residual = _residual(A, Q, S, X)
-    if residual > RESIDUAL_TOLERANCE:
+    A: Matrix, Q: Matrix, S: Matrix, X: Matrix, error: float
+) -> tuple[float, float, float]:
+    """Return relative residual, relative smallest eigenvalue and decay rate, or refuse."""
+    size_A, size_Q, size_S, size = map(np.linalg.norm, (A, Q, S, X))
+    terms = 2 * size_A * size + size_Q + size_S * size**2
+    residual = np.linalg.norm(_residual(A, Q, S, X)) / (terms or 1.0)
+    if not residual <= RESIDUAL_TOLERANCE:
         raise RiccatiError(f"the solver's answer has a relative residual of {residual:.2g}")
-    abscissa = float(np.linalg.eigvals(A - S @ X).real.max())
+    if not error <= ERROR_TOLERANCE:
+        raise RiccatiError(f"the solver's answer has an estimated relative error of {error:.2g}")
+    abscissa = np.linalg.eigvals(A - S @ X).real.max()
+    _check_stability(abscissa)
+    smallest = np.linalg.eigvalsh(X).min() / (size or 1.0)
+    return float(residual), float(smallest), float(-abscissa)
+
+
+def _check_stability(abscissa: float) -> None:
     if not abscissa < 0.0:
-        raise RiccatiError(
-            "the solver's answer does not stabilise: the closed loop has an eigenvalue with real "
-            f"part {abscissa / time:.3g}"
-        )
-    smallest = float(np.linalg.eigvalsh(X).min() / size) if size > 0.0 else 0.0
-    return RiccatiSolution(unit * X, residual, smallest, -abscissa / time)
-
-
-def _sentence(error: Exception) -> str:
-    return " ".join(str(error).split()).rstrip(".")
+        raise RiccatiError("the solver's answer does not stabilise the closed loop")

@@ -24,20 +24,32 @@ the X equation has the sign as printed (the paper's numbers follow from the othe
 `robsmooth.published`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from robsmooth import validation
-from robsmooth.augmented import AugmentedSystem
+from robsmooth.augmented import AugmentedSystem, check_noise
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.estimator import Estimator
+from robsmooth.lyapunov import square_root
 from robsmooth.riccati import RiccatiError, RiccatiSolution, solve_riccati
 from robsmooth.validation import Matrix, frozen
 
 COSTS = ("filtered", "smoothed")
+ASSUMPTION_Y = "Assumption 3.1 (Riccati equation for Y)"
+ASSUMPTION_X = "Assumption 3.2 (Riccati equation for X)"
+# What usually mends them. X/tau depends on the multipliers alone.
+_HINTS = {
+    ASSUMPTION_Y: "a larger tau may help",
+    ASSUMPTION_X: (
+        "other ratios of the multipliers, or less uncertainty (smaller outputs C or Lipschitz "
+        "constants), may help"
+    ),
+}
+_CANCELLED = 1e-15  # a difference that is smaller, relative to its terms, is their rounding
 _ROUNDING = 1e-9  # slack for conditions that hold with equality at an optimum
 
 
@@ -65,6 +77,8 @@ class RobustSmoother(Estimator):
     bound_infimum : float or None
         Where `minimize_bound` made the design and the least bound is approached but not attained:
         its infimum.
+    limit : RobustSmoother or None
+        Then the design that attains it in the limit.
     spectral_radius : float
         rho(YX), below tau.
     """
@@ -78,6 +92,7 @@ class RobustSmoother(Estimator):
     bound: float
     spectral_radius: float
     bound_infimum: float | None = None
+    limit: "RobustSmoother | None" = None
 
     def __post_init__(self):
         super().__post_init__()
@@ -99,12 +114,17 @@ class DesignEquations:
 
     Attributes
     ----------
-    R, G, Gamma : arrays
-        (n, n), (m + g, m + g) and (n, m + g), as in Assumption 3.
-    Q_X : (n, n) array
-        The constant term of the X equation, R - Gamma G^{-1} Gamma'.
+    A, C2 : arrays
+        A_p and C2_tilde, (n, n) and (l + g, n).
+    R, Gamma : arrays
+        (n, n) and (n, m + g), as in Assumption 3.
+    feedback : (m + g, n) array
+        -G^{-1} Gamma', the estimator's output if it knew the state.
     worst_noise : (n, n) array
-        B1_tilde M^{-1} B1_tilde'.
+        B1_tilde M^{-1} B1_tilde' in the X equation.
+    noise : (n, n) array
+        The same in the Y equation. In the limit of vanishing multipliers A, C2 and what follows are
+        those of a reduced system, and this is another.
     correlation : (n, l + g) array
         B1_tilde M^{-1} D21_tilde'.
     E : (l + g, l + g) array
@@ -115,13 +135,29 @@ class DesignEquations:
     tau: float
     multipliers: np.ndarray
     cost: str
+    A: Matrix
+    C2: Matrix
     R: Matrix
-    G: Matrix
     Gamma: Matrix
-    Q_X: Matrix
+    feedback: Matrix
     worst_noise: Matrix
+    noise: Matrix
     correlation: Matrix
     E: Matrix
+
+    @property
+    def Q_X(self) -> Matrix:
+        """The constant term of the X equation, R - Gamma G^{-1} Gamma'.
+
+        The cost cancels in it. What is left is written as a square: where there is no uncertainty
+        it is zero, and rounding in its place would have no Riccati solution.
+        """
+        return self.tau * self.worst_output(self.multipliers)
+
+    def worst_output(self, weights: Sequence[float]) -> Matrix:
+        """Return the constraints' outputs squared and weighted, if the state were known."""
+        outputs = self.plant.C1_tilde + self.plant.D12_tilde @ self.feedback
+        return sum_of_squares(np.array(self.plant.N_i), weights, outputs)
 
     def solve_X(self, quadratic_sign: float = 1.0) -> RiccatiSolution:
         """Return the solution of X A_p + A_p' X + Q_X + sign/tau X worst_noise X = 0.
@@ -134,22 +170,24 @@ class DesignEquations:
 
     def solve_Y(self) -> RiccatiSolution:
         """Return the solution of the first Riccati equation of Assumption 3."""
-        C2 = self.plant.C2_tilde
+        C2 = self.C2
         gain = np.linalg.solve(self.E, self.correlation.T)
         return solve_riccati(
-            (self.plant.A_p - self.correlation @ np.linalg.solve(self.E, C2)).T,
-            self.worst_noise - self.correlation @ gain,
+            (self.A - self.correlation @ np.linalg.solve(self.E, C2)).T,
+            self.noise - self.correlation @ gain,
             C2.T @ np.linalg.solve(self.E, C2) - self.R / self.tau,
         )
 
     def gains(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, Matrix, float]:
         """Return A_c, B_c, C_c and V of (eqCparams) and (eqbound)."""
-        plant, tau = self.plant, self.tau
-        innovation = Y @ plant.C2_tilde.T + self.correlation
+        tau = self.tau
+        innovation = Y @ self.C2.T + self.correlation
         B_c = np.linalg.solve(self.E, innovation.T).T
-        coupling = np.linalg.inv(np.eye(plant.n) - Y @ X / tau)
-        C_c = -np.linalg.solve(self.G, self.Gamma.T) @ coupling
-        A_c = plant.A_p + Y @ self.R / tau - B_c @ plant.C2_tilde + Y @ self.Gamma @ C_c / tau
+        # inv(I - Y X/tau), symmetric inside: no digit of it depends on the units of the states
+        root, identity = square_root(Y), np.eye(len(X))
+        coupling = identity + root @ np.linalg.solve(tau * identity - root.T @ X @ root, root.T @ X)
+        C_c = self.feedback @ coupling
+        A_c = self.A + Y @ self.R / tau - B_c @ self.C2 + Y @ self.Gamma @ C_c / tau
         bound = 0.5 * np.trace(Y @ self.R + B_c @ innovation.T @ X @ coupling)
         return A_c, B_c, C_c, float(bound)
 
@@ -166,39 +204,54 @@ def design_equations(
     ValueError, TypeError
         For a tau that is not positive, multipliers of the wrong length or sign, an unknown cost.
     """
-    validation.instance("plant", plant, AugmentedSystem)
-    tau = validation.positive("tau", tau)
-    multipliers = _multipliers(plant, multipliers)
-    cost = validation.choice("cost", cost, COSTS)
-    check_measurement_noise(plant)
-    M, N = plant.M(multipliers), plant.N(multipliers)
+    tau, multipliers, cost = check_arguments(plant, tau, multipliers, cost)
+    M = plant.M(multipliers)
     M_inverse = _inverse(M)
-    _check_multipliers(plant, M)
-
-    g, m, n = plant.system.g, plant.system.m, plant.n
-    B1, C1, D12, D21 = plant.B1_tilde, plant.C1_tilde, plant.D12_tilde, plant.D21_tilde
-    C = plant.C_p0 if cost == "filtered" else plant.C_a
-    R = C.T @ C + tau * C1.T @ N @ C1
-    G = np.diag([1.0] * m + [0.0] * g) + tau * D12.T @ N @ D12
-    Gamma = -np.hstack([C.T, np.zeros((n, g))]) + tau * C1.T @ N @ D12
-    # In R - Gamma G^{-1} Gamma' the cost cancels. What is left is written out: where there is no
-    # uncertainty it is zero, and rounding in its place would have no Riccati solution.
-    copies = D12[:, m:]
-    coupling = C1.T @ N @ copies
-    Q_X = tau * (C1.T @ N @ C1 - coupling @ np.linalg.solve(copies.T @ N @ copies, coupling.T))
+    check_multiplier_level(plant, M)
+    B1, D21 = plant.B1_tilde, plant.D21_tilde
+    worst_noise = B1 @ M_inverse @ B1.T
+    R, G, Gamma = cost_matrices(plant, tau, multipliers, cost)
     return DesignEquations(
         plant=plant,
         tau=tau,
         multipliers=multipliers,
         cost=cost,
+        A=plant.A_p,
+        C2=plant.C2_tilde,
         R=R,
-        G=G,
         Gamma=Gamma,
-        Q_X=Q_X,
-        worst_noise=B1 @ M_inverse @ B1.T,
+        feedback=-np.linalg.solve(G, Gamma.T),
+        worst_noise=worst_noise,
+        noise=worst_noise,
         correlation=B1 @ M_inverse @ D21.T,
         E=D21 @ M_inverse @ D21.T,
     )
+
+
+def cost_matrices(
+    plant: AugmentedSystem, tau: float, multipliers: Sequence[float], cost: str
+) -> tuple[Matrix, Matrix, Matrix]:
+    """Return R, G and Gamma of Assumption 3."""
+    g, m, n = plant.system.g, plant.system.m, plant.n
+    N, C1, D12 = plant.N(multipliers), plant.C1_tilde, plant.D12_tilde
+    C = plant.C_p0 if cost == "filtered" else plant.C_a
+    R = C.T @ C + tau * C1.T @ N @ C1
+    G = np.diag([1.0] * m + [0.0] * g) + tau * D12.T @ N @ D12
+    Gamma = -np.hstack([C.T, np.zeros((n, g))]) + tau * C1.T @ N @ D12
+    return R, G, Gamma
+
+
+def sum_of_squares(matrices: np.ndarray, weights: Sequence[float], outputs: Matrix) -> Matrix:
+    """Return the sum of weight times outputs' N outputs, over the matrices N_i of constraints.
+
+    It is formed as a sum of squares, and what cancels in the outputs is zero in it, not rounding.
+    """
+    parts = matrices @ outputs
+    parts[np.abs(parts) < _CANCELLED * (np.abs(matrices) @ np.abs(outputs))] = 0.0
+    traces = np.einsum("aii->a", matrices)
+    squares = np.einsum("aij,aij->a", matrices, matrices)  # N = n'n, with n n' = (square/trace) I
+    scales = np.divide(weights * traces, squares, out=np.zeros_like(traces), where=squares > 0.0)
+    return np.einsum("a,aij,aik->jk", scales, parts, parts)
 
 
 def design_smoother(
@@ -236,14 +289,21 @@ def design_smoother(
     ----------
     Section III: Assumptions 2 and 3, equations (eqcons), (eqCparams) and (eqbound).
     """
-    equations = design_equations(plant, tau, multipliers, cost)
+    return solve_design(design_equations(plant, tau, multipliers, cost))
+
+
+def solve_design(equations: DesignEquations) -> RobustSmoother:
+    """Solve the equations of a design, after checking Assumption 3."""
+    plant = equations.plant
     check_stable_plant(plant)
-    Y = _solution("Assumption 3.1 (Riccati equation for Y)", equations.solve_Y)
-    X = _solution("Assumption 3.2 (Riccati equation for X)", equations.solve_X)
-    radius = float(np.abs(np.linalg.eigvals(Y.X @ X.X)).max())
+    Y = nonnegative_solution(ASSUMPTION_Y, equations.solve_Y)
+    X = nonnegative_solution(ASSUMPTION_X, equations.solve_X)
+    root = square_root(Y.X)
+    radius = float(np.abs(np.linalg.eigvalsh(root.T @ X.X @ root)).max())
     if not radius < equations.tau:
         raise InfeasibleDesignError(
-            "Assumption 3.3", f"rho(YX) = {radius:.4g} is not below tau = {equations.tau:.4g}"
+            "Assumption 3.3",
+            f"rho(YX) = {radius:.4g} is not below tau = {equations.tau:.4g}; a larger tau may help",
         )
     A_c, B_c, C_c, bound = equations.gains(X.X, Y.X)
     return RobustSmoother(
@@ -252,7 +312,7 @@ def design_smoother(
         B_c=B_c,
         C_c=C_c,
         C_a=plant.C_a,
-        C_f=C_c[: plant.system.m] if cost == "filtered" else plant.C_p0,
+        C_f=C_c[: plant.system.m] if equations.cost == "filtered" else plant.C_p0,
         tau=equations.tau,
         multipliers=equations.multipliers,
         cost=equations.cost,
@@ -264,33 +324,34 @@ def design_smoother(
     )
 
 
-def _multipliers(plant: AugmentedSystem, given: Sequence[float]) -> np.ndarray:
-    result = validation.array("multipliers", given, ndim=1)
+def check_arguments(
+    plant: AugmentedSystem, tau: float, multipliers: Sequence[float], cost: str
+) -> tuple[float, np.ndarray, str]:
+    """Return the clean arguments of a design, after checking Assumption 2, too."""
+    validation.instance("plant", plant, AugmentedSystem)
+    tau = validation.positive("tau", tau)
+    multipliers = weights("multipliers", plant, multipliers)
+    cost = validation.choice("cost", cost, COSTS)
+    check_measurement_noise(plant)
+    return tau, multipliers, cost
+
+
+def weights(name: str, plant: AugmentedSystem, given: Sequence[float]) -> np.ndarray:
+    """Return k + 3g numbers that are not negative."""
+    result = validation.array(name, given, ndim=1)
     k, g = plant.system.k, plant.system.g
     if result.size != k + 3 * g:
         raise ValueError(
-            f"multipliers must have k + 3g = {k} + 3*{g} = {k + 3 * g} entries, got {result.size}"
+            f"{name} must have k + 3g = {k} + 3*{g} = {k + 3 * g} entries, got {result.size}"
         )
     if (result < 0.0).any():
-        raise ValueError(f"multipliers must not be negative, got {result.tolist()}")
+        raise ValueError(f"{name} must not be negative, got {result.tolist()}")
     return result
 
 
 def check_measurement_noise(plant: AugmentedSystem) -> None:
-    """Check Assumption 2 in a form free of units: no measurement without noise of its own."""
-    intensity = plant.D21_bar @ plant.D21_bar.T
-    size = np.sqrt(np.diag(intensity))
-    if (size == 0.0).any():
-        raise InfeasibleDesignError(
-            "Assumption 2", f"measurement {int(np.argmin(size))} has no noise"
-        )
-    smallest = np.linalg.eigvalsh(intensity / np.outer(size, size)).min()
-    if not smallest > 1e-12:
-        raise InfeasibleDesignError(
-            "Assumption 2",
-            "some combination of the measurements has no noise: the smallest eigenvalue of the "
-            f"noise's correlation matrix is {smallest:.2g}",
-        )
+    """Check Assumption 2."""
+    check_noise("Assumption 2", plant.D21_bar)
 
 
 def _inverse(M: Matrix) -> Matrix:
@@ -302,7 +363,8 @@ def _inverse(M: Matrix) -> Matrix:
         raise InfeasibleDesignError(
             "M(lambda) > 0",
             f"its smallest eigenvalue is {smallest:.3g}; every uncertainty needs a positive "
-            "multiplier and every nonlinearity two positive ones",
+            "multiplier and every nonlinearity two positive ones (limiting_smoother gives the "
+            "limit in which more of them vanish)",
         ) from None
 
 
@@ -311,7 +373,8 @@ def multiplier_level(plant: AugmentedSystem, M: Matrix) -> float:
     return float(np.linalg.eigvalsh(plant.J.T @ M @ plant.J).max(initial=0.0))
 
 
-def _check_multipliers(plant: AugmentedSystem, M: Matrix) -> None:
+def check_multiplier_level(plant: AugmentedSystem, M: Matrix) -> None:
+    """Check the constraint (eqcons)."""
     level = multiplier_level(plant, M)
     if level > 1.0 + _ROUNDING:
         raise InfeasibleDesignError(
@@ -326,22 +389,25 @@ def check_stable_plant(plant: AugmentedSystem) -> None:
     abscissa = float(np.linalg.eigvals(plant.system.A).real.max())
     if not abscissa < 0.0:
         raise InfeasibleDesignError(
-            "Assumption 3.2 (Riccati equation for X)",
+            ASSUMPTION_X,
             "the system's A must be stable for a nonnegative solution to exist, but it has an "
-            f"eigenvalue with real part {abscissa:.3g}",
+            f"eigenvalue with real part {abscissa:.3g}; give an integrator a slow decay, or "
+            "stabilise the plant first (baselines.kalman_bucy needs no stability)",
         )
 
 
-def _solution(condition: str, solve) -> RiccatiSolution:
+def nonnegative_solution(condition: str, solve: Callable[[], RiccatiSolution]) -> RiccatiSolution:
     """Solve one Riccati equation; name the assumption where there is no nonnegative solution."""
     try:
         solution = solve()
     except RiccatiError as error:
-        raise InfeasibleDesignError(condition, str(error)) from None
-    if solution.smallest_eigenvalue < -_ROUNDING:
-        raise InfeasibleDesignError(
-            condition,
+        detail = str(error)
+    else:
+        if solution.smallest_eigenvalue >= -_ROUNDING:
+            return solution
+        detail = (
             "its stabilising solution is not nonnegative definite: smallest eigenvalue "
-            f"{solution.smallest_eigenvalue:.3g} of its norm",
+            f"{solution.smallest_eigenvalue:.3g} of its norm"
         )
-    return solution
+    hint = f"; {_HINTS[condition]}" if condition in _HINTS else ""
+    raise InfeasibleDesignError(condition, detail + hint)

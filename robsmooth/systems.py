@@ -12,13 +12,21 @@ zero at zero, and each :math:`\xi_s` bounded by :math:`\zeta_s` in the mean-squa
 paper's integral quadratic constraint.
 """
 
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robsmooth import validation
+from robsmooth.statespace import Blocks, check_continuous
 from robsmooth.validation import Matrix
+
+if TYPE_CHECKING:
+    import control
+
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +76,14 @@ class Nonlinearity:
     lipschitz : float
         :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`.
     function : callable, optional
-        :math:`\psi_i` itself, vectorised over arrays. The design needs only the Lipschitz constant.
+        :math:`\psi_i` itself, vectorised over arrays or compiled by numba, for scalars too. The
+        design needs only the Lipschitz constant.
 
     Raises
     ------
     ValueError, TypeError
         For a matrix that is not 2-D, real and finite, a constant that is not positive, or a
-        function that is not callable or not zero at zero.
+        function that is not callable, not vectorised or not zero at zero.
     """
 
     B: Matrix
@@ -89,22 +98,8 @@ class Nonlinearity:
             object.__setattr__(self, name, value)
         lipschitz = validation.positive("Nonlinearity lipschitz", self.lipschitz)
         object.__setattr__(self, "lipschitz", lipschitz)
-        if self.function is None:
-            return
-        if not callable(self.function):
-            raise TypeError(f"Nonlinearity function must be callable, got {self.function!r}")
-        values = np.asarray(self.function(np.zeros(1)))
-        if values.shape != (1,):
-            raise ValueError(
-                "Nonlinearity function must be vectorised: an array of shape (1,) gave shape "
-                f"{values.shape}"
-            )
-        at_zero = float(values[0])
-        if at_zero != 0.0:
-            raise ValueError(
-                f"Nonlinearity function must be zero at zero, got {at_zero!r}: "
-                "move the constant into the measurement or the state"
-            )
+        if self.function is not None:
+            _check_function("Nonlinearity function", self.function)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +162,198 @@ class UncertainSystem:
         for i, channel in enumerate(nonlinearities):
             _check_channel(f"nonlinearities[{i}]", channel, self, inputs=1, outputs=1)
 
+    @classmethod
+    def from_plant(
+        cls,
+        plant: "control.StateSpace",
+        process_noise: float | Matrix,
+        measurement_noise: float | Matrix,
+        *,
+        outputs: Matrix | None = None,
+        process_uncertainty: Matrix | None = None,
+        measurement_uncertainty: Matrix | None = None,
+        uncertainties: Iterable[Uncertainty] = (),
+        nonlinearities: Iterable[Nonlinearity] = (),
+    ) -> "UncertainSystem":
+        r"""Make the system of a python-control plant and its noises, as ``control.lqe`` has them.
+
+        With plant matrices A, B, C, D, and noises of intensity Q at its inputs and R at its
+        outputs,
+
+        .. math::
+
+            dx &= Ax\,dt + BQ^{1/2}(\xi_0\,dt + dW_0), \\
+            dy &= Cx\,dt + DQ^{1/2}(\xi_0\,dt + dW_0) + R^{1/2}(\xi_1\,dt + dW_1).
+
+        The two uncertainties are those that Assumption 1 wants: they enter where the noises do.
+
+        Parameters
+        ----------
+        plant : control.StateSpace
+            In continuous time, with the noise as its p inputs and the l measurements as its
+            outputs.
+        process_noise : float or (p, p) array
+            Q, the intensity (two-sided spectral density) of the noise; a float is that of each
+            input.
+        measurement_noise : float or (l, l) array
+            R, likewise.
+        outputs : (m, n) array, optional
+            :math:`C_0`, what to estimate of the state. Default: C, the measurements without noise.
+        process_uncertainty, measurement_uncertainty : (h, n) arrays, optional
+            :math:`C_{1,0}` and :math:`C_{1,1}`: :math:`\xi_0` and :math:`\xi_1` are no larger than
+            these times x. Default: zero, no uncertainty.
+        uncertainties, nonlinearities : sequences
+            Further channels.
+
+        Returns
+        -------
+        UncertainSystem
+
+        Raises
+        ------
+        ValueError, TypeError
+            For a plant in discrete time, a static gain or another kind of object, a noise
+            intensity that is not a covariance, and whatever the class itself refuses.
+        """
+        check_continuous("plant", plant)
+        process = _noise_factor("process_noise", process_noise, plant.ninputs)
+        measurement = _noise_factor("measurement_noise", measurement_noise, plant.noutputs)
+        B, D = plant.B @ process, plant.D @ process
+        no_B = np.zeros((plant.nstates, plant.noutputs))
+        none = np.zeros((1, plant.nstates))
+        channels = (
+            Uncertainty(B, none if process_uncertainty is None else process_uncertainty, D),
+            Uncertainty(
+                no_B,
+                none if measurement_uncertainty is None else measurement_uncertainty,
+                measurement,
+            ),
+        )
+        return cls(
+            A=plant.A,
+            B1=np.hstack([B, no_B]),
+            C0=plant.C if outputs is None else outputs,
+            C2=plant.C,
+            D21=np.hstack([D, measurement]),
+            uncertainties=(*channels, *_members("uncertainties", uncertainties, Uncertainty)),
+            nonlinearities=nonlinearities,
+        )
+
+    @classmethod
+    def from_statespace(
+        cls,
+        sys: "control.StateSpace",
+        lipschitz: Sequence[float] = (),
+        functions: Sequence[Callable | None] | None = None,
+    ) -> "UncertainSystem":
+        """Read a system from a python-control object whose signals are named as `to_statespace`'s.
+
+        Parameters
+        ----------
+        sys : control.StateSpace
+            In continuous time. Inputs: unit white noises ``W[0]``, ..., uncertainties ``xi_0[0]``,
+            ... of each channel, nonlinearities ``mu[0]``, ... Outputs: ``w``, ``y``, ``zeta_0``,
+            ... and ``nu`` likewise, in any order. Only y may have feedthrough.
+        lipschitz : (g,) sequence
+            The nonlinearities' constants, which a linear system does not hold.
+        functions : (g,) sequence of callables or None, optional
+            The nonlinearities themselves.
+
+        Returns
+        -------
+        UncertainSystem
+
+        Raises
+        ------
+        ValueError, TypeError
+            For signals of other names or that do not match, other feedthrough, and whatever the
+            class itself refuses. `from_plant` is for a plant that is not so named.
+        """
+        blocks = Blocks.of("sys", sys)
+        k = _check_signals(blocks)
+        mu, nu = blocks.into_state("mu"), blocks.from_state("nu")
+        constants = validation.array("lipschitz", lipschitz, ndim=1)
+        functions = [None] * len(constants) if functions is None else functions
+        validation.instance("functions", functions, Sequence)
+        for name, given in (
+            ("sys's output 'nu'", nu),
+            ("lipschitz", constants),
+            ("functions", functions),
+        ):
+            if len(given) != mu.shape[1]:
+                raise ValueError(
+                    f"{name} must have as many entries as sys's input 'mu', {mu.shape[1]}, "
+                    f"got {len(given)}"
+                )
+        return cls(
+            A=blocks.A,
+            B1=blocks.into_state("W"),
+            C0=blocks.from_state("w"),
+            C2=blocks.from_state("y"),
+            D21=blocks.direct("y", "W"),
+            uncertainties=[
+                Uncertainty(
+                    blocks.into_state(f"xi_{s}"),
+                    blocks.from_state(f"zeta_{s}"),
+                    blocks.direct("y", f"xi_{s}"),
+                )
+                for s in range(k)
+            ],
+            nonlinearities=[
+                Nonlinearity(mu[:, [i]], nu[[i]], blocks.direct("y", "mu")[:, [i]], *of_function)
+                for i, of_function in enumerate(zip(constants, functions, strict=True))
+            ],
+        )
+
+    def to_statespace(
+        self,
+        inputs: str | Iterable[str] | None = None,
+        outputs: str | Iterable[str] | None = None,
+    ) -> "control.StateSpace":
+        """Return the linear part as a python-control object, with its channels open.
+
+        Its signals have the components ``W[0]``, ``W[1]``, ...: python-control's ``interconnect``
+        joins it with an estimator's object by their names, and ``sys["y[0]", "W[1]"]`` is a part.
+
+        Parameters
+        ----------
+        inputs : str or sequence of str, optional
+            Which to keep, of the white noises ``W`` (of unit intensity), the uncertainties
+            ``xi_0``, ``xi_1``, ... and the nonlinearities' values ``mu``. Default: all.
+        outputs : str or sequence of str, optional
+            Which to keep, of ``w`` (to estimate), ``y`` (the measurement dy/dt), the uncertainties'
+            bounds ``zeta_0``, ... and the nonlinearities' arguments ``nu``. Default: all.
+
+        Returns
+        -------
+        control.StateSpace
+        """
+        return self.blocks.select(inputs, outputs).to_control()
+
+    @property
+    def blocks(self) -> Blocks:
+        """The linear part by its named signals, as `to_statespace` lists them."""
+        n, l = self.n, self.l  # noqa: E741
+        mu = np.hstack([np.zeros((n, 0)), *(c.B for c in self.nonlinearities)])
+        nu = np.vstack([np.zeros((0, n)), *(c.C for c in self.nonlinearities)])
+        mu_to_y = np.hstack([np.zeros((l, 0)), *(c.D for c in self.nonlinearities)])
+        channels = list(enumerate(self.uncertainties))
+        return Blocks(
+            self.A,
+            inputs={"W": self.B1, **{f"xi_{s}": c.B for s, c in channels}, "mu": mu},
+            outputs={
+                "w": self.C0,
+                "y": self.C2,
+                **{f"zeta_{s}": c.C for s, c in channels},
+                "nu": nu,
+            },
+            feedthrough={
+                ("y", "W"): self.D21,
+                **{("y", f"xi_{s}"): c.D for s, c in channels},
+                ("y", "mu"): mu_to_y,
+            },
+        )
+
     @property
     def n(self) -> int:
         """Number of states."""
@@ -214,6 +401,96 @@ def _members(name: str, values: Iterable, kind: type) -> tuple:
     for index, member in enumerate(members):
         validation.instance(f"{name}[{index}]", member, kind)
     return members
+
+
+def _check_function(name: str, function: Callable) -> None:
+    """Check that a nonlinearity can be called as the library does, and is zero at zero."""
+    if not callable(function):
+        raise TypeError(f"{name} must be callable, got {function!r}")
+    # a scalar function that numba has compiled is called from compiled loops
+    scalar = hasattr(function, "py_func") and _takes_scalars(function)
+    at = 0.0 if scalar else np.zeros(2)
+    try:
+        values = np.asarray(function(at))
+    except Exception as error:
+        cause = str(error).partition("\n")[0]
+        raise ValueError(
+            f"{name} must be vectorised: an array of shape (2,) gave {type(error).__name__}: "
+            f"{cause}; NumPy's functions are (np.sin, not math.sin), and numpy.vectorize makes "
+            "any function so"
+        ) from error
+    if values.shape != np.shape(at):
+        raise ValueError(
+            f"{name} must be vectorised: an argument of shape {np.shape(at)} gave shape "
+            f"{values.shape}"
+        )
+    at_zero = np.ravel(values)[0]
+    if not at_zero == 0.0:
+        raise ValueError(
+            f"{name} must be zero at zero, got {at_zero}: "
+            "move the constant into the measurement or the state"
+        )
+
+
+def _takes_scalars(function: Callable) -> bool:
+    try:
+        function(0.0)
+    except Exception:
+        return False
+    return True
+
+
+def _noise_factor(name: str, intensity: float | Matrix, size: int) -> Matrix:
+    """Return the symmetric square root of a noise's intensity."""
+    if np.ndim(intensity) == 0:
+        return np.sqrt(validation.real(name, intensity, low=0.0)) * np.eye(size)
+    intensity = validation.matrix(name, intensity, (size, size))
+    if (np.diag(intensity) < 0.0).any():
+        raise ValueError(f"{name} must not be negative on its diagonal")
+    deviation = np.sqrt(np.diag(intensity))
+    unit = np.where(deviation > 0.0, deviation, 1.0)
+    correlation = intensity / np.outer(unit, unit)  # signals may have very different units
+    if np.abs(correlation - correlation.T).max(initial=0.0) > _ROUNDING:
+        raise ValueError(f"{name} must be symmetric")
+    eigenvalues, vectors = np.linalg.eigh(correlation)
+    if eigenvalues.min(initial=0.0) < -_ROUNDING:
+        raise ValueError(
+            f"{name} must be nonnegative definite, got one whose correlation matrix has the "
+            f"eigenvalue {eigenvalues.min():.3g}"
+        )
+    root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T
+    return unit[:, None] * root
+
+
+def _check_signals(blocks: Blocks) -> int:
+    """Check that a system's signals are those of the class; return its number of uncertainties."""
+    found = set()
+    for kind, signals, known, channel in (
+        ("input", blocks.inputs, ("W", "mu"), "xi"),
+        ("output", blocks.outputs, ("w", "y", "nu"), "zeta"),
+    ):
+        for name in signals:
+            of_channel = re.fullmatch(rf"{channel}_(\d+)", name)
+            if of_channel:
+                found.add(int(of_channel[1]))
+            elif name not in known:
+                raise ValueError(
+                    f"sys's {kind} {name!r} must be one of {', '.join(known)}, {channel}_0, "
+                    f"{channel}_1, ...; for a plant that is not so named there is from_plant"
+                )
+    for name in ("w", "y"):
+        if name not in blocks.outputs:
+            raise ValueError(f"sys must have an output {name!r}, got {', '.join(blocks.outputs)}")
+    missing = set(range(len(found))) - found
+    if missing:
+        raise ValueError(
+            f"sys must have its uncertainties numbered from 0, got xi_{max(found)} or "
+            f"zeta_{max(found)} without xi_{min(missing)} and zeta_{min(missing)}"
+        )
+    for (output, name), D in blocks.feedthrough.items():
+        if output != "y" and D.any():
+            raise ValueError(f"sys must have feedthrough to 'y' only, got {name!r} to {output!r}")
+    return len(found)
 
 
 def _check_channel(

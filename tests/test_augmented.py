@@ -14,6 +14,7 @@ from robsmooth import (
     augment,
     homodyne,
 )
+from robsmooth.augmented import check_noise
 from tests.strategies import plants, random_system, seeds
 
 DELAY = 3.1e-6  # of the example
@@ -223,21 +224,40 @@ def test_structured_delta_places_blocks_of_any_shape(general):
 
 
 @pytest.mark.parametrize(
-    "arguments, error",
+    "arguments, error, words",
     [
-        (([1.0],), ValueError),
-        (((), [1.0, 2.0, 3.0]), ValueError),
-        (([np.eye(2), 0.0],), ValueError),
-        (([[1.0, 2.0], 0.0],), ValueError),
-        (([np.nan, 0.0],), ValueError),
-        (((), [np.inf, 0.0]), ValueError),
-        (((), [1j, 0.0]), TypeError),
-        ((["a", 0.0],), TypeError),
+        (([1.0],), ValueError, "uncertainties must have 2 entries, got 1"),
+        (((), [1.0, 2.0, 3.0]), ValueError, "nonlinearities must have 2 entries, got 3"),
+        ((0.3,), TypeError, "uncertainties must be a sequence of length 2, got 0.3"),
+        (((), -1), TypeError, "nonlinearities must be a sequence of length 2, got -1"),
+        ((None,), TypeError, "uncertainties must be a sequence of length 2, got None"),
+        (([np.eye(2), 0.0],), ValueError, r"uncertainties\[0\] must have shape \(2, 3\)"),
+        (([[1.0, 2.0], 0.0],), ValueError, r"uncertainties\[0\] must have 2 dimension"),
+        (([0.0, [[1.0, 2.0], [3.0]]],), ValueError, r"uncertainties\[1\] must be a rectangular"),
+        (([np.nan, 0.0],), ValueError, r"uncertainties\[0\] must be finite"),
+        (((), [0.0, np.inf]), ValueError, r"nonlinearities\[1\] must be finite"),
+        (((), [1j, 0.0]), TypeError, r"nonlinearities\[0\] must be a real number"),
+        ((["a", 0.0],), TypeError, r"uncertainties\[0\] must be a real number"),
+        (([None, 0.0],), TypeError, r"uncertainties\[0\] must be a real number"),
     ],
 )
-def test_a_bad_delta_is_an_error(general, arguments, error):
-    with pytest.raises(error):
+def test_a_bad_delta_is_an_error(general, arguments, error, words):
+    with pytest.raises(error, match=f"^{words}"):
         general.structured_delta(*arguments)
+
+
+@pytest.mark.parametrize(
+    "D, words",
+    [
+        (np.zeros((1, 0)), "measurement 0 has no noise"),
+        ([[1e-9, 0.0], [0.0, 0.0]], "measurement 1 has no noise"),
+        ([[1e9, 0.0], [1e-9, 0.0]], "the smallest eigenvalue of the noise's correlation matrix is"),
+    ],
+)
+def test_noise_of_a_measurement_is_checked_in_its_own_unit(D, words):
+    check_noise("It", np.diag([1e-30, 1e30]))
+    with pytest.raises(InfeasibleDesignError, match=f"^It fails: .*{words}"):
+        check_noise("It", np.array(D))
 
 
 @pytest.mark.parametrize("count", [0, 7, 9])

@@ -1,5 +1,6 @@
 """The estimators to compare with: against python-control, batch least squares and closed forms."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import control
@@ -15,10 +16,13 @@ from scipy.linalg import (
     solve_continuous_lyapunov,
     solve_discrete_lyapunov,
 )
+from scipy.special import eval_laguerre
 
 from robsmooth import (
     InfeasibleDesignError,
     UncertainSystem,
+    augment,
+    design_smoother,
     error_covariance,
     homodyne,
 )
@@ -61,9 +65,9 @@ def test_kalman_gain_agrees_with_python_control(seed, stable):
     L, P, _ = control.lqe(A, np.eye(3), system.C2, (Q + Q.T) / 2, R)
     expected = L + S @ np.linalg.inv(R)
     kalman = kalman_bucy(system)
-    assert_allclose(kalman.B_c, expected, rtol=0, atol=1e-7 * (1 + np.abs(expected).max()))
-    assert_allclose(kalman.A_c, system.A - expected @ system.C2, rtol=0, atol=1e-6)
-    assert_allclose(optimal_fixed_lag_error(system, 0.0), P, rtol=0, atol=1e-7 * np.trace(P))
+    assert_allclose(kalman.B_c, expected, rtol=0, atol=1e-9 * (1 + np.abs(expected).max()))
+    assert_allclose(kalman.A_c, system.A - expected @ system.C2, rtol=1e-9, atol=1e-8)
+    assert_allclose(optimal_fixed_lag_error(system, 0.0), P, rtol=0, atol=1e-9 * np.trace(P))
 
 
 @given(seeds)
@@ -74,7 +78,54 @@ def test_kalman_gain_agrees_with_scipy_for_correlated_noise(seed):
         system.A.T, system.C2.T, system.B1 @ system.B1.T, R, s=system.B1 @ system.D21.T
     )
     error = error_covariance(kalman_bucy(system), np.zeros((0, 0)), "filtered")
-    assert_allclose(error, P, rtol=0, atol=1e-7 * np.trace(P))
+    assert_allclose(error, P, rtol=0, atol=1e-9 * np.trace(P))
+    poles = np.linalg.eigvals(system.A - kalman_bucy(system).B_c @ system.C2)
+    assert kalman_bucy(system).poles[0].real == pytest.approx(poles.real.max(), rel=1e-9)
+
+
+@given(seeds, st.floats(0.05, 2.0), st.integers(1, 6))
+def test_fixed_lag_smoother_is_the_kalman_filter_of_the_system_with_its_delay_model(
+    seed, lag, order
+):
+    system = random_linear(seed)
+    smoother = fixed_lag_smoother(system, lag, order)
+    plant = smoother.plant
+    A, B, C, D = plant.A_p, plant.B_p1[:, : system.q], plant.C2_tilde, system.D21
+    R, S = D @ D.T, B @ D.T
+    model = A - S @ np.linalg.solve(R, C)  # without the correlation, which control.lqe has not
+    Q = B @ B.T - S @ np.linalg.solve(R, S.T)
+    L, P, _ = control.lqe(model, np.eye(len(A)), C, (Q + Q.T) / 2, R)
+    expected = L + S @ np.linalg.inv(R)
+    assert_allclose(smoother.B_c, expected, rtol=0, atol=1e-9 * (1 + np.abs(expected).max()))
+    w = error_covariance(smoother, np.zeros((0, 0)), "filtered")
+    assert_allclose(w, plant.C_p0 @ P @ plant.C_p0.T, rtol=0, atol=1e-9 * np.trace(w))
+
+
+@pytest.mark.parametrize("cost", ["filtered", "smoothed"])
+@pytest.mark.parametrize("g", [0, 2])
+@pytest.mark.parametrize("seed", range(3))
+def test_robust_design_tends_to_the_classical_smoother_as_the_uncertainty_vanishes(seed, g, cost):
+    # more states than channels, so that none of the noise is taken for the nonlinearities'
+    system = random_system(np.random.default_rng(seed), n=5, m=2, l=2, g=g)
+    certain = replace(
+        system,
+        uncertainties=[replace(u, C=np.zeros_like(u.C)) for u in system.uncertainties],
+        nonlinearities=[replace(c, lipschitz=1e-15) for c in system.nonlinearities],
+    )
+    plant = augment(certain, 0.4, 3)
+    # the uncertainties' noise as it is; nothing known of the nonlinearities but that they are tiny
+    multipliers = [1.0] * 2 + [1e-12] * g + [1e12] * g + [1.0 - 1e-12] * g
+    robust = design_smoother(plant, 1e11, multipliers, cost)
+    classical = fixed_lag_smoother(certain, 0.4, 3)
+    size = np.abs(classical.A_c).max()
+    assert_allclose(robust.A_c, classical.A_c, rtol=0, atol=1e-9 * size)
+    assert_allclose(robust.B_c[:, :2], classical.B_c[:, :2], rtol=0, atol=1e-9 * size)
+    for output in ("smoothed", "filtered"):
+        pair = [error_covariance(e, nominal(e), output, False) for e in (robust, classical)]
+        assert_allclose(*pair, rtol=0, atol=1e-9 * np.trace(pair[1]))
+    filtered = error_covariance(classical, nominal(classical), "filtered")
+    if cost == "filtered":  # from above, as the noise that is left to the copies does
+        assert -1e-12 < 2 * robust.bound / np.trace(filtered) - 1.0 < (1e-8 if g else 1e-9)
 
 
 @given(seeds)
@@ -222,6 +273,52 @@ def test_two_sided_error_is_the_non_causal_wiener_error(seed):
     assert_allclose(
         optimal_two_sided_error(system), expected, rtol=0, atol=1e-6 * np.trace(expected)
     )
+
+
+def wiener_error(system, lag, size=2048):
+    """The error of x one lag back by spectral factorisation, for a system with one measurement.
+
+    The spectrum of y is factored by its cepstrum, and the optimal estimate is the part of
+    S_xy/conj(factor) that the lag lets one know. All on the circle u = (s - a)/(s + a), where
+    causal functions are series of powers of u, and those of Laguerre's functions in time.
+    """
+    n, a = system.n, np.abs(np.linalg.eigvals(system.A)).max()
+    angles = 2 * np.pi * (np.arange(size) + 0.5) / size
+    u = np.exp(1j * angles)
+    s = a * (1 + u) / (1 - u)
+    powers = np.fft.fftfreq(size, 1 / size)
+
+    def coefficients(values):
+        return np.exp(-1j * powers * angles[0]) * np.fft.fft(values) / size
+
+    x = np.linalg.solve(s[:, None, None] * np.eye(n) - system.A, system.B1 + 0j)
+    y = system.C2 @ x + system.D21
+    cepstrum = coefficients(np.log((y @ y.conj().swapaxes(1, 2)).real[:, 0, 0])).real
+    causal = np.where(powers > 0, cepstrum, 0.0)
+    factor = np.exp(cepstrum[0] / 2 + u[:, None] ** np.arange(size // 4) @ causal[: size // 4])
+    cross = (x @ y.conj().swapaxes(1, 2))[:, :, 0] / factor.conj()[:, None]
+    g = coefficients((cross * ((s + a) / np.sqrt(2 * a))[:, None]).T).real  # (n, size)
+    known = g[:, powers >= 0] @ g[:, powers >= 0].T
+    terms = np.arange(size // 8)
+    later = g[:, -1 - terms]  # of the functions sqrt(2a) e^(-at) L_k(2at) of the time ahead
+    if np.isinf(lag):
+        known += later @ later.T
+    else:
+        nodes, weights = np.polynomial.legendre.leggauss(80)
+        times, weights = lag * (nodes + 1) / 2, lag * weights / 2
+        functions = eval_laguerre(terms[:, None], 2 * a * times) * np.exp(-a * times)
+        ahead = later @ functions * np.sqrt(2 * a)
+        known += ahead * weights @ ahead.T
+    return solve_continuous_lyapunov(system.A, -system.B1 @ system.B1.T) - known
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.1, 1.0, np.inf])
+@pytest.mark.parametrize("seed", range(3))
+def test_optimal_error_is_that_of_wieners_spectral_factorisation(seed, lag):
+    system = random_linear(seed, l=1)
+    expected = wiener_error(system, lag)
+    found = optimal_fixed_lag_error(system, lag)
+    assert_allclose(found, expected, rtol=0, atol=1e-9 * np.trace(expected))
 
 
 def test_two_sided_error_of_the_example_has_its_closed_form():

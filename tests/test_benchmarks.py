@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks import __main__ as bench
-from benchmarks import race, report
+from benchmarks import race, report, throughput
 from benchmarks.peers import PEERS, cpp, numpy_vectorised, octave, robsmooth_kernel
 from benchmarks.problem import Sample, Unavailable, literal_problem
 from robsmooth import cli
@@ -136,6 +136,15 @@ def test_a_wrong_peer_is_found_out(problem, reference):
     assert not race.checked(peer, simulate, reference, seconds=0.2)["agrees"]
 
 
+def test_a_wrong_contender_is_found_out(monkeypatch):
+    def doubled():
+        return {throughput.OURS: lambda y: y, "the same": lambda y: y, "other": lambda y: 2 * y}
+
+    monkeypatch.setattr(throughput, "contenders", doubled)
+    found = throughput.throughput(throughput.Effort(rounds=1, seconds=1e-6))["contenders"]
+    assert [name for name, row in found.items() if not row["agrees"]] == ["other"]
+
+
 def test_a_workload_takes_the_time_it_is_given():
     peer = replace(BY_NAME["NumPy, float32"], width=1000)
     assert race.workload(peer, rate=1e9, seconds=0.5) == (5000, 100_000)
@@ -157,7 +166,7 @@ def test_bench_measures_and_prints(capfd):
     before = [path.stat().st_mtime_ns for path in kept]
     assert cli.main(["bench", "--quick", "--peers", "NumPy,Octave"]) == 0
     printed = capfd.readouterr().out
-    for text in ("| NumPy, float64 |", "| threads |", "| order |", "runs^", "steps^"):
+    for text in ("| NumPy, float64 |", "| threads |", "| order |", "runs^", "steps^", "lfilter |"):
         assert text in printed
     skipped = "skipped: Octave, vectorised: octave is not installed"
     assert ("| Octave, vectorised |" in printed) != (skipped in printed)
@@ -215,3 +224,10 @@ def test_the_record_scales(results):
         assert row["relative"] < 1 + row["order"]  # no order falls off a cliff
     (two,) = [row for row in scales["threads"] if row["threads"] == 2]
     assert two["speed_up"] > 1.8
+
+
+def test_the_record_smooths_millions_of_samples_a_second(results):
+    records = results["records"]["contenders"]
+    for name in ("robsmooth", "robsmooth, a gap in ten", "robsmooth, compiled copies"):
+        assert records[name]["rate"] > 1e6, name
+    assert records["scipy.signal.lfilter"]["ratio"] > 0.5

@@ -8,12 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.linalg import block_diag, solve_continuous_lyapunov
+from scipy.optimize import brentq
 
 import robsmooth as rs
 from robsmooth import (
     UnstableLoopError,
     augment,
     baselines,
+    covariance,
     delta_sweep,
     design_smoother,
     error_covariance,
@@ -198,8 +201,71 @@ def test_sweep_is_the_covariance_point_by_point(example, general):
         assert swept.shape == (5, m, m)
         for slope, P in zip(slopes * 0.5, swept, strict=True):
             Delta = design.plant.structured_delta((), [slope] * g)
-            assert_array_equal(P, error_covariance(design, Delta, **options))
+            expected = error_covariance(design, Delta, **options)
+            assert_allclose(P, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
     assert delta_sweep(example, []).shape == (0, 1, 1)
+
+
+def test_a_sweep_in_pieces_is_the_sweep(general, monkeypatch):
+    slopes = np.linspace(-0.5, 0.5, 7)
+    whole = delta_sweep(general, slopes)
+    monkeypatch.setattr(covariance, "_BATCH", 3 * (2 * general.plant.n) ** 2)
+    assert_allclose(delta_sweep(general, slopes), whole, rtol=0, atol=1e-12 * np.abs(whole).max())
+
+
+@pytest.mark.parametrize("slopes, error", [([0.0, -1.01], "norm at most 1"), ([np.nan], "finite")])
+def test_a_sweep_refuses_what_a_point_of_it_would(example, slopes, error):
+    with pytest.raises(ValueError, match=error):
+        delta_sweep(example, slopes)
+    with pytest.raises(ValueError, match=r"^output must be one of"):
+        delta_sweep(example, [0.0], "delayed")
+
+
+def test_a_sweep_through_an_unstable_loop_is_an_error(example):
+    unstable = replace(example, A_c=example.A_c + 1e9 * np.eye(3))
+    with pytest.raises(UnstableLoopError, match="real part"):
+        delta_sweep(unstable, [0.0, -0.5])
+
+
+def wider(estimator):
+    """The same estimator with a state more, which nothing reads."""
+    read_outs = ("C_c", "C_a", "C_f")
+    return replace(
+        estimator,
+        A_c=block_diag(estimator.A_c, -1.0),
+        B_c=np.pad(estimator.B_c, ((0, 1), (0, 0))),
+        **{name: np.pad(getattr(estimator, name), ((0, 0), (0, 1))) for name in read_outs},
+    )
+
+
+def test_an_estimator_of_another_order_has_the_covariance_of_its_loop(example):
+    Delta = example.plant.structured_delta((), [-0.4])
+    for output in ("smoothed", "filtered"):
+        expected = error_covariance(example, Delta, output)
+        assert_allclose(error_covariance(wider(example), Delta, output), expected, rtol=1e-9)
+
+
+def test_an_error_that_is_lost_in_rounding_is_refused():
+    # a filter so good that x and its estimate have twelve digits in common: from the error's own
+    # state all digits come out, from the difference of two states none that count
+    kappa, r = 1e12, 1e-12
+    filtered = baselines.kalman_bucy(
+        rs.UncertainSystem([[-1.0]], [[kappa**0.5, 0.0]], [[1.0]], [[1.0]], [[0.0, r**0.5]])
+    )
+    nothing = np.zeros((0, 0))
+    P = kappa / (1.0 + np.sqrt(1.0 + kappa / r))
+    assert error_covariance(filtered, nothing, "filtered")[0, 0] == pytest.approx(P, rel=1e-12)
+    with pytest.raises(ArithmeticError, match=r"^the error covariance is lost in rounding"):
+        error_covariance(wider(filtered), nothing, "filtered")
+
+
+def test_covariance_of_the_loop_solves_its_lyapunov_equation(general, example):
+    for design in (general, example):
+        loop = closed_loop(design, design.plant.structured_delta((), [0.2] * design.plant.system.g))
+        P = loop.covariance()
+        assert_array_equal(P, P.T)
+        expected = solve_continuous_lyapunov(loop.A, -loop.B @ loop.B.T)
+        assert_allclose(P, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
 def test_an_unstable_loop_is_an_error_that_says_how_unstable(example):
@@ -283,6 +349,59 @@ def test_statistical_linearisation_without_a_fixed_point_is_an_error(example):
     with pytest.raises(UnstableLoopError):
         # the loop's gain falls faster than its error can follow
         statistical_linearisation(example, lambda variance: -40.0 * variance)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_statistical_linearisation_does_not_depend_on_the_unit_of_w(example, unit):
+    plain = statistical_linearisation(example, homodyne.PAPER.equivalent_slope)
+    system = homodyne.PAPER.uncertain_system()
+    scaled = augment(replace(system, C0=system.C0 * unit), 3.1e-6, 2)
+    tau, multipliers = NEAR_INFIMUM
+    found = statistical_linearisation(
+        design_smoother(scaled, tau * unit**2, multipliers),
+        lambda variance: homodyne.PAPER.equivalent_slope(variance / unit**2),
+    )
+    assert found.slope == pytest.approx(plain.slope, rel=1e-9)
+    assert found.filtered / unit**2 == pytest.approx(plain.filtered, rel=1e-9)
+    assert found.smoothed / unit**2 == pytest.approx(plain.smoothed, rel=1e-9)
+
+
+def test_statistical_linearisation_wants_a_function_with_real_values(example):
+    for wrong in (None, -0.3, "slope"):
+        with pytest.raises(TypeError, match=r"^equivalent_slope must be callable, got"):
+            statistical_linearisation(example, wrong)
+    for value, error in ((None, TypeError), (np.nan, ValueError), (np.zeros(1), TypeError)):
+        with pytest.raises(error, match=r"^equivalent_slope of a variance must be"):
+            statistical_linearisation(example, lambda variance, value=value: value)
+
+
+def test_statistical_linearisation_that_runs_away_is_an_error(example):
+    # with slopes towards the loop's instability, such that the error is always above the variance
+    def loop(slope):
+        Delta = example.plant.structured_delta((), [slope])
+        return closed_loop(example, Delta, copy_noise=False, allow_inadmissible=True)
+
+    def error(slope):
+        return loop(slope).error_covariance("filtered")[0, 0]
+
+    def is_stable(slope):
+        try:
+            return bool(loop(slope))
+        except UnstableLoopError:
+            return False
+
+    stable, unstable = 0.0, -100.0
+    for _ in range(40):
+        middle = (stable + unstable) / 2
+        stable, unstable = (middle, unstable) if is_stable(middle) else (stable, middle)
+    start = error(0.0)
+    assert error(stable) > 1e5 * start
+
+    def runaway(variance):
+        return brentq(lambda slope: error(slope) - start - 2 * variance, stable, 0.0)
+
+    with pytest.raises(UnstableLoopError, match="the statistically linear loop diverges"):
+        statistical_linearisation(example, runaway)
 
 
 def test_statistical_linearisation_wants_one_output_and_one_nonlinearity(general):

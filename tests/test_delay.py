@@ -8,7 +8,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from robsmooth.delay import pade_delay
 
-ORDERS = range(1, 11)
+ORDERS = range(1, 13)
 DELAYS = [1e-9, 3.1e-6, 0.7, 1.0, 20.0, 1e9]
 OMEGA_DELAY = np.geomspace(1e-3, 1e3, 61)  # angular frequency times delay
 

@@ -1,6 +1,7 @@
 """The figures: what they plot, and how they are saved."""
 
 import re
+from dataclasses import replace
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -8,9 +9,13 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from robsmooth import diagrams, figures, homodyne
+from robsmooth import augment, baselines, diagrams, figures, homodyne, sample_paths
+from robsmooth.comparison import compare
+from robsmooth.lag import lag_sweep
+from robsmooth.limit import limiting_smoother
 from robsmooth.montecarlo import MeanSquare
 from robsmooth.study import QUANTITIES, Study
+from robsmooth.worst_case import worst_dynamic_case
 
 SLOPES = np.linspace(-1.0, 0.0, 11)
 CURVES = {"NGCF": 0.1 - 0.05 * SLOPES, "robust smoother": 0.06 - 0.04 * SLOPES}
@@ -29,6 +34,25 @@ ERRORS = dict.fromkeys(QUANTITIES, np.full(SHAPE, 0.04)) | {
 STUDY = Study((0.4,), NOISES, (1, 2), LAGS, ERRORS, {})
 NOISY = {"all runs": [0.09, 0.2, 9.0], "moments": [0.09, 0.19, np.nan]}
 
+SYSTEM = homodyne.PAPER.uncertain_system()
+CLASSICAL = baselines.fixed_lag_smoother(SYSTEM, 3.1e-6, 2, copies=True)
+LIMITS = {
+    cost: limiting_smoother(augment(SYSTEM, 3.1e-6, 1), 1e-6, [1.0, 0.5, 0.0, 0.0], cost)
+    for cost in ("filtered", "smoothed")
+}
+BESTS = {cost: replace(limit, limit=limit) for cost, limit in LIMITS.items()}
+SWEEPS = {"classical": lag_sweep(SYSTEM, [1e-6, 3e-6, 1e-5], [1, 2])}
+COMPARED = compare(
+    {"classical": (CLASSICAL, "smoothed"), "Kalman": (CLASSICAL, "filtered")},
+    homodyne.PAPER,
+    (0.0, -1.0),
+    runs=128,
+    duration=1e-5,
+)
+DYNAMIC = worst_dynamic_case(CLASSICAL, copy_noise=False)
+PATHS = sample_paths(CLASSICAL, runs=1, duration=3.1e-5, step=3.1e-7)
+OMEGA = np.geomspace(0.1, 10.0, 50)
+
 MAKERS = {
     "fig1": diagrams.smoother_loop,
     "fig2": diagrams.homodyne_loop,
@@ -39,6 +63,16 @@ MAKERS = {
     "routes": lambda: figures.routes(CASES, RESULTS, [0.05, 0.06]),
     "loss_of_lock": lambda: figures.loss_of_lock((1, 3, 10), NOISY, (0.0, 0.0, 1e3)),
     "where_smoothing_pays": lambda: figures.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
+    "two_landscapes": lambda: figures.two_landscapes(BESTS, points=5),
+    "all_designs": lambda: figures.all_designs(
+        homodyne.PAPER, LIMITS["filtered"], (0.485, 1.13e-6)
+    ),
+    "lag_and_order": lambda: figures.lag_and_order(SWEEPS, 3.1e-6),
+    "worst_spectra": lambda: figures.worst_spectra(DYNAMIC, (1, 1)),
+    "side_by_side": lambda: figures.side_by_side(COMPARED, (0.0, -1.0), limit=0.085),
+    "sample_path": lambda: figures.sample_path(PATHS, "µs", 1e6, "phase (rad)"),
+    "gap": lambda: figures.gap(PATHS, PATHS.smoothed[0], slice(40, 60)),
+    "smoother_response": lambda: figures.smoother_response(OMEGA, 1 / (1 + 1j * OMEGA), 0.5),
 }
 
 
@@ -104,6 +138,21 @@ def test_the_sweep_plots_what_it_is_given():
     assert lines["NGCF"].get_linestyle() == "-"  # solid and dashed, as the paper says
     assert lines["robust smoother"].get_linestyle() == "--"
     assert "rad" in axes.get_ylabel() and r"\Delta_2" in axes.get_xlabel()
+
+
+def test_an_estimator_beyond_the_scale_is_said_to_be():
+    figure = MAKERS["side_by_side"]()  # the filter's error is just below the limit, at first
+    assert not [text for text in figure.findobj(Text) if "off the scale" in text.get_text()]
+    figure = figures.side_by_side(COMPARED, (0.0, -1.0), limit=0.08)
+    (text,) = (text for text in figure.findobj(Text) if "off the scale" in text.get_text())
+    assert text.get_text() == f"off the scale: {COMPARED['Kalman'].at[0]:.2f}"
+
+
+def test_the_smoothed_path_is_drawn_at_the_time_that_it_is_for():
+    (axes,) = MAKERS["sample_path"]().axes
+    lines = {line.get_label(): line for line in axes.lines}
+    shift = lines["true"].get_xdata() - lines["smoothed"].get_xdata()
+    assert np.allclose(shift, 3.1)  # µs
 
 
 def test_curves_differ_by_more_than_their_colour():

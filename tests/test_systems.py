@@ -1,5 +1,8 @@
 """The uncertain system: what it takes, and what it says to what it does not take."""
 
+import math
+
+import numba
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -126,14 +129,40 @@ def test_a_lipschitz_constant_is_a_number(value):
     [
         (np.cos, ValueError, "zero at zero"),
         (lambda nu: nu + np.nan, ValueError, "zero at zero"),
-        (lambda nu: 0.0, ValueError, "vectorised"),
+        (lambda nu: 0.0, ValueError, r"vectorised.*shape \(2,\) gave shape \(\)"),
+        (lambda nu: None, ValueError, "vectorised"),
+        (math.sin, ValueError, r"vectorised.*gave TypeError: .*np\.sin, not math\.sin"),
+        (lambda nu: nu if nu > 0 else 0 * nu, ValueError, "vectorised.*numpy.vectorize"),
+        (lambda nu: np.array(["a", "b"]), ValueError, "zero at zero, got a"),
+        (numba.njit(lambda nu: math.cos(nu)), ValueError, r"zero at zero, got 1\.0"),
+        (numba.njit(lambda nu: (nu, nu)), ValueError, r"vectorised.*shape \(\) gave shape \(2,\)"),
+        (numba.njit(lambda nu: nu.no_such_name), ValueError, "vectorised.*TypingError"),
         (3.0, TypeError, "callable"),
     ],
 )
 def test_a_nonlinearity_is_a_vectorised_function_that_is_zero_at_zero(function, error, words):
     with raises(error, "function", words):
         Nonlinearity(**NONLINEARITY, function=function)
-    assert Nonlinearity(**NONLINEARITY, function=np.sin).function is np.sin
+
+
+@numba.njit
+def compiled_for_arrays(nu):
+    return nu - nu[0]
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        np.sin,
+        np.vectorize(math.sin),
+        numba.vectorize(["float64(float64)"])(lambda nu: math.sin(nu)),
+        numba.njit(lambda nu: math.sin(nu) if abs(nu) < 1.0 else nu),
+        numba.njit(lambda nu: np.sin(nu)),
+        compiled_for_arrays,
+    ],
+)
+def test_a_function_is_numpys_or_compiled_by_numba(function):
+    assert Nonlinearity(**NONLINEARITY, function=function).function is function
 
 
 def test_matrices_are_copied_and_read_only():

@@ -1,6 +1,14 @@
 """The figures of the notebooks."""
 
-from robsmooth.figures.beyond import where_smoothing_pays
+from robsmooth.figures.beyond import (
+    all_designs,
+    lag_and_order,
+    side_by_side,
+    two_landscapes,
+    where_smoothing_pays,
+    worst_spectra,
+)
+from robsmooth.figures.own import gap, sample_path, smoother_response
 from robsmooth.figures.paper import (
     bound_landscape,
     delay_error,
@@ -14,14 +22,22 @@ from robsmooth.figures.style import FORMATS, save_figure, use_style
 
 __all__ = [
     "FORMATS",
+    "all_designs",
     "bound_landscape",
     "delay_error",
     "delta_sweep",
+    "gap",
+    "lag_and_order",
     "loss_of_lock",
     "mean_squares",
     "routes",
+    "sample_path",
     "save_figure",
     "sector",
+    "side_by_side",
+    "smoother_response",
+    "two_landscapes",
     "use_style",
     "where_smoothing_pays",
+    "worst_spectra",
 ]

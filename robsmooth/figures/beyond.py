@@ -1,11 +1,21 @@
 """The figures of what the paper leaves open."""
 
+import textwrap
+from collections.abc import Mapping, Sequence
+
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from robsmooth.certificate import scalar_bound
+from robsmooth.comparison import Compared
+from robsmooth.errors import InfeasibleDesignError
+from robsmooth.homodyne import HomodyneParameters
+from robsmooth.lag import LagSweep
+from robsmooth.smoother import RobustSmoother, design_smoother
 from robsmooth.study import Study
+from robsmooth.worst_case import WorstDynamicCase
 
 
 def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
@@ -54,4 +64,197 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     ticks = [tick for tick in (0.3, 1, 3, 10, 30) if lags[0] <= tick <= lags[-1]]
     bottom.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     bottom.minorticks_off()
+    return figure
+
+
+def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float], limit: float) -> Figure:
+    r"""Draw the errors of the estimators in rows, from no uncertainty to the worst.
+
+    Parameters
+    ----------
+    compared : mapping
+        From the name of each estimator to its errors.
+    slopes : sequence of float
+        What the errors ``at`` are for.
+    limit : float
+        Of the axis, rad^2; estimators beyond it are said to be so.
+    """
+    figure, axes = plt.subplots(figsize=(3.4, 1.0 + 0.34 * len(compared)))
+    rows = range(len(compared) - 1, -1, -1)
+    legend = {}
+    for row, case in zip(rows, compared.values(), strict=True):
+        if case.at[0] > limit:
+            text = f"off the scale: {case.at[0]:.2f}"
+            axes.annotate(text, (limit, row), ha="right", va="center", fontsize=7, color="0.3")
+            continue
+        allowed = case.allowed.mean_square
+        axes.plot([min(case.at), allowed], [row, row], "-", color="0.8", linewidth=2.5, zorder=1)
+        for number, (value, marker) in enumerate(zip(case.at, "o^s", strict=False)):
+            (drawn,) = axes.plot(value, row, marker, color=f"C{number}", markersize=4, ls="none")
+            legend[rf"$\Delta_2 = {slopes[number]:g}$"] = drawn
+        (legend["worst allowed"],) = axes.plot(allowed, row, "k|", markersize=8, ls="none")
+        (legend["with the sine"],) = axes.plot(case.exact, row, "x", color="C3", ls="none")
+    axes.set(
+        yticks=list(rows),
+        yticklabels=[textwrap.fill(name, 20) for name in compared],
+        xlabel=r"mean square error (rad$^2$)",
+        xlim=(0.03, limit),
+        ylim=(-0.6, len(compared) - 0.4),
+    )
+    axes.grid(axis="y", visible=False)
+    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def worst_spectra(found: WorstDynamicCase, slope: tuple[int, int]) -> Figure:
+    """Draw the error's spectrum without uncertainty and for the worst, and the worst's phase.
+
+    Parameters
+    ----------
+    found : WorstDynamicCase
+    slope : (int, int)
+        Row and column in Delta of the slope whose phase is drawn.
+    """
+    omega = found.frequencies
+    shares = omega * found.spectra / np.pi  # of the mean square error, per logarithm of frequency
+    shown = shares[2] > 0.1 * shares[2].max()
+    figure, (top, bottom) = plt.subplots(
+        2, 1, figsize=(3.4, 3.2), sharex=True, height_ratios=(2, 1)
+    )
+    labels = ("no uncertainty", "worst constant", "worst at each frequency")
+    for label, share in zip(labels, shares, strict=True):
+        top.semilogx(omega[shown], share[shown], label=label)
+    top.set(ylabel="share of the error\nper e-fold (rad$^2$)", ylim=(0, None))
+    phase = np.degrees(np.unwrap(np.angle(found.Delta[shown][:, *slope])))
+    bottom.semilogx(omega[shown], phase - 360.0 * np.round(phase[0] / 360.0))
+    bottom.set(
+        xlabel=r"angular frequency $\omega$ (rad/s)",
+        ylabel="phase of the\nworst slope (°)",
+        xlim=omega[shown][[0, -1]],
+    )
+    figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+def lag_and_order(sweeps: Mapping[str, LagSweep], lag: float) -> Figure:
+    """Draw smoothed errors against the lag for each order, without uncertainty and at worst.
+
+    Parameters
+    ----------
+    sweeps : mapping
+        From the name of each design to its errors, all for the same orders.
+    lag : float
+        To mark, s.
+    """
+    figure, panels = plt.subplots(
+        len(sweeps), 2, figsize=(3.4, 0.8 + 1.35 * len(sweeps)), sharex=True, sharey="col"
+    )
+    for (left, right), (name, sweep) in zip(np.atleast_2d(panels), sweeps.items(), strict=True):
+        lags = 1e6 * sweep.lags
+        for order, nominal, worst in zip(sweep.orders, sweep.nominal, sweep.worst, strict=True):
+            left.plot(lags, nominal, label=f"order {order}")
+            right.plot(lags, worst)
+        left.plot(lags, sweep.optimal, color="0.4", linestyle=":", label="exact optimum")
+        left.axhline(sweep.two_sided, color="0.6", linestyle="-", linewidth=0.6)
+        for axes in (left, right):
+            axes.axvline(1e6 * lag, color="0.4", linestyle="--", linewidth=0.6)
+            axes.set(xscale="log", xlim=lags[[0, -1]])
+        left.set(ylabel=f"{name}\n(rad$^2$)")
+    first = np.atleast_2d(panels)[0]
+    low, high = sweep.two_sided, sweep.filtering
+    first[0].set(title="no uncertainty", ylim=(0.9 * low, 1.25 * high))
+    first[1].set(title="worst constant", ylim=(1.4 * low, 2.2 * high))
+    ticks = [tick for tick in (0.3, 1, 3, 10, 30) if lags[0] <= tick <= lags[-1]]
+    for axes in np.atleast_2d(panels)[-1]:
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
+        axes.set(xlabel="lag (µs)")
+    handles, labels = first[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    return figure
+
+
+def two_landscapes(designs: Mapping[str, RobustSmoother], points: int = 25) -> Figure:
+    r"""Draw the example's bound over tau and the multipliers that vanish, for each cost.
+
+    Parameters
+    ----------
+    designs : mapping
+        From a title to the design with the least bound.
+    points : int
+        Along each axis.
+    """
+    figure, panels = plt.subplots(1, len(designs), figsize=(3.4, 2.3), sharey=True)
+    fractions = np.geomspace(1e-6, 1e-2, points)
+    for axes, (title, best) in zip(panels, designs.items(), strict=True):
+        limit = best.limit
+        taus = limit.tau * np.geomspace(0.4, 3.0, points)
+
+        def excess(tau: float, fraction: float, best: RobustSmoother = best) -> float:
+            multipliers = [1.0, 0.5 - fraction / 2, fraction, fraction]
+            try:
+                found = design_smoother(best.plant, tau, multipliers, best.cost)
+            except InfeasibleDesignError:
+                return np.nan
+            return 100.0 * (found.bound / best.limit.bound - 1.0)
+
+        values = np.array([[excess(tau, fraction) for fraction in fractions] for tau in taus])
+        levels = [0.0, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0]
+        shading = axes.contourf(
+            fractions,
+            1e6 * taus,
+            values,
+            levels,
+            norm=mpl.colors.BoundaryNorm(levels, 256),
+            extend="max",
+        )
+        axes.plot(fractions[0], 1e6 * limit.tau, "<", color="C1", markersize=7, clip_on=False)
+        axes.set(xscale="log", yscale="log", title=title, facecolor="0.85")
+        axes.set(xlabel=r"$\lambda_3 = \lambda_4$")
+        axes.set_yticks([0.5, 1, 2, 3], ["0.5", "1", "2", "3"])
+        axes.minorticks_off()
+        axes.grid(visible=False)
+    panels[0].set(ylabel=r"$\tau$ (rad$^2\,$µs)")
+    figure.colorbar(shading, ax=panels, label="bound above its infimum (%)", pad=0.02)
+    return figure
+
+
+def all_designs(
+    parameters: HomodyneParameters, limit: RobustSmoother, printed: tuple[float, float]
+) -> Figure:
+    r"""Draw the bound of the example with the filtered cost over p and tau, all else at its best.
+
+    Parameters
+    ----------
+    parameters : HomodyneParameters
+    limit : RobustSmoother
+        Where the infimum is.
+    printed : (float, float)
+        p and tau of the printed design, to mark.
+    """
+    p = np.linspace(0.2, 0.55, 281)
+    tau = 1e-6 * np.geomspace(0.4, 10.0, 200)
+    values = scalar_bound(parameters, p[None, :], tau[:, None])
+    figure, axes = plt.subplots(figsize=(3.4, 2.5))
+    levels = [0.12, 0.125, 0.13, 0.14, 0.16, 0.2, 0.3, 0.5]
+    shading = axes.contourf(
+        p,
+        1e6 * tau,
+        np.where(np.isfinite(values), values, np.nan),
+        levels,
+        norm=mpl.colors.BoundaryNorm(levels, 256),
+        extend="max",
+    )
+    axes.plot(limit.multipliers[1:3].sum(), 1e6 * limit.tau, "o", color="C1", markersize=5)
+    axes.plot(printed[0], 1e6 * printed[1], "x", color="w", markersize=6, markeredgewidth=1.5)
+    axes.set(
+        xlabel=r"$p = \lambda_2 + \lambda_3$",
+        ylabel=r"$\tau$ (rad$^2\,$µs)",
+        yscale="log",
+        facecolor="0.85",
+    )
+    axes.set_yticks([0.5, 1, 2, 5, 10], ["0.5", "1", "2", "5", "10"])
+    axes.minorticks_off()
+    axes.grid(visible=False)
+    figure.colorbar(shading, ax=axes, label="bound $V$ (rad$^2$)", pad=0.02)
     return figure

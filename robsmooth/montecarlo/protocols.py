@@ -33,6 +33,7 @@ from robsmooth.montecarlo.lanes import threads_of_kernels
 from robsmooth.montecarlo.noise import LANES
 from robsmooth.montecarlo.schemes import EulerStep, SplittingStep, control_slopes
 from robsmooth.montecarlo.statistics import MeanSquare, Tally, control_weights
+from robsmooth.steps import MULTIPLE_TOLERANCE, dividing_step, steps_in, whole_steps
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
 
@@ -44,8 +45,6 @@ WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode, before sampling 
 
 FEWEST_IN_PILOT = LANES // 2
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
-
-MULTIPLE_TOLERANCE = 1e-6  # how far delay / step may be from a whole number
 
 
 class Schedule(NamedTuple):
@@ -185,8 +184,8 @@ class PaperSimulation(Simulation):
         """Fill in defaults; the arguments that are given have been checked one by one."""
         duration = PAPER_DURATION if duration is None else duration
         _check_duration(duration, loop.delay)
-        step = _dividing_step(loop.delay, PAPER_STEP, duration) if step is None else step
-        delay, steps = _whole_steps(loop.delay, step), _steps(duration, step)
+        step = dividing_step(loop.delay, PAPER_STEP, duration) if step is None else step
+        delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
         return cls(
             runs=PAPER_RUNS if runs is None else runs,
             seed=seed,
@@ -273,12 +272,12 @@ class ErgodicSimulation(Simulation):
             duration = max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
         _check_duration(duration, loop.delay)
         longest = STEP_OF_TIME_CONSTANT / loop.response_rate()
-        step = _dividing_step(loop.delay, longest, duration) if step is None else step
+        step = dividing_step(loop.delay, longest, duration) if step is None else step
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
         schedule = time_average(
             warm_up=warm_up,
-            steps=_steps(duration, step),
-            delay=_whole_steps(loop.delay, step),
+            steps=steps_in(duration, step),
+            delay=whole_steps(loop.delay, step),
             longest_stride=max(int(longest / step + MULTIPLE_TOLERANCE), 1),
         )
         return cls(
@@ -353,40 +352,8 @@ class ErgodicSimulation(Simulation):
 PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper": PaperSimulation}
 
 
-# --- durations and steps --------------------------------------------------------------------------
-
-
 def _check_duration(duration: float, delay: float) -> None:
     if duration < delay:
         raise ValueError(
             f"duration must be at least the smoother's delay, {delay:g} s, got {duration:g}"
         )
-
-
-def _dividing_step(delay: float, longest: float, duration: float) -> float:
-    """Largest step up to `longest` that divides the delay."""
-    step = min(longest, duration)
-    if delay > 0:
-        step = delay / math.ceil(delay / step - 1e-9)
-    return step
-
-
-def _steps(duration: float, step: float) -> int:
-    steps = round(duration / step)
-    if steps < 1:
-        raise ValueError(f"duration must be at least one step, {step:g} s, got {duration:g}")
-    return steps
-
-
-def _whole_steps(delay: float, step: float) -> int:
-    """Return delay / step where it is a whole number; else say which steps would do."""
-    ratio = delay / step
-    nearest = round(ratio)
-    if abs(ratio - nearest) <= MULTIPLE_TOLERANCE and (nearest > 0 or delay == 0):
-        return nearest
-    fewer = max(1, math.floor(ratio))
-    raise ValueError(
-        f"step must divide the smoother's delay, {delay:g} s, into whole steps, got {step:g} "
-        f"({ratio:.6g} steps): the nearest that do are {delay / fewer:.12g} ({fewer} steps) and "
-        f"{delay / (fewer + 1):.12g} ({fewer + 1} steps)"
-    )

@@ -34,9 +34,9 @@ class MeanSquare:
     Attributes
     ----------
     mean_square : float
-        rad^2.
+        In the squared unit of the estimated quantity: rad^2 for a phase.
     standard_error : float
-        rad^2; not a number for a single path.
+        In the same unit; not a number for a single path.
     variance_reduction : float
         How many times as many paths it would take without control variates.
     """
@@ -46,7 +46,7 @@ class MeanSquare:
     variance_reduction: float = 1.0
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Return the interval that holds the mean with this probability, rad^2."""
+        """Return the interval that holds the mean with this probability."""
         confidence = validation.real(
             "confidence", confidence, low=0.0, high=1.0, low_open=True, high_open=True
         )

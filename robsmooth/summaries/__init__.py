@@ -1,6 +1,6 @@
 """The tables of the notebooks."""
 
-from robsmooth.summaries.beyond import study
+from robsmooth.summaries.beyond import lag_choices, optima, side_by_side, study, tightness
 from robsmooth.summaries.design import (
     approach_to_infimum,
     copy_noise,
@@ -10,6 +10,7 @@ from robsmooth.summaries.design import (
     sector_ranges,
     sign_readings,
 )
+from robsmooth.summaries.own import own_systems, refusals
 from robsmooth.summaries.simulation import (
     change_needed,
     noise_sweep,
@@ -25,13 +26,19 @@ __all__ = [
     "copy_noise",
     "covariances",
     "designs",
+    "lag_choices",
     "noise_sweep",
     "noise_table",
+    "optima",
+    "own_systems",
     "parameters",
+    "refusals",
     "routes",
     "routes_table",
     "sector_ranges",
+    "side_by_side",
     "sign_readings",
     "simulations",
     "study",
+    "tightness",
 ]

@@ -1,9 +1,18 @@
 """Tables of what the paper leaves open."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
+from robsmooth.analysis import AnalysisBound
+from robsmooth.comparison import Compared
+from robsmooth.errors import InfeasibleDesignError
+from robsmooth.lag import choose_lag
+from robsmooth.smoother import RobustSmoother
 from robsmooth.study import Study
+from robsmooth.systems import UncertainSystem
 from robsmooth.tables import Table
+from robsmooth.worst_case import WorstCase
 
 
 def study(found: Study, lag: float) -> Table:
@@ -50,3 +59,166 @@ def study(found: Study, lag: float) -> Table:
         ),
         digits=3,
     )
+
+
+def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float]) -> Table:
+    """Return the errors of the estimators, from no uncertainty to the worst, and with the sine."""
+    rows = []
+    for name, case in compared.items():
+        simulated = case.simulated
+        rows.append(
+            (
+                name,
+                *case.at,
+                case.worst.mean_square,
+                case.allowed.mean_square,
+                case.promised,
+                f"{simulated.mean_square:.4f} ± {simulated.standard_error:.4f}",
+                case.exact,
+            )
+        )
+    return Table(
+        columns=(
+            "estimator",
+            *(rf"$\Delta_2 = {slope:g}$" for slope in slopes),
+            "worst constant",
+            "worst allowed",
+            "$2V$",
+            "with the sine",
+            "without sampling",
+        ),
+        rows=rows,
+        caption=(
+            "Mean square errors (rad²) side by side: under constant uncertainties, the worst that "
+            "the constraints allow, and in the loop with its sine, simulated with the "
+            "same noise for all (± one standard error) and from the moments. $2V$ is what the "
+            "design promises of the error that its cost is for, in a loop whose copies have noise."
+        ),
+    )
+
+
+def optima(designs: Mapping[str, RobustSmoother]) -> Table:
+    """Return the least bounds of the example, where they are, and what the estimators gain there.
+
+    Parameters
+    ----------
+    designs : mapping
+        From what each design is for to the design with the least bound.
+    """
+    rows = []
+    for name, design in designs.items():
+        limit = design.limit or design
+        weights = ", ".join(f"{value:.4g}" for value in limit.multipliers)
+        poles = ", ".join(f"{pole:.4g}" for pole in limit.poles / 1e6 if pole.imag >= 0.0)
+        rows.append(
+            (
+                name,
+                float(limit.bound),
+                "no" if design.limit else "yes",
+                float(1e6 * limit.tau),
+                f"({weights})",
+                float(limit.B_c[0, 0]),
+                poles.replace("+0j", ""),
+            )
+        )
+    return Table(
+        columns=(
+            "cost",
+            "infimum of $V$ (rad²)",
+            "attained",
+            r"$\tau$ (rad² µs)",
+            r"$\lambda$",
+            "$B_c[0,0]$ (1/s)",
+            "poles (1/µs)",
+        ),
+        rows=rows,
+        caption=(
+            "The true optimum: the infimum of the bound over all multipliers, where it is, and the "
+            "estimator in the limit. $B_c[0,0]$ is the gain from the measurement into the phase's "
+            "estimate; of a pair of complex poles one is shown."
+        ),
+        digits=6,
+    )
+
+
+def tightness(
+    found: Mapping[str, tuple[WorstCase, AnalysisBound, WorstCase, AnalysisBound]],
+) -> Table:
+    """Return what designs promise against the worst that there is.
+
+    Parameters
+    ----------
+    found : mapping
+        From the name of each design to its worst constant case and the worst that the constraints
+        allow, for the error that its bound is for in a loop whose copies have noise, then both for
+        the same error in one whose copies have none.
+    """
+    rows = []
+    for name, (constant, allowed, constant_real, allowed_real) in found.items():
+        rows.append(
+            (
+                name,
+                constant.guarantee,
+                allowed.mean_square,
+                constant.mean_square,
+                constant.nominal,
+                f"{100 * allowed.mean_square / constant.guarantee:.0f}%",
+                allowed_real.mean_square,
+                constant_real.mean_square,
+                f"{100 * allowed_real.mean_square / constant.guarantee:.0f}%",
+            )
+        )
+    return Table(
+        columns=(
+            "design",
+            "$2V$",
+            "worst allowed",
+            "worst constant",
+            "nominal",
+            "share of $2V$",
+            "worst allowed, real loop",
+            "worst constant, real loop",
+            "share of $2V$, real loop",
+        ),
+        rows=rows,
+        caption=(
+            "How tight the guarantee is (rad²): twice the bound against the worst error that "
+            "the constraints allow, which some input attains, against the worst constant "
+            "uncertainty, and against none; in the loop of the theory, whose copies have noise, "
+            "and in a real one."
+        ),
+    )
+
+
+def lag_choices(system: UncertainSystem, designs: Sequence[str], shares: Sequence[float]) -> Table:
+    """Return the lag and order that take each design to each share of the possible gain."""
+    rows = []
+    for name in designs:
+        for share in shares:
+            rows.append((name, f"{100 * share:g}%", *_lag_choice(system, name, share)))
+    return Table(
+        columns=(
+            "design",
+            "share of the gain",
+            "lag (µs)",
+            "order",
+            "error (rad²)",
+            "shortest with an exact delay (µs)",
+        ),
+        rows=rows,
+        caption=(
+            "The shortest lag, and the lowest order for it, that take a design to a share of what "
+            "smoothing could gain; empty where no order does."
+        ),
+        digits=3,
+    )
+
+
+def _lag_choice(
+    system: UncertainSystem, design: str, share: float
+) -> tuple[float | None, str | None, float | None, float | None]:
+    try:
+        choice = choose_lag(system, fraction=share, design=design)
+    except InfeasibleDesignError:
+        return None, None, None, None
+    return 1e6 * choice.lag, str(choice.order), choice.error, 1e6 * choice.shortest

@@ -1,0 +1,147 @@
+"""How many samples of a record a smoother takes in a second, beside SciPy and python-control.
+
+The smoother is the fixed-lag smoother of the example, of three states. All that run it without
+copies of the sine give the same estimates. Run as ``python -m benchmarks.throughput``, in a process
+of its own that is kept on one core, as `benchmarks.race`; it prints JSON.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from benchmarks.race import middle, pin, say
+
+OURS = "robsmooth"
+DT = 1e-7  # s
+AGREEMENT = 1e-9  # of the largest estimate
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much to measure.
+
+    Attributes
+    ----------
+    rounds : int
+    seconds : float
+        For a contender in a round.
+    """
+
+    rounds: int
+    seconds: float
+
+
+FULL = Effort(rounds=15, seconds=0.1)
+QUICK = Effort(rounds=3, seconds=0.01)
+CHECKED = 5000  # samples
+MOST = 2_000_000  # samples of a round: 16 MB
+
+
+def contenders() -> dict[str, Callable]:
+    """Return the ways to run a record (N, 1), each from a state of zero."""
+    import control
+    import numpy as np
+    from numba import njit
+    from scipy import signal
+
+    from robsmooth import baselines, homodyne
+    from robsmooth.published import DELAY
+
+    parameters = homodyne.PAPER
+    system = parameters.uncertain_system()
+    estimator = baselines.fixed_lag_smoother(system, DELAY, 2)
+    with_copies = baselines.fixed_lag_smoother(system, DELAY, 2, copies=True)
+    alpha, beta, gamma = parameters.alpha, parameters.beta, parameters.gamma
+
+    @njit
+    def psi(nu):
+        error = nu / (2 * alpha * gamma)
+        return 2 * alpha * (np.sin(error) - beta * error)
+
+    ours = estimator.discretize(DT)
+    compiled = with_copies.discretize(DT, functions=[psi])
+    interpreted = with_copies.discretize(DT)
+
+    def run(smoother):
+        def simulate(y):
+            smoother.reset()
+            return smoother.run(y)
+
+        return simulate
+
+    def with_gaps(y):
+        y = y.copy()
+        y[::10] = np.nan
+        return run(ours)(y)
+
+    matrices = (estimator.A_c, estimator.B_c[:, :1], estimator.C_a, [[0.0]])
+    A, B, C, _, _ = signal.cont2discrete(matrices, DT)
+    sampled = (A, B, C @ A, C @ B, DT)  # the estimate at the end of a sample is of that sample
+    numerator, denominator = signal.ss2tf(*sampled[:4])
+    plant = control.ss(*sampled)
+
+    def forced_response(y):
+        times = DT * np.arange(len(y))
+        return control.forced_response(plant, times, y[:, 0]).outputs[:, None]
+
+    return {
+        OURS: run(ours),
+        "scipy.signal.lfilter": lambda y: signal.lfilter(numerator[0], denominator, y, axis=0),
+        "scipy.signal.dlsim": lambda y: signal.dlsim(sampled, y)[1],
+        "control.forced_response": forced_response,
+        "robsmooth, a gap in ten": with_gaps,
+        "robsmooth, compiled copies": run(compiled),
+        "robsmooth, copies in Python": run(interpreted),
+    }
+
+
+def throughput(effort: Effort) -> dict:
+    """Measure all contenders, interleaved; a ratio is the median over the rounds."""
+    import numpy as np
+
+    y = np.random.default_rng(0).standard_normal((MOST, 1))
+    runs = contenders()
+    expected = runs[OURS](y[:CHECKED])
+    found, lengths = {}, {}
+    for name, run in runs.items():
+        say(f"checking {name}")
+        off = float(np.abs(run(y[:CHECKED]) - expected).max() / np.abs(expected).max())
+        other_work = name.startswith(OURS)
+        found[name] = {"off": off, "agrees": other_work or off < AGREEMENT}
+        rate = measured(run, y[:CHECKED])
+        lengths[name] = int(min(max(rate * effort.seconds, CHECKED // 10), MOST))
+    rates = {name: [] for name in runs}
+    for number in range(1, effort.rounds + 1):
+        say(f"round {number} of {effort.rounds}")
+        for name, run in runs.items():
+            rates[name].append(measured(run, y[: lengths[name]]))
+    for name, contender in found.items():
+        contender["rate"], contender["rate_quartiles"] = middle(rates[name])
+        quotients = np.divide(rates[OURS], rates[name])
+        contender["ratio"], contender["ratio_quartiles"] = middle(quotients)
+        contender["samples"] = lengths[name]
+    return {"rounds": effort.rounds, "contenders": found}
+
+
+def measured(run: Callable, y) -> float:
+    """Return the rate in samples a second."""
+    started = time.perf_counter()
+    run(y)
+    return len(y) / (time.perf_counter() - started)
+
+
+def main() -> None:
+    """Measure, and print what came out as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    options = parser.parse_args()
+    pinned = pin()
+    result = throughput(QUICK if options.quick else FULL)
+    say("")
+    print(json.dumps({"pinned": pinned, **result}))
+
+
+if __name__ == "__main__":
+    main()

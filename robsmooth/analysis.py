@@ -1,0 +1,317 @@
+r"""The exact worst case of a given estimator under the paper's constraints.
+
+A design's bound V is for the best estimator that the theory can prove it for. How large can the
+error of a *given* estimator become? The constraints (eqIQC1) to (eqIQC4) speak of mean energies of
+inputs :math:`\tilde\xi` that may depend on all that has happened. For multipliers
+:math:`\theta \ge 0` and the stabilising solution of
+
+.. math::
+
+    \mathbf A'P + P\mathbf A + C'C + C_\zeta' N(\theta) C_\zeta +
+    P B_\xi M(\theta)^{-1} B_\xi' P = 0, \qquad C = C_w - C_s,
+
+Ito's formula for :math:`X'PX` gives :math:`E|e|^2 \le \operatorname{tr}\mathbf B'P\mathbf B` for
+every admissible uncertainty. The right hand side is convex in :math:`\theta`. Its infimum is not
+only a bound: inputs may be mixed by a coin tossed at the start, so that the mean energies that can
+be reached form a convex set, and there is no duality gap. The worst input is the feedback
+:math:`\tilde\xi = M^{-1}B_\xi'PX`, which spends energy where and when it does most harm, and whose
+own energies are the gradient: at the minimum it meets the constraints.
+
+A design's V is this bound with :math:`\theta = \tau\lambda` and more noise: :math:`2V =
+\operatorname{tr} B_\xi M(\lambda)^{-1}B_\xi'P`, where :math:`M(\lambda)^{-1} \ge JJ'` and
+:math:`B_\xi JJ'B_\xi' = \mathbf{BB}'`.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import null_space, solve_continuous_lyapunov
+from scipy.optimize import minimize
+
+from robsmooth import validation
+from robsmooth.augmented import AugmentedSystem
+from robsmooth.blas import one_thread
+from robsmooth.delay import pade_delay
+from robsmooth.estimator import Estimator
+from robsmooth.interconnection import OpenLoop, guarantee, open_loop
+from robsmooth.riccati import RiccatiError, solve_riccati
+from robsmooth.validation import Matrix, frozen
+
+_FLOOR = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
+_UNSEEN = 1e-12  # of the largest output there could be: what one has that no noise excites
+_REACH = 14.0  # how far a search goes from its start, in natural logarithms
+_REFUSED = 1e2  # the objective, a logarithm, where the Riccati equation has no solution
+_ROUNDS = 8
+_PROGRESS = 1e-10  # a round that lowers the bound by less, relatively, is the last
+_ON_THE_WAY = 10  # iterations
+_MULTIPLES = 4.0 ** np.arange(10)  # of theta: the more, the more the uncertainty counts
+_SMALLEST_STEP = 1e-3  # in the fraction of the uncertainty
+
+
+@dataclass(frozen=True, eq=False)
+class AnalysisBound:
+    """The least bound on an estimator's error under the constraints, and what attains it.
+
+    Attributes
+    ----------
+    mean_square : float
+        Above the mean square error under every admissible uncertainty, in the squared unit of w;
+        infinity where no multipliers give a bound.
+    gap : float
+        The share of `mean_square` that no admissible input was shown to reach, to first order: what
+        the worst input leaves of its constraints, weighted by their multipliers.
+    fraction : float
+        The share of the uncertainty for which there is a bound, by which its outputs would have to
+        be scaled: 1 where there is one for all of it, 0 for a loop that is not stable without it.
+    guarantee : float or None
+        Twice the bound V of the design, where that is for this error.
+    multipliers : (k + 3g,) array
+        theta, in the squared unit of w times seconds; infinity for a constraint that allows its
+        input no energy. Empty where there is no bound.
+    feedback : (r + 2g, N) array
+        The worst input as a feedback of the states X. Empty where there is no bound.
+    """
+
+    mean_square: float
+    gap: float
+    fraction: float
+    guarantee: float | None
+    multipliers: np.ndarray
+    feedback: Matrix
+
+    def __post_init__(self):
+        frozen(self.multipliers)
+        frozen(self.feedback)
+
+    def __repr__(self) -> str:
+        given = "none" if self.guarantee is None else f"{self.guarantee:.5g}"
+        return (
+            f"AnalysisBound(mean_square={self.mean_square:.5g}, gap={self.gap:.1g}, "
+            f"fraction={self.fraction:.3g}, guarantee={given})"
+        )
+
+
+@one_thread
+def analysis_bound(
+    smoother: Estimator,
+    output: str = "guaranteed",
+    copy_noise: bool = True,
+    *,
+    delay_order: int = 10,
+) -> AnalysisBound:
+    """Return the largest error that the constraints on the uncertainty allow an estimator.
+
+    Parameters
+    ----------
+    smoother : Estimator
+        Any design of this package, robust or not.
+    output : {"guaranteed", "filtered", "smoothed"}
+        The error, as in `worst_case`.
+    copy_noise : bool
+        Whether the design's fictitious noise drives the copies.
+    delay_order : int
+        Pade order of the delay of w where `output` is "smoothed": the true delay has no finite
+        state. The result is for that model, whose states follow those of the loop.
+
+    Returns
+    -------
+    AnalysisBound
+
+    Raises
+    ------
+    ValueError, TypeError
+        For an argument that is not as described.
+
+    References
+    ----------
+    I. R. Petersen, V. A. Ugrinovskii and A. V. Savkin, *Robust Control Design Using H-infinity
+    Methods*, Springer, 2000, on the S-procedure for stochastic uncertainty constraints.
+    """
+    loop = open_loop(smoother, output, copy_noise)
+    delay_order = validation.integer("delay_order", delay_order, low=1)
+    if loop.delay > 0.0:
+        loop = _with_delay_model(loop, delay_order)
+    problem = _problem(loop, smoother.plant)
+    fraction, theta = _follow(problem)
+    proven = guarantee(smoother, output)
+    if fraction < 1.0:
+        return AnalysisBound(math.inf, math.nan, fraction, proven, np.empty(0), np.empty((0, 0)))
+    theta = _minimise(problem, theta)
+    point = problem.at(theta)
+    multipliers = np.full(len(smoother.plant.M_i), math.inf)
+    multipliers[problem.active] = theta
+    return AnalysisBound(
+        mean_square=point.bound,
+        gap=float(theta @ np.maximum(point.slack, 0.0)) / point.bound,
+        fraction=1.0,
+        guarantee=proven,
+        multipliers=multipliers,
+        feedback=problem.free @ point.feedback,
+    )
+
+
+def _with_delay_model(loop: OpenLoop, order: int) -> OpenLoop:
+    """Return the loop with its delay of the truth as a Pade model, in states of its own."""
+    model = pade_delay(loop.delay, order, len(loop.truth))
+    states = len(model.F)
+    return replace(
+        loop,
+        A=np.block([[loop.A, np.zeros((len(loop.A), states))], [model.G @ loop.truth, model.F]]),
+        B=np.vstack([loop.B, np.zeros((states, loop.B.shape[1]))]),
+        inputs=np.vstack([loop.inputs, np.zeros((states, loop.inputs.shape[1]))]),
+        outputs=np.hstack([loop.outputs, np.zeros((len(loop.outputs), states))]),
+        truth=np.hstack([model.J @ loop.truth, model.H]),
+        estimate=np.hstack([loop.estimate, np.zeros((len(loop.estimate), states))]),
+        delay=0.0,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """The bound at one theta, its gradient, and the input that is worst there.
+
+    The gradient is that input's slack: how much less energy it has than the constraints allow.
+    """
+
+    bound: float
+    slack: np.ndarray
+    feedback: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The convex problem: A, B, C of the loop, inputs and constraints without those that are void.
+
+    A constraint whose right hand side is zero forbids its input: `free` spans the inputs that are
+    left, and M and N (already between inputs, and between states) are those of the `active` ones.
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    inputs: Matrix
+    free: Matrix
+    active: list[int]
+    M: np.ndarray
+    N: np.ndarray
+
+    def at(self, theta: np.ndarray, fraction: float = 1.0) -> _Point:
+        """Evaluate the bound with the uncertainty's outputs scaled by `fraction`.
+
+        Raises
+        ------
+        RiccatiError
+            Where theta gives no bound.
+        """
+        weighted = np.tensordot(theta, self.N, axes=1)
+        gain = fraction * np.linalg.solve(np.tensordot(theta, self.M, axes=1), self.inputs.T)
+        P = solve_riccati(self.A, self.C.T @ self.C + fraction * weighted, -self.inputs @ gain).X
+        feedback = gain @ P
+        spread = solve_continuous_lyapunov(self.A + self.inputs @ feedback, -self.B @ self.B.T)
+        allowed = fraction * np.tensordot(self.N, spread, axes=2)
+        used = np.tensordot(self.M, feedback @ spread @ feedback.T, axes=2) / fraction
+        return _Point(
+            bound=float(np.trace(self.B.T @ P @ self.B)),
+            slack=allowed - used,
+            feedback=feedback,
+        )
+
+    def start(self) -> np.ndarray:
+        """Return the best theta for a vanishing uncertainty, each constraint by itself."""
+        P = solve_continuous_lyapunov(self.A.T, -self.C.T @ self.C)
+        spread = solve_continuous_lyapunov(self.A, -self.B @ self.B.T)
+        reach = np.trace(self.N, axis1=1, axis2=2) * np.trace(spread)
+        allowed = np.maximum(np.tensordot(self.N, spread, axes=2), _UNSEEN * reach)
+        push = self.inputs.T @ P
+        used = np.tensordot(self.M, push @ spread @ push.T, axes=2)
+        nominal = np.tensordot(self.C.T @ self.C, spread, axes=2)
+        return np.sqrt(np.maximum(used, 0.0) / allowed) + _FLOOR * nominal / allowed
+
+
+def _problem(loop: OpenLoop, plant: AugmentedSystem) -> _Problem:
+    N = np.array([loop.outputs.T @ N_i @ loop.outputs for N_i in plant.N_i])
+    N = N.reshape(-1, *loop.A.shape)
+    void = [i for i, N_i in enumerate(N) if not N_i.any()]
+    active = [i for i in range(len(N)) if i not in void]
+    forbidden = sum((plant.M_i[i] for i in void), np.zeros((loop.inputs.shape[1],) * 2))
+    free = null_space(forbidden)
+    M = [free.T @ plant.M_i[i] @ free for i in active]
+    return _Problem(
+        A=loop.A,
+        B=loop.B,
+        C=loop.truth - loop.estimate,
+        inputs=loop.inputs @ free,
+        free=free,
+        active=active,
+        M=np.array(M).reshape(len(active), free.shape[1], free.shape[1]),
+        N=N[active],
+    )
+
+
+def _follow(problem: _Problem) -> tuple[float, np.ndarray]:
+    """Return the largest fraction of the uncertainty that has a bound, at most 1, and its theta.
+
+    A good theta for some of the uncertainty, or a multiple of it, gives a bound for a little more.
+    """
+    if not np.linalg.eigvals(problem.A).real.max() < 0.0:
+        return 0.0, np.empty(0)
+    theta, fraction, step = problem.start(), 0.0, 1.0
+    while fraction < 1.0 and step > _SMALLEST_STEP:
+        trial = min(1.0, fraction + step)
+        feasible = _feasible_multiple(problem, theta, trial)
+        if feasible is None:
+            step /= 2.0
+        else:
+            theta = _descend(problem, feasible, trial, iterations=_ON_THE_WAY)
+            fraction = trial
+    return fraction, theta
+
+
+def _feasible_multiple(problem: _Problem, theta: np.ndarray, fraction: float) -> np.ndarray | None:
+    """Return the smallest of some multiples of theta that give a bound, or None."""
+    for multiple in _MULTIPLES:
+        try:
+            problem.at(multiple * theta, fraction)
+        except RiccatiError:
+            continue
+        return multiple * theta
+    return None
+
+
+def _minimise(problem: _Problem, theta: np.ndarray) -> np.ndarray:
+    """Return the theta of the least bound: a search started anew until it gains nothing."""
+    before = math.inf
+    for _ in range(_ROUNDS):
+        bound = problem.at(theta).bound
+        if bound > (1.0 - _PROGRESS) * before:
+            break
+        before, theta = bound, _descend(problem, theta)
+    return theta
+
+
+def _descend(
+    problem: _Problem, theta: np.ndarray, fraction: float = 1.0, iterations: int = 200
+) -> np.ndarray:
+    """Return a theta with a lower bound, by a quasi-Newton search over its logarithm."""
+    if not theta.size:
+        return theta
+
+    def objective(logarithms: np.ndarray) -> tuple[float, np.ndarray]:
+        trial = np.exp(logarithms)
+        try:
+            point = problem.at(trial, fraction)
+        except RiccatiError:
+            return _REFUSED, np.zeros_like(trial)
+        return math.log(point.bound), point.slack * trial / point.bound
+
+    start = np.log(theta)
+    result = minimize(
+        objective,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=list(zip(start - _REACH, start + _REACH, strict=True)),
+        options={"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-11},
+    )
+    return np.exp(result.x) if result.fun <= objective(start)[0] else theta

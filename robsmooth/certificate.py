@@ -1,0 +1,137 @@
+r"""The example's bound in closed form, and a proof that its infimum is one.
+
+With the cost on the filtered error the example is scalar: the delay's states play no part. Let
+:math:`p = \lambda_2 + \lambda_3`, :math:`q = \lambda_2 + \lambda_4`, :math:`d = \lambda_2`, and
+:math:`h = p - d^2/q`, what the copy does not take from the nonlinearity. With
+:math:`s = (2\alpha\beta)^2`, :math:`c = 2\alpha\gamma` and :math:`\lambda_1 = 1`, which is best,
+
+.. math::
+
+    0 &= -2\lambda Y - Y^2[(s - c^2)p - 1/\tau] + \kappa, \qquad
+    0 = -2\lambda x + c^2h + \kappa x^2, \quad x = X/\tau,\\
+    V &= \tfrac12 Y(1 + \tau c^2p) + \tfrac12\,\frac{Y^2 s p\,\tau x}{1 - Yx} .
+
+V grows with h, so the least h for each p is best. With :math:`J_{21} = 1` the constraint is
+:math:`d^2 \le (1-p)(1-q)`: it allows :math:`h = 0` up to :math:`p = 1/2`, and beyond that
+:math:`h = p - q` with :math:`q^2 = (1-p)(1-q)`. Two numbers are left, p and tau.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robsmooth.homodyne import HomodyneParameters
+
+_DEPTH = 60  # how often a cell may be cut
+
+
+def scalar_bound(parameters: HomodyneParameters, p: ArrayLike, tau: ArrayLike) -> NDArray:
+    """Return V at p and tau, the rest at its best; infinity where there is no design.
+
+    Parameters
+    ----------
+    parameters : HomodyneParameters
+    p : array
+        Between zero and one.
+    tau : array
+        In rad^2 s, positive.
+
+    Returns
+    -------
+    array
+        In rad^2.
+    """
+    p, tau = np.asarray(p, dtype=float), np.asarray(tau, dtype=float)
+    return _value(parameters, _Y(parameters, p, tau), _x(parameters, p), p, tau)
+
+
+def prove_infimum(parameters: HomodyneParameters, target: float) -> int:
+    """Prove that no design of the example has a bound below a target, by branch and bound.
+
+    On a cell of p and tau, V is at least its value with Y, which falls in both, from the upper
+    corner, and all else from the lower one. Cells that may hold less than the target are cut in
+    four, until none is left.
+
+    Parameters
+    ----------
+    parameters : HomodyneParameters
+    target : float
+        In rad^2.
+
+    Returns
+    -------
+    int
+        The number of cells that it took.
+
+    Raises
+    ------
+    ValueError
+        Where a cell holds a design with a bound below the target, or gamma is above beta.
+    """
+    s, c2 = _squares(parameters)
+    if not s >= c2:
+        raise ValueError(
+            "parameters must have a gamma of at most beta for this proof, got "
+            f"gamma={parameters.gamma:g}, beta={parameters.beta:g}"
+        )
+    # below the first of these there is no Y, for any p
+    least = parameters.kappa / (parameters.lam**2 + parameters.kappa * (s - c2))
+    taus = least * np.concatenate([np.geomspace(1.0, 1e9, 60), [np.inf]])
+    ps = np.linspace(0.0, 1.0, 41)
+    low = np.stack(np.meshgrid(ps[:-1], taus[:-1]), -1).reshape(-1, 2)
+    high = np.stack(np.meshgrid(ps[1:], taus[1:]), -1).reshape(-1, 2)
+    cells = 0
+    for _ in range(_DEPTH):
+        cells += len(low)
+        Y = _Y(parameters, *high.T)
+        left = _value(parameters, Y, _x(parameters, low[:, 0]), *low.T) < target
+        if not left.any():
+            return cells
+        low, high = low[left], high[left]
+        middle = np.where(np.isinf(high), 2.0 * low, (low + high) / 2.0)
+        if (found := scalar_bound(parameters, *middle.T)).min() < target:
+            p, tau = middle[found.argmin()]
+            raise ValueError(
+                f"V is {found.min():.9g} rad^2 at p = {p:.6g}, tau = {tau:.6g} rad^2 s"
+            )
+        corners = np.array([(i, j) for i in (False, True) for j in (False, True)])
+        low, high = (
+            np.vstack([np.where(corner, middle, low) for corner in corners]),
+            np.vstack([np.where(corner, high, middle) for corner in corners]),
+        )
+    raise ValueError(f"cells are left in which V may be below {target:.9g} rad^2")
+
+
+def _squares(parameters: HomodyneParameters) -> tuple[float, float]:
+    """Return s and c^2."""
+    amplitude = (2.0 * parameters.alpha) ** 2
+    return amplitude * parameters.beta**2, amplitude * parameters.gamma**2
+
+
+def _least_h(p: NDArray) -> NDArray:
+    q = ((p - 1.0) + np.sqrt((1.0 - p) * (5.0 - p))) / 2.0  # of q^2 = (1 - p)(1 - q)
+    return np.where(p <= 0.5, 0.0, np.maximum(p - q, 0.0))
+
+
+def _Y(parameters: HomodyneParameters, p: NDArray, tau: NDArray) -> NDArray:
+    s, c2 = _squares(parameters)
+    root = parameters.lam**2 + parameters.kappa * ((s - c2) * p - 1.0 / tau)
+    value = parameters.kappa / (parameters.lam + np.sqrt(np.maximum(root, 0.0)))
+    return np.where(root < 0.0, np.inf, value)
+
+
+def _x(parameters: HomodyneParameters, p: NDArray) -> NDArray:
+    _, c2 = _squares(parameters)
+    h = _least_h(p)
+    root = parameters.lam**2 - parameters.kappa * c2 * h
+    value = c2 * h / (parameters.lam + np.sqrt(np.maximum(root, 0.0)))
+    return np.where(root < 0.0, np.inf, value)
+
+
+def _value(
+    parameters: HomodyneParameters, Y: NDArray, x: NDArray, p: NDArray, tau: NDArray
+) -> NDArray:
+    s, c2 = _squares(parameters)
+    with np.errstate(invalid="ignore"):
+        value = 0.5 * Y * (1.0 + tau * c2 * p) + 0.5 * Y**2 * s * p * tau * x / (1.0 - Y * x)
+        feasible = np.isfinite(Y) & np.isfinite(x) & (Y * x < 1.0)
+    return np.where(feasible, value, np.inf)

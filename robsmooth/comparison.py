@@ -1,0 +1,91 @@
+"""Estimators side by side, in the example's loop: with uncertainty, and with its sine."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from robsmooth.analysis import AnalysisBound, analysis_bound
+from robsmooth.covariance import delta_sweep
+from robsmooth.estimator import Estimator
+from robsmooth.galerkin import StationaryErrors, stationary_errors
+from robsmooth.homodyne import HomodyneParameters
+from robsmooth.montecarlo import MeanSquare, monte_carlo
+from robsmooth.smoother import RobustSmoother
+from robsmooth.worst_case import WorstCase, worst_case
+
+
+@dataclass(frozen=True)
+class Compared:
+    """The errors of one estimator in a real loop, whose copies have no noise.
+
+    Attributes
+    ----------
+    estimator : Estimator
+    output : str
+        The estimate that it is for: "smoothed", or "filtered" for a filter.
+    at : tuple of float
+        Mean square errors at the given slopes of the nonlinearity, rad^2.
+    worst : WorstCase
+        The worst constant uncertainty.
+    allowed : AnalysisBound
+        The worst that the quadratic constraints allow.
+    simulated : MeanSquare
+        The error in the loop with the sine itself, by the paper's protocol, rad^2.
+    moments : StationaryErrors
+        The same without sampling.
+    """
+
+    estimator: Estimator
+    output: str
+    at: tuple[float, ...]
+    worst: WorstCase
+    allowed: AnalysisBound
+    simulated: MeanSquare
+    moments: StationaryErrors
+
+    @property
+    def promised(self) -> float | None:
+        """Twice the design's bound V, rad^2: what it promises of the error of its cost."""
+        robust = isinstance(self.estimator, RobustSmoother)
+        return 2.0 * self.estimator.bound if robust else None
+
+    @property
+    def exact(self) -> float:
+        """The error in the loop with the sine, from the moments, rad^2."""
+        return getattr(self.moments, self.output)
+
+
+def compare(
+    estimators: Mapping[str, tuple[Estimator, str]],
+    parameters: HomodyneParameters,
+    slopes: Sequence[float],
+    **simulation,
+) -> dict[str, Compared]:
+    """Find the errors of each estimator, all with the same noise in the simulation.
+
+    Parameters
+    ----------
+    estimators : mapping
+        From a name to an estimator and the output, "smoothed" or "filtered", to judge it by.
+    parameters : HomodyneParameters
+    slopes : sequence of float
+        Of the nonlinearity, the paper's Delta_2.
+    **simulation
+        For `monte_carlo`: runs, seed and so on.
+
+    Returns
+    -------
+    dict of Compared
+    """
+    found = {}
+    for name, (estimator, output) in estimators.items():
+        result = monte_carlo(parameters, estimator, "paper", **simulation)
+        found[name] = Compared(
+            estimator=estimator,
+            output=output,
+            at=tuple(delta_sweep(estimator, slopes, output, copy_noise=False)[:, 0, 0].tolist()),
+            worst=worst_case(estimator, output, copy_noise=False),
+            allowed=analysis_bound(estimator, output, copy_noise=False),
+            simulated=getattr(result, output),
+            moments=stationary_errors(parameters, estimator),
+        )
+    return found

@@ -1,0 +1,174 @@
+r"""The loop of plant and estimator with its uncertainty taken out.
+
+.. math::
+
+    dX = [\mathbf A X + B_\xi\tilde\xi]\,dt + \mathbf B\,dW, \qquad \tilde\zeta = C_\zeta X,
+    \qquad e(t) = C_w X(t - \delta) - C_s X(t),
+
+with :math:`X = [x_p; \hat x]` as in (eqclosed): :math:`\tilde\xi = \Delta\tilde\zeta` closes
+it. What is asked of the loop under every admissible :math:`\Delta`, and not under one, starts here.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robsmooth import validation
+from robsmooth.estimator import Estimator
+from robsmooth.smoother import RobustSmoother
+from robsmooth.validation import Matrix
+
+OUTPUTS = ("smoothed", "filtered", "guaranteed")
+
+
+@dataclass(frozen=True)
+class Block:
+    """One block of the structure of Delta, times `gain`, in one place or in two.
+
+    Attributes
+    ----------
+    places : tuple of (slice, slice)
+        Its rows and columns in Delta: one place for an uncertainty; for a nonlinearity its own and
+        that of its copy, which have the same slope.
+    gain : float
+        The Lipschitz constant of a nonlinearity, 1 for an uncertainty.
+    shape : (int, int)
+        The block's rows and columns.
+    """
+
+    places: tuple[tuple[slice, slice], ...]
+    gain: float
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLoop:
+    """The loop, its uncertainty taken out (the module docstring has its equations).
+
+    Attributes
+    ----------
+    A, B : (N, N) and (N, q + g) arrays
+        Drift with Delta = 0 (1/s), and noise intensity.
+    inputs, outputs : (N, r + 2g) and (h + 2g, N) arrays
+        Where xi-tilde enters, and zeta-tilde.
+    truth, estimate : (m, N) arrays
+        The error is truth X(t - delay) - estimate X(t).
+    delay : float
+        In seconds.
+    blocks : tuple of Block
+        Those blocks of Delta that have an effect.
+    """
+
+    A: Matrix
+    B: Matrix
+    inputs: Matrix
+    outputs: Matrix
+    truth: Matrix
+    estimate: Matrix
+    delay: float
+    blocks: tuple[Block, ...]
+
+    def assemble(self, values: Sequence[np.ndarray], batch: tuple[int, ...]) -> np.ndarray:
+        """Return Delta, (*batch, r + 2g, h + 2g), from its blocks, each (*batch, rows, columns)."""
+        kind = np.result_type(float, *values)
+        Delta = np.zeros((*batch, self.inputs.shape[1], len(self.outputs)), kind)
+        for block, value in zip(self.blocks, values, strict=True):
+            for rows, columns in block.places:
+                Delta[..., rows, columns] = block.gain * value
+        return Delta
+
+    def disassemble(self, Delta: np.ndarray) -> list[np.ndarray]:
+        """Return the blocks of Delta, relative to their gain."""
+        first = [(block.places[0], block.gain) for block in self.blocks]
+        return [Delta[..., rows, columns] / gain for (rows, columns), gain in first]
+
+    def in_blocks(self, gradient: np.ndarray) -> list[np.ndarray]:
+        """Return the gradients with respect to the blocks from that with respect to Delta."""
+        return [
+            block.gain * sum(gradient[..., rows, columns] for rows, columns in block.places)
+            for block in self.blocks
+        ]
+
+
+def open_loop(smoother: Estimator, output: str, copy_noise: bool) -> OpenLoop:
+    """Take the uncertainty out of the loop of an estimator and its plant.
+
+    Parameters
+    ----------
+    smoother : Estimator
+        Any design of this package.
+    output : {"smoothed", "filtered", "guaranteed"}
+        The error of the smoothed estimate one lag back, of the filtered one now, or that of w-hat
+        which the bound of a `RobustSmoother` is for: it is the filtered one where the cost is, and
+        else w-hat's error against the output of the delay model.
+    copy_noise : bool
+        Whether the design's fictitious noise drives the copies.
+
+    Returns
+    -------
+    OpenLoop
+    """
+    validation.instance("smoother", smoother, Estimator)
+    output = validation.choice("output", output, OUTPUTS)
+    copy_noise = validation.boolean("copy_noise", copy_noise)
+    plant = smoother.plant
+    truth, estimate, delay = plant.C_p0, smoother.C_a, plant.delay
+    if output != "smoothed":
+        estimate, delay = smoother.C_f, 0.0
+    if output == "guaranteed":
+        if not isinstance(smoother, RobustSmoother):
+            raise ValueError(
+                "output 'guaranteed' is for a RobustSmoother, which has a bound, got "
+                f"{type(smoother).__name__}; 'smoothed' and 'filtered' are for any estimator"
+            )
+        truth = plant.C_p0 if smoother.cost == "filtered" else plant.C_a
+        estimate = smoother.C_c[: plant.system.m]
+    noise = plant.D21_bar.copy()
+    if not copy_noise:
+        noise[plant.system.l :] = 0.0
+    gain, beside = smoother.B_c, np.zeros((plant.n, len(smoother.A_c)))
+    inputs = np.vstack([plant.B1_tilde, gain @ plant.D21_tilde])
+    outputs = np.hstack([plant.C1_tilde, plant.D12_tilde @ smoother.C_c])
+    return OpenLoop(
+        A=np.block([[plant.A_p, beside], [gain @ plant.C2_tilde, smoother.A_c]]),
+        B=np.vstack([plant.B_p1, gain @ noise]),
+        inputs=inputs,
+        outputs=outputs,
+        truth=np.hstack([truth, np.zeros_like(estimate)]),
+        estimate=np.hstack([np.zeros_like(truth), estimate]),
+        delay=delay,
+        blocks=tuple(
+            block
+            for block in _structure(smoother)
+            if any(inputs[:, r].any() and outputs[c].any() for r, c in block.places)
+        ),
+    )
+
+
+def guarantee(smoother: Estimator, output: str) -> float | None:
+    """Return 2V where it is proven to be above the mean square of this error, else None.
+
+    It is, all the more, for a loop without the fictitious noise of the copies.
+    """
+    covered = isinstance(smoother, RobustSmoother) and (
+        output == "guaranteed" or output == smoother.cost == "filtered"
+    )
+    return 2.0 * smoother.bound if covered else None
+
+
+def _structure(smoother: Estimator) -> list[Block]:
+    """Return the blocks of Delta: the k uncertainties, then the g nonlinearities."""
+    plant = smoother.plant
+    rows, columns = (np.cumsum((0, *sizes)) for sizes in (plant.input_sizes, plant.output_sizes))
+    places = [
+        (slice(rows[i], rows[i + 1]), slice(columns[i], columns[i + 1]))
+        for i in range(len(plant.input_sizes))
+    ]
+    k, g = plant.system.k, plant.system.g
+    blocks = [
+        Block((places[s],), 1.0, (plant.input_sizes[s], plant.output_sizes[s])) for s in range(k)
+    ]
+    for i, channel in enumerate(plant.system.nonlinearities):
+        blocks.append(Block((places[k + i], places[k + g + i]), channel.lipschitz, (1, 1)))
+    return blocks

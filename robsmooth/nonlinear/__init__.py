@@ -1,0 +1,23 @@
+"""Simulation of any uncertain system in the loop with its estimator, nonlinearities and all.
+
+`loop` joins the two into one equation, `exact` takes its linear part over a step, `walk` takes the
+steps, and `run` makes errors, sample paths and a check of the theory's constraints of them.
+"""
+
+from robsmooth.nonlinear.run import (
+    InadmissibleWarning,
+    SamplePaths,
+    SimulatedError,
+    SimulationResult,
+    sample_paths,
+    simulate,
+)
+
+__all__ = [
+    "InadmissibleWarning",
+    "SamplePaths",
+    "SimulatedError",
+    "SimulationResult",
+    "sample_paths",
+    "simulate",
+]

@@ -1,0 +1,435 @@
+"""Errors, sample paths, and whether the loop stays where the theory holds."""
+
+import math
+import time
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from robsmooth import validation
+from robsmooth.augmented import AugmentedSystem
+from robsmooth.blas import one_thread
+from robsmooth.estimator import Estimator
+from robsmooth.montecarlo.statistics import MeanSquare, Moments
+from robsmooth.nonlinear.loop import NonlinearLoop, nonlinear_loop
+from robsmooth.nonlinear.walk import Walk
+from robsmooth.steps import dividing_step, steps_in, whole_steps
+from robsmooth.validation import Matrix, frozen
+
+BLOCK = 512  # paths side by side
+STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the response of the nonlinearities
+TIME_CONSTANTS = 100  # default duration, in units of the slowest mode
+WARM_UP_TIME_CONSTANTS = 5
+CHECK_EVERY = 16  # steps
+_ROUNDING = 1e-6  # relative: a constraint that holds with equality is not violated by rounding
+
+
+class InadmissibleWarning(RuntimeWarning):
+    """The simulated loop left the region in which the theory's constraints hold."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SimulatedError(MeanSquare):
+    """An error's covariance over independent paths; its trace is the mean square.
+
+    Attributes
+    ----------
+    covariance : (m, m) array
+        Of the error, about zero, in the squared unit of w.
+    covariance_error : (m, m) array
+        Standard error of each entry.
+    """
+
+    covariance: Matrix
+    covariance_error: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationResult:
+    """Errors of an estimator in the nonlinear loop.
+
+    Attributes
+    ----------
+    smoothed, filtered : SimulatedError
+        Of the estimates of w one lag back, and of w now: ``.mean_square``, ``.standard_error``,
+        ``.covariance``, ``.covariance_error``, in the squared unit of w.
+    constraints : (k + 3g,) array
+        How much of each of the theory's constraints is used, in the order of the multipliers:
+        E[xi' M_i xi] / E[zeta' N_i zeta], at most one where the uncertainty is admissible.
+    violated : (k + 3g,) array
+        The fraction of time for which xi' M_i xi > zeta' N_i zeta. For a nonlinearity that is
+        Lipschitz in a region only, the time that is spent outside.
+    equivalent_delta : (r + 2g, h + 2g) array
+        The constant uncertainties, and for the nonlinearities the statistically equivalent slopes
+        of the Gaussian loop that they make: with it `error_covariance` predicts the errors.
+    runs : int
+        Independent paths.
+    path_steps : int
+        Steps simulated, over all paths, the warm-up included.
+    wall_time : float
+        s.
+    duration : float
+        Of a path, without the warm-up, s.
+    warm_up : float
+        Simulated before averaging began, s.
+    step : float
+        s.
+    seed : int
+    """
+
+    smoothed: SimulatedError
+    filtered: SimulatedError
+    constraints: NDArray[np.float64]
+    violated: NDArray[np.float64]
+    equivalent_delta: Matrix
+    runs: int
+    path_steps: int
+    wall_time: float
+    duration: float
+    warm_up: float
+    step: float
+    seed: int
+
+    def __post_init__(self):
+        for value in (self.constraints, self.violated, self.equivalent_delta):
+            frozen(value)
+
+    def __repr__(self) -> str:
+        def text(error: MeanSquare) -> str:
+            return f"{error.mean_square:.6g} +- {error.standard_error:.2g}"
+
+        return (
+            f"SimulationResult(smoothed {text(self.smoothed)}, filtered {text(self.filtered)}, "
+            f"constraints used to {self.constraints.max(initial=0.0):.3g}, violated for "
+            f"{self.violated.max(initial=0.0):.2%} of the time; {self.runs} runs of "
+            f"{self.duration:.4g} s, step {self.step:.4g} s, seed {self.seed}; "
+            f"{self.path_steps:.3g} path-steps in {self.wall_time:.2g} s)"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SamplePaths:
+    """A few paths of the loop, to look at and to try estimators on.
+
+    Attributes
+    ----------
+    time : (N,) array
+        The ends of the steps, s.
+    y : (paths, N, l) array
+        The measured record: the mean of dy/dt over the step that ends at `time`.
+    w : (paths, N, m) array
+        The outputs at `time`.
+    filtered : (paths, N, m) array
+        The estimates of w at `time`, made then.
+    delayed : (paths, N, m) array
+        The outputs one lag before `time`.
+    smoothed : (paths, N, m) array
+        The estimates of `delayed`, made at `time`.
+    step : float
+        s.
+    delay : float
+        The lag of the smoothed estimates, s.
+    """
+
+    time: NDArray[np.float64]
+    y: NDArray[np.float64]
+    w: NDArray[np.float64]
+    filtered: NDArray[np.float64]
+    delayed: NDArray[np.float64]
+    smoothed: NDArray[np.float64]
+    step: float
+    delay: float
+
+
+@one_thread
+def simulate(
+    smoother: Estimator,
+    *,
+    uncertainties: Sequence = (),
+    copy_noise: bool = False,
+    runs: int = 256,
+    duration: float | None = None,
+    step: float | None = None,
+    seed: int = 0,
+    progress: bool = False,
+) -> SimulationResult:
+    r"""Simulate a system, nonlinearities and all, with its estimator, and measure the errors.
+
+    The errors are :math:`w(t) - C_f\hat x_p(t)` and :math:`w(t - \delta) - C_a\hat x_p(t)`. Paths
+    start in the stationary state of the statistically linearised loop, forget the difference for a
+    while, and are then averaged over time. The scheme is exact for a linear loop with any step, and
+    of the second order in the step for the nonlinearities.
+
+    Parameters
+    ----------
+    smoother : Estimator
+        Any design of this package. Every nonlinearity of its system needs its function: one of
+        arrays, or a numba function of a number.
+    uncertainties : sequence of k numbers, (r_s, h_s) arrays or functions
+        Constants of norm at most one, as in `AugmentedSystem.structured_delta`, or functions
+        ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s, zero where averaging
+        begins. Left out: zero.
+    copy_noise : bool
+        Whether the design's fictitious noise drives the copies; a real loop has none.
+    runs : int
+        Independent paths.
+    duration : float, optional
+        Of a path, without the warm-up, s; rounded to whole steps. Default: 100 times the slowest
+        time constant of the linearised loop.
+    step : float, optional
+        s; must divide the lag into whole steps. Default: the largest such step that is at most a
+        fifth of the time in which the nonlinearities' arguments change or act on each other.
+    seed : int
+        At least 0. A path depends on it, the path's number and the step alone.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    SimulationResult
+
+    Warns
+    -----
+    InadmissibleWarning
+        Where a constraint of the theory does not hold all the time.
+
+    Raises
+    ------
+    UnstableLoopError
+        Where the loop is not stable without its nonlinearities.
+    RuntimeError
+        Where a path diverges; it names the path and the time.
+    ValueError, TypeError
+        For an argument that is not as described, before anything is simulated.
+
+    References
+    ----------
+    Section II, equations (eqsystem), (eqIQC1) to (eqIQC4) and (eqcontrol).
+    """
+    started = time.perf_counter()
+    loop = nonlinear_loop(smoother, uncertainties, copy_noise)
+    runs, seed = _counts(runs, seed)
+    progress = validation.boolean("progress", progress)
+    plan = _plan(loop, smoother.plant.delay, duration, step, TIME_CONSTANTS)
+    walk = Walk.of(loop, plan.step)
+    plant = smoother.plant
+    m, constraints = plant.system.m, len(plant.M_i)
+    errors, checks = Moments(2 * (m * m + 1)), np.zeros((3, constraints))
+    with tqdm(
+        total=runs * plan.all_steps, unit="step", unit_scale=True, disable=not progress
+    ) as bar:
+        for first in range(0, runs, BLOCK):
+            paths = range(first, min(first + BLOCK, runs))
+            of_errors, of_checks = _averages(walk, plant, plan, seed, paths, bar)
+            errors.add(of_errors)
+            checks += of_checks.sum(axis=2) / runs
+
+    used, allowed, violated = checks
+    result = SimulationResult(
+        smoothed=_error(errors, m * m + 1, m),
+        filtered=_error(errors, 0, m),
+        constraints=np.divide(used, allowed, out=np.zeros(constraints), where=used > 0.0),
+        violated=violated,
+        equivalent_delta=loop.delta.copy(),
+        runs=runs,
+        path_steps=runs * plan.all_steps,
+        wall_time=time.perf_counter() - started,
+        duration=plan.steps * plan.step,
+        warm_up=plan.before * plan.step,
+        step=plan.step,
+        seed=seed,
+    )
+    _warn(plant, result)
+    return result
+
+
+@one_thread
+def sample_paths(
+    smoother: Estimator,
+    *,
+    uncertainties: Sequence = (),
+    copy_noise: bool = False,
+    runs: int = 3,
+    duration: float | None = None,
+    step: float | None = None,
+    seed: int = 0,
+) -> SamplePaths:
+    """Return the first of the paths that `simulate` averages, with what was measured.
+
+    Parameters
+    ----------
+    smoother, uncertainties, copy_noise, runs, duration, step, seed
+        As in `simulate`. The default duration is a fifth of the one there.
+
+    Returns
+    -------
+    SamplePaths
+
+    Raises
+    ------
+    UnstableLoopError, RuntimeError, ValueError, TypeError
+        As in `simulate`.
+    """
+    loop = nonlinear_loop(smoother, uncertainties, copy_noise)
+    runs, seed = _counts(runs, seed)
+    plan = _plan(loop, smoother.plant.delay, duration, step, TIME_CONSTANTS / 5)
+    walk = Walk.of(loop, plan.step, measured=True)
+    parts = list(_recorded(walk, smoother.plant.system.m, plan, seed, range(runs)))
+    whole = _Part(*(np.concatenate(pieces) for pieces in zip(*parts, strict=True)))
+    series = {
+        name: frozen(np.moveaxis(getattr(whole, name), 2, 0))
+        for name in ("y", "w", "filtered", "delayed", "smoothed")
+    }
+    return SamplePaths(time=whole.time, step=plan.step, delay=smoother.plant.delay, **series)
+
+
+# --- what is simulated ----------------------------------------------------------------------------
+
+
+class _Plan(NamedTuple):
+    """How long, in steps: before time zero, from there on, and the lag."""
+
+    step: float
+    before: int
+    steps: int
+    lag: int
+
+    @property
+    def all_steps(self) -> int:
+        """Steps of a path."""
+        return self.before + self.steps
+
+
+def _counts(runs: int, seed: int) -> tuple[int, int]:
+    return validation.integer("runs", runs, low=1), validation.integer("seed", seed, low=0)
+
+
+def _plan(
+    loop: NonlinearLoop,
+    delay: float,
+    duration: float | None,
+    step: float | None,
+    time_constants: float,
+) -> _Plan:
+    """Check duration and step, or fill in defaults."""
+    slowest = loop.slowest_rate
+    if duration is None:
+        duration = time_constants / slowest
+    duration = validation.positive("duration", duration)
+    if step is None:
+        step = dividing_step(delay, STEP_OF_TIME_CONSTANT / loop.response_rate(), duration)
+    step = validation.positive("step", step)
+    warm_up = WARM_UP_TIME_CONSTANTS / slowest + delay
+    return _Plan(
+        step, math.ceil(warm_up / step), steps_in(duration, step), whole_steps(delay, step)
+    )
+
+
+class _Part(NamedTuple):
+    """Some consecutive records of all paths, each (steps, rows, paths), from time zero on."""
+
+    time: NDArray  # (steps,), s
+    w: NDArray
+    filtered: NDArray
+    delayed: NDArray
+    smoothed: NDArray
+    zeta: NDArray
+    y: NDArray
+
+
+def _recorded(
+    walk: Walk, m: int, plan: _Plan, seed: int, paths: range, bar: tqdm | None = None
+) -> Iterator[_Part]:
+    """Simulate paths of m outputs; leave out what is before time zero."""
+    rows = np.cumsum([m, m, m, len(walk.loop.arguments)])
+    past = np.zeros((plan.lag, m, len(paths)))
+    for first, records in walk.records(seed, paths, plan.before, plan.steps):
+        w, filtered, smoothed, zeta, y = np.split(records, rows, axis=1)
+        known = np.concatenate([past, w])
+        past = known[len(w) :]
+        times = walk.step * np.arange(first, first + len(w))
+        parts = (times, w, filtered, known[: len(w)], smoothed, zeta, y)
+        yield _Part(*(part[max(0, 1 - first) :] for part in parts))
+        if bar is not None:
+            bar.update(len(records) * len(paths))
+
+
+# --- what is made of it ---------------------------------------------------------------------------
+
+
+def _averages(
+    walk: Walk, plant: AugmentedSystem, plan: _Plan, seed: int, paths: range, bar: tqdm
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Simulate paths and return their averages over time.
+
+    Returns
+    -------
+    errors : (2 (m^2 + 1), paths) array
+        The products of the filtered errors and their trace, then those of the smoothed errors.
+    checks : (3, k + 3g, paths) array
+        What `_constraints` returns.
+    """
+    m, samples = plant.system.m, 0
+    products = np.zeros((2, m, m, len(paths)))
+    checks = np.zeros((3, len(plant.M_i), len(paths)))
+    for part in _recorded(walk, m, plan, seed, paths, bar):
+        errors = (part.w - part.filtered, part.delayed - part.smoothed)
+        products += [np.einsum("tip,tjp->ijp", error, error) for error in errors]
+        for k in range(0, len(part.time), CHECK_EVERY):
+            checks += _constraints(walk.loop, plant, part.time[k], part.zeta[k])
+            samples += 1
+    products /= plan.steps
+    traces = np.einsum("eiip->ep", products)[:, None]
+    with_traces = np.concatenate([products.reshape(2, m * m, -1), traces], axis=1)
+    return with_traces.reshape(2 * (m * m + 1), -1), checks / samples
+
+
+def _constraints(
+    loop: NonlinearLoop, plant: AugmentedSystem, at: float, zeta: NDArray
+) -> NDArray[np.float64]:
+    """Return xi' M_i xi, zeta' N_i zeta and whether the former is larger, (3, k + 3g, paths)."""
+    xi = loop.delta @ zeta + loop.remainder(at, zeta)
+    used, allowed = np.empty((2, len(plant.M_i), zeta.shape[1]))
+    for i, (M, N) in enumerate(zip(plant.M_i, plant.N_i, strict=True)):
+        used[i] = (xi * (M @ xi)).sum(axis=0)
+        allowed[i] = (zeta * (N @ zeta)).sum(axis=0)
+    return np.array([used, allowed, used > (1 + _ROUNDING) * allowed])
+
+
+def _error(errors: Moments, first: int, m: int) -> SimulatedError:
+    """Return what the rows of `_averages` from `first` on are the moments of."""
+    found = [errors.mean_square(first + i) for i in range(m * m + 1)]
+    return SimulatedError(
+        mean_square=found[-1].mean_square,
+        standard_error=found[-1].standard_error,
+        covariance=frozen(np.array([e.mean_square for e in found[:-1]]).reshape(m, m)),
+        covariance_error=frozen(np.array([e.standard_error for e in found[:-1]]).reshape(m, m)),
+    )
+
+
+def _warn(plant: AugmentedSystem, result: SimulationResult) -> None:
+    """Say which constraints do not hold all the time."""
+    i_of = range(plant.system.g)
+    names = [
+        *(f"uncertainties[{s}]" for s in range(plant.system.k)),
+        *(f"nonlinearities[{i}] less its copy" for i in i_of),
+        *(f"nonlinearities[{i}]" for i in i_of),
+        *(f"the copy of nonlinearities[{i}]" for i in i_of),
+    ]
+    found = [
+        f"{name} for {violated:.2g} of the time ({used:.3g} in the mean)"
+        for name, violated, used in zip(names, result.violated, result.constraints, strict=True)
+        if violated > 0.0
+    ]
+    if found:
+        warnings.warn(
+            "the loop left the region in which the theory's constraints hold: "
+            f"{'; '.join(found)}; the guarantee needs at most 1 in the mean",
+            InadmissibleWarning,
+            stacklevel=4,
+        )

@@ -1,0 +1,158 @@
+r"""The steps of many paths at once: a second-order exponential integrator.
+
+With :math:`\rho_0 = \rho(t, Lz)`, and exactly but for the course of :math:`\rho` over a step,
+
+.. math::
+
+    z^* = e^{F_\Delta h}z + K_1\rho_0 + \eta,\qquad
+    z \leftarrow z^* + K_2\,[\rho(t + h, Lz^*) - \rho_0],\qquad F_\Delta = F + G\Delta L .
+
+That is Heun's scheme for additive noise [1]_ in the exponential form of Cox and Matthews [2]_: of
+weak order two in `h`, and exact in distribution where the loop is linear.
+
+References
+----------
+.. [1] P. E. Kloeden and E. Platen, "Numerical Solution of Stochastic Differential Equations",
+   Springer, 1992, Section 15.1.
+.. [2] S. M. Cox and P. C. Matthews, "Exponential time differencing for stiff systems", Journal of
+   Computational Physics 176 (2), 2002.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import SFC64, Generator, SeedSequence
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from robsmooth.nonlinear.exact import noise_root, responses
+from robsmooth.nonlinear.loop import NonlinearLoop
+from robsmooth.validation import Matrix
+
+CHUNK = 64  # steps for which noise is drawn ahead, and between two looks for divergence
+GROWTH = 1e6  # of an output, from the first chunk on: divergence
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """The scheme of the module's docstring for one loop and step.
+
+    Attributes
+    ----------
+    loop : NonlinearLoop
+    step : float
+        s.
+    transition, first, second, noise : arrays
+        e^{F h}, K_1, K_2, and a lower triangular root of the covariance of eta.
+    readout : array
+        Rows that are recorded: w, its two estimates, zeta-tilde and, where `measured`, the means of
+        dy/dt over the step.
+    """
+
+    loop: NonlinearLoop
+    step: float
+    transition: Matrix
+    first: Matrix
+    second: Matrix
+    noise: Matrix
+    readout: Matrix
+
+    @classmethod
+    def of(cls, loop: NonlinearLoop, step: float, measured: bool = False) -> "Walk":
+        """Prepare the steps; `measured` has y integrated along with the state."""
+        N = loop.order
+        size = len(loop.drift) if measured else N
+        F = np.hstack([loop.linear_drift[:size], np.zeros((size, size - N))])
+        transition, first, second = responses(F, loop.inputs[:size], step)
+        transition[:, N:] = 0.0  # the integral of y begins anew with each step
+        return cls(
+            loop=loop,
+            step=step,
+            transition=transition,
+            first=first,
+            second=second,
+            noise=noise_root(F, loop.noise[:size], step),
+            readout=block_diag(np.vstack([loop.readout, loop.arguments]), np.eye(size - N) / step),
+        )
+
+    @property
+    def _arguments(self) -> slice:
+        """Rows of the records that are zeta-tilde."""
+        first = len(self.loop.readout)
+        return slice(first, first + len(self.loop.arguments))
+
+    def advance(self, time: float, z: NDArray, zeta: NDArray, noise: NDArray) -> NDArray:
+        """Return the states (., paths) a step after `time`; `zeta` is zeta-tilde at `time`."""
+        z = self.transition @ z + noise
+        if not self.loop.functions:
+            return z
+        rho = self.loop.remainder(time, zeta)
+        z += self.first @ rho
+        ahead = self.readout[self._arguments] @ z
+        z += self.second @ (self.loop.remainder(time + self.step, ahead) - rho)
+        return z
+
+    def records(
+        self, seed: int, paths: Sequence[int], before: int, steps: int
+    ) -> Iterator[tuple[int, NDArray[np.float64]]]:
+        """Take `before` steps to time zero, and `steps` more, from a stationary start.
+
+        A path depends on the seed and its number alone.
+
+        Yields
+        ------
+        first : int
+            How many steps from time zero the first record is.
+        records : (at most CHUNK, rows of `readout`, paths) array
+            What `readout` gives after each step.
+
+        Raises
+        ------
+        RuntimeError
+            Where a path diverges.
+        """
+        N, measured = self.loop.order, len(self.transition) - self.loop.order
+        of_state = [_generator(seed, path, 0) for path in paths]
+        of_measurement = [_generator(seed, path, 1) for path in paths if measured]
+        z = np.zeros((N + measured, len(paths)))
+        z[:N] = self.loop.stationary_root @ _normals(of_state, 1, N)[0]
+        zeta = self.readout[self._arguments] @ z
+        limit = None
+        for start in range(-before, steps, CHUNK):
+            count = min(CHUNK, steps - start)
+            normals = _normals(of_state, count, N)
+            if measured:
+                normals = np.hstack([normals, _normals(of_measurement, count, measured)])
+            noise = self.noise @ normals
+            records = np.empty((count, len(self.readout), len(paths)))
+            with np.errstate(over="ignore", invalid="ignore"):
+                for k in range(count):
+                    z = self.advance((start + k) * self.step, z, zeta, noise[k])
+                    np.matmul(self.readout, z, out=records[k])
+                    zeta = records[k, self._arguments]
+            size = np.abs(records)
+            if limit is None:
+                largest = size.max(axis=(0, 2), where=np.isfinite(size), initial=0.0)[:, None]
+                limit = np.where(largest > 0.0, GROWTH * largest, np.finfo(float).max)
+            if not (size <= limit).all():  # nor is it with a NaN
+                step, _, column = np.argwhere(~(size <= limit))[0]
+                raise RuntimeError(
+                    f"path {paths[column]} of seed {seed} diverges: by "
+                    f"{(start + step + 1) * self.step:.4g} s an output is not a number or beyond "
+                    f"{GROWTH:g} times its size at the start; the loop is not stable, or the step, "
+                    f"{self.step:.4g} s, too long for it"
+                )
+            yield start + 1, records
+
+
+def _generator(seed: int, path: int, stream: int) -> Generator:
+    return Generator(SFC64(SeedSequence(seed, spawn_key=(path, stream))))
+
+
+def _normals(generators: Sequence[Generator], count: int, width: int) -> NDArray[np.float64]:
+    """Draw (count, width, paths): each path's numbers are in the order of time."""
+    drawn = np.empty((len(generators), count, width))
+    for generator, part in zip(generators, drawn, strict=True):
+        generator.standard_normal(out=part)
+    return np.ascontiguousarray(np.moveaxis(drawn, 0, 2))

@@ -1,0 +1,416 @@
+"""Measured records in files: read, smoothed and written in chunks.
+
+A record has a row for each sample and a column for each measurement, the mean of dy/dt over the
+sample's interval. It is a CSV file, or an NPY file with an array of numbers. A chunk is all that is
+in memory at a time.
+"""
+
+import csv
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from tokenize import TokenError
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from robsmooth import validation
+from robsmooth.discrete import OUTPUTS, DiscreteSmoother
+from robsmooth.files import atomic_path
+
+CHUNK = 65_536  # rows
+TIMING = 0.5  # of a sample: by how much a row may come too early or too late
+DRIFT = 1e-3  # by how much the record's clock may differ from dt's
+
+Column = int | str
+Columns = Column | Sequence[Column]
+Write = Callable[[NDArray[np.float64], NDArray[np.float64]], None]
+
+
+def smooth_record(
+    smoother: DiscreteSmoother,
+    source: str | os.PathLike,
+    target: str | os.PathLike,
+    *,
+    columns: Columns | None = None,
+    reference: Columns | None = None,
+    time: Column | None = None,
+    output: str = "smoothed",
+    delimiter: str = ",",
+    chunk: int = CHUNK,
+    progress: bool = False,
+) -> int:
+    """Smooth a record from file to file, gigabytes in the memory of a chunk.
+
+    The smoother goes on from its state and keeps the new one, as in `DiscreteSmoother.run`. Where
+    this fails or is interrupted, the state and the target are what they were before.
+
+    Parameters
+    ----------
+    smoother : DiscreteSmoother
+        Made by ``estimator.discretize(dt)``.
+    source : path
+        The record, in a file that ends in ``.csv`` or ``.npy``. In a CSV file, nan and empty cells
+        are missing measurements; a first line without any number is a header. In an NPY file nan
+        is missing, and an array (N,) is a column; it may not hold objects.
+    target : path
+        For the estimates, ``.csv`` or ``.npy``. A CSV file begins with a column ``time``, that of
+        w in the row, in seconds as `DiscreteSmoother.times` tells it, before ``w[0]``, ``w[1]``...
+        An NPY file has the (N, m) array that `DiscreteSmoother.run` returns.
+    columns : int, str or sequence of them, optional
+        The l columns that are measurements: indices, or names from a CSV file's header. All that
+        are not named otherwise, by default.
+    reference : int, str or sequence of them, optional
+        The g columns with the reference of the nonlinearities, as in `DiscreteSmoother.run`.
+    time : int or str, optional
+        A column with times, s, to be checked against the smoother's dt: a row that is missing, or
+        a wrong dt, is refused.
+    output : {"smoothed", "filtered"}
+        Which estimates to write.
+    delimiter : str
+        One character, of CSV files.
+    chunk : int
+        Rows in memory at a time.
+    progress : bool
+        Whether to show a progress bar.
+
+    Returns
+    -------
+    int
+        The number of rows.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For what cannot be read, or is no number where it should be one; the message names the
+        file with the line or row, and the column.
+    ArithmeticError
+        Where the smoother's state leaves the range of floats.
+    OSError
+        Where a file cannot be opened or written.
+    """
+    validation.instance("smoother", smoother, DiscreteSmoother)
+    output = validation.choice("output", output, OUTPUTS)
+    validation.boolean("progress", progress)
+    chunk = validation.integer("chunk", chunk, low=1)
+    if not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\r\n':
+        raise ValueError(f"delimiter must be one character, not a quote, got {delimiter!r}")
+    source, target = Path(source), Path(target)
+    if target.resolve() == source.resolve():
+        raise ValueError(f"target must be another file than source, got {target} for both")
+    record = _choice("source", source, _RECORDS)(source, delimiter)
+    writer = _choice("target", target, _WRITERS)
+    layout = _layout(record, smoother, columns, reference, time)
+    before = smoother.state, smoother.samples
+    bar = tqdm(total=record.size, unit=record.unit, unit_scale=True, disable=not progress)
+    try:
+        with (
+            bar,
+            atomic_path(target) as temporary,
+            writer(temporary, smoother.m, delimiter) as write,
+        ):
+            rows = 0
+            for values, size in record.chunks(layout.indices, chunk):
+                layout.check(values, rows, smoother.dt)
+                y, known = layout.parts(values)
+                estimates = smoother.run(y, reference=known, output=output)
+                write(smoother.times(len(estimates), output), estimates)
+                rows += len(values)
+                bar.update(size)
+    except BaseException:
+        smoother.reset(*before)
+        raise
+    return rows
+
+
+# --- which column is what ------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class _Layout:
+    """The columns that are used: measurements, reference and time, in this order."""
+
+    record: "_Csv | _Npy"
+    measurements: list[int]
+    reference: list[int]
+    time: list[int]
+    first_time: float = field(default=np.nan, init=False)
+    last_time: float = field(default=np.nan, init=False)
+
+    @property
+    def indices(self) -> list[int]:
+        return [*self.measurements, *self.reference, *self.time]
+
+    def parts(self, values: NDArray[np.float64]) -> tuple[NDArray, NDArray | None]:
+        """Return measurements and reference."""
+        y, known, _ = np.split(values, np.cumsum([len(self.measurements), len(self.reference)]), 1)
+        return y, known if self.reference else None
+
+    def check(self, values: NDArray[np.float64], row: int, dt: float) -> None:
+        """Refuse what is not a number or not in time, in a chunk that begins at this row."""
+        wrong = ~np.isfinite(values)
+        wrong[:, : len(self.measurements)] &= ~np.isnan(values[:, : len(self.measurements)])
+        if wrong.any():
+            i, j = np.argwhere(wrong)[0]
+            place = self.record.place(row + i, self.indices[j])
+            raise ValueError(f"{place}: {values[i, j]} where there must be a finite number")
+        if self.time and len(values):
+            self._check_times(values[:, -1], row, dt)
+
+    def _check_times(self, times: NDArray[np.float64], row: int, dt: float) -> None:
+        if row == 0:
+            self.first_time, self.last_time = times[0], times[0] - dt
+        late = np.diff(times, prepend=self.last_time) / dt - 1.0
+        count = row + np.arange(len(times))
+        drift = (times - self.first_time) / dt - count
+        wrong = (np.abs(late) >= TIMING) | (np.abs(drift) >= TIMING + DRIFT * count)
+        if wrong.any():
+            i = int(wrong.argmax())
+            raise ValueError(
+                f"{self.record.place(row + i, self.time[0])}: the time {times[i]:.9g} s is "
+                f"{1 + late[i]:.6g} samples after that of the row before and {drift[i]:+.6g} "
+                f"samples off the times of the record's begin with dt = {dt:g} s"
+            )
+        self.last_time = times[-1]
+
+
+def _layout(
+    record: "_Csv | _Npy",
+    smoother: DiscreteSmoother,
+    columns: Columns | None,
+    reference: Columns | None,
+    time: Column | None,
+) -> _Layout:
+    """Find the columns, and check that there are as many as the smoother wants."""
+    known = [] if reference is None else _indices("reference", record, reference)
+    times = [] if time is None else _indices("time", record, time)
+    if columns is None:
+        measurements = [i for i in range(record.width) if i not in (*known, *times)]
+    else:
+        measurements = _indices("columns", record, columns)
+    for name, found, wanted, what in (
+        ("columns", measurements, smoother.l, "measurements"),
+        ("reference", known, smoother.g, "nonlinearities"),
+        ("time", times, 1, "time"),
+    ):
+        if len(found) != wanted and (found or name == "columns"):
+            raise ValueError(
+                f"{name} must name {wanted} of the columns of {record.path}, one for each of the "
+                f"{what}, got {len(found)} ({', '.join(map(record.name, found))})"
+            )
+    return _Layout(record, measurements, known, times)
+
+
+def _indices(name: str, record: "_Csv | _Npy", columns: Columns) -> list[int]:
+    if isinstance(columns, int | np.integer | str):
+        columns = [columns]
+    return [_index(name, record, column) for column in columns]
+
+
+def _index(name: str, record: "_Csv | _Npy", column: Column) -> int:
+    if isinstance(column, str):
+        if record.header.count(column) != 1:
+            found = "twice" if column in record.header else "not"
+            names = ", ".join(map(repr, record.header)) or "no header"
+            raise ValueError(f"{name}: {column!r} is {found} in {record.path}, which has {names}")
+        return record.header.index(column)
+    index = validation.integer(name, column, low=0)
+    if index >= record.width:
+        raise ValueError(f"{name}: {record.path} has {record.width} columns, there is no {index}")
+    return index
+
+
+def _choice(name: str, path: Path, kinds: dict) -> Callable:
+    if path.suffix.lower() not in kinds:
+        raise ValueError(f"{name} must end in {' or '.join(kinds)}, got {path.name!r}")
+    return kinds[path.suffix.lower()]
+
+
+# --- records -------------------------------------------------------------------------------------
+
+
+class _Npy:
+    """An NPY file. It is mapped anew for each chunk: what was read need not stay in memory."""
+
+    unit = "row"
+    header: Sequence[str] = ()
+
+    def __init__(self, path: Path, _delimiter: str):
+        self.path = path
+        array = self._open()
+        if array.dtype.kind not in "iuf":
+            raise TypeError(f"{path} must hold real numbers, got entries of {array.dtype}")
+        if array.ndim not in (1, 2):
+            raise ValueError(f"{path} must hold an array (N, columns), got shape {array.shape}")
+        self.size = len(array)
+        self.width = 1 if array.ndim == 1 else array.shape[1]
+
+    def _open(self) -> NDArray:
+        try:
+            return npy.open_memmap(self.path, mode="r")
+        except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
+            raise ValueError(
+                f"{self.path} must be an NPY file of plain numbers, without Python objects, which "
+                f"are never unpickled: {error}"
+            ) from None
+
+    def name(self, column: int) -> str:
+        return f"column {column}"
+
+    def place(self, row: int, column: int) -> str:
+        return f"{self.path}, row {row}, {self.name(column)}"
+
+    def chunks(self, columns: list[int], rows: int) -> Iterator[tuple[NDArray[np.float64], int]]:
+        """Yield the chosen columns of the next rows, and their number."""
+        for start in range(0, self.size, rows):
+            part = self._open()[start : start + rows].reshape(-1, self.width)
+            values = np.array(part[:, columns], dtype=float)
+            del part
+            yield values, len(values)
+
+
+class _Csv:
+    """A CSV file."""
+
+    unit = "B"
+
+    def __init__(self, path: Path, delimiter: str):
+        self.path, self.delimiter = path, delimiter
+        self.size = path.stat().st_size
+        with self._open() as file:
+            cells = self._cells(file.readline(), 1)
+        if not cells:
+            raise ValueError(f"{path} must begin with a header or a row of numbers, got a blank")
+        self.width = len(cells)
+        numbers = [_is_number(cell) for cell in cells]
+        is_header = not any(numbers) and any(cells)
+        self.header = [cell.strip() for cell in cells] if is_header else []
+
+    def _open(self):
+        return open(self.path, encoding="utf-8-sig", errors="replace", newline="")
+
+    def name(self, column: int) -> str:
+        return f"column {column}" + (f" ({self.header[column]!r})" if self.header else "")
+
+    def place(self, row: int, column: int) -> str:
+        line = row + 1 + bool(self.header)
+        return f"{self.path}, line {line}, {self.name(column)}"
+
+    def chunks(self, columns: list[int], rows: int) -> Iterator[tuple[NDArray[np.float64], int]]:
+        """Yield the chosen columns of the next lines, and the size of these in bytes."""
+        number = 1  # of the next line
+        ended = False  # by blank lines
+        with self._open() as file:
+            if self.header:
+                file.readline()
+                number += 1
+            while lines := list(islice(file, rows)):
+                size, count = sum(map(len, lines)), len(lines)
+                while lines and not lines[-1].strip("\r\n "):
+                    lines.pop()
+                if ended and lines:
+                    raise self._blank(number)
+                ended = ended or len(lines) < count
+                yield self._parsed(lines, number, columns), size
+                number += len(lines)
+
+    def _parsed(self, lines: list[str], number: int, columns: list[int]) -> NDArray[np.float64]:
+        """Return the numbers of some lines, the first of which has this number."""
+        simple = lines and all(
+            line.count(self.delimiter) == self.width - 1 and not line.isspace() for line in lines
+        )
+        try:
+            if simple:  # NumPy's parser is faster by far, but knows no empty cells
+                return np.loadtxt(
+                    lines, delimiter=self.delimiter, usecols=columns, comments=None, ndmin=2
+                )
+        except ValueError:
+            pass
+        values = np.empty((len(lines), len(columns)))
+        for i, line in enumerate(lines):
+            cells = self._cells(line, number + i)
+            if not cells:
+                raise self._blank(number + i)
+            if len(cells) != self.width:
+                raise ValueError(
+                    f"{self.path}, line {number + i}: {len(cells)} cells, where the first line has "
+                    f"{self.width}"
+                )
+            for j, column in enumerate(columns):
+                cell = cells[column].strip()
+                if cell and not _is_number(cell):
+                    raise ValueError(
+                        f"{self.path}, line {number + i}, {self.name(column)}: {cell!r} is not a "
+                        "number"
+                    )
+                values[i, j] = float(cell or "nan")
+        return values
+
+    def _cells(self, line: str, number: int) -> list[str]:
+        try:
+            return next(csv.reader([line], delimiter=self.delimiter), [])
+        except csv.Error as error:
+            raise ValueError(f"{self.path}, line {number}: {error}") from None
+
+    def _blank(self, number: int) -> ValueError:
+        return ValueError(f"{self.path}, line {number}: blank; a row of gaps has its nan or commas")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell  # 1_000 is a number in Python only
+
+
+# --- what is written -----------------------------------------------------------------------------
+
+
+@contextmanager
+def _npy_writer(path: Path, outputs: int, _delimiter: str) -> Iterator[Write]:
+    """Give what appends rows to an NPY file."""
+    rows = 0
+    with open(path, "wb") as file:
+
+        def write_header() -> None:  # it has room for any number of rows
+            file.seek(0)
+            layout = {"descr": "<f8", "fortran_order": False, "shape": (rows, outputs)}
+            npy.write_array_header_1_0(file, layout)
+
+        def write(_times: NDArray[np.float64], estimates: NDArray[np.float64]) -> None:
+            nonlocal rows
+            file.write(estimates.astype("<f8").tobytes())
+            rows += len(estimates)
+
+        write_header()
+        yield write
+        write_header()
+
+
+@contextmanager
+def _csv_writer(path: Path, outputs: int, delimiter: str) -> Iterator[Write]:
+    """Give what appends rows, with their times, to a CSV file."""
+    with open(path, "w", encoding="utf-8", newline="\n") as file:
+        names = ["time", *(f"w[{i}]" for i in range(outputs))]
+        file.write(delimiter.join(names) + "\n")
+
+        def write(times: NDArray[np.float64], estimates: NDArray[np.float64]) -> None:
+            rows = zip(times.tolist(), estimates.tolist(), strict=True)
+            file.writelines(
+                delimiter.join([f"{time:.15g}", *map(repr, row)]) + "\n" for time, row in rows
+            )
+
+        yield write
+
+
+_RECORDS = {".csv": _Csv, ".npy": _Npy}
+_WRITERS: dict[str, Callable[[Path, int, str], AbstractContextManager[Write]]] = {
+    ".csv": _csv_writer,
+    ".npy": _npy_writer,
+}

@@ -1,0 +1,75 @@
+"""The example's bound in closed form, and the proof of its infimum."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robsmooth import InfeasibleDesignError, augment, design_smoother, minimize_bound
+from robsmooth.certificate import prove_infimum, scalar_bound
+from robsmooth.homodyne import PAPER
+from robsmooth.limit import limiting_smoother
+
+INFIMUM = 0.12167363533
+
+
+def test_closed_form_is_the_bound_of_the_design():
+    plant = augment(PAPER.uncertain_system(), 3.1e-6, 2)
+    rng = np.random.default_rng(0)
+    compared = 0
+    for _ in range(60):
+        p, tau = rng.uniform(0.4, 0.5025), 1e-6 * rng.uniform(0.8, 2.0)
+        q = p if p <= 0.5 else (np.sqrt((1 - p) * (5 - p)) - (1 - p)) / 2
+        d = p if p <= 0.5 else np.sqrt((1 - p) * (1 - q))
+        try:
+            multipliers = [1.0, d, max(p - d, 0.0), max(q - d, 0.0)]
+            bound = limiting_smoother(plant, tau, multipliers).bound
+        except InfeasibleDesignError:
+            assert np.isinf(scalar_bound(PAPER, p, tau))
+            continue
+        compared += 1
+        assert bound == pytest.approx(float(scalar_bound(PAPER, p, tau)), rel=1e-6)
+    assert compared > 20
+
+
+def test_no_other_multipliers_with_the_same_p_are_better():
+    plant = augment(PAPER.uncertain_system(), 0.0, 0)
+    rng = np.random.default_rng(1)
+    compared = 0
+    for _ in range(300):
+        p = rng.uniform(0.4, 0.501)
+        q = p * rng.uniform(0.999, 1.001)
+        d = rng.uniform(0.999, 1.0) * min(p, q, np.sqrt((1 - p) * (1 - q)))
+        tau = 1e-6 * rng.uniform(0.8, 2.0)
+        try:
+            bound = design_smoother(plant, tau, [1.0, d, p - d, q - d]).bound
+        except InfeasibleDesignError:
+            continue
+        compared += 1
+        assert bound >= float(scalar_bound(PAPER, p, tau)) * (1 - 1e-9)
+    assert compared > 20
+
+
+def test_nothing_is_below_the_infimum_of_the_example():
+    best = minimize_bound(augment(PAPER.uncertain_system(), 0.0, 0))
+    assert best.bound_infimum == pytest.approx(INFIMUM, rel=1e-9)
+    assert prove_infimum(PAPER, best.bound_infimum * (1 - 1e-6)) > 1000
+
+
+def test_a_target_that_designs_are_below_is_not_proven():
+    with pytest.raises(ValueError, match=r"V is 0\.1216\d+ rad\^2 at p = 0\.4\d+, tau = 1\."):
+        prove_infimum(PAPER, INFIMUM * (1 + 1e-4))
+
+
+def test_proof_does_not_depend_on_the_unit_of_time():
+    unit = 2.0**20
+    faster = replace(
+        PAPER, lam=PAPER.lam / unit, kappa=PAPER.kappa / unit, alpha=PAPER.alpha / 2.0**10
+    )
+    target = INFIMUM * (1 - 1e-5)
+    assert prove_infimum(faster, target) == prove_infimum(PAPER, target)
+
+
+def test_a_sector_wider_than_its_slope_is_refused():
+    with pytest.raises(ValueError, match=r"gamma of at most beta for this proof, got gamma=0\.4"):
+        prove_infimum(replace(PAPER, beta=0.3), 0.1)

@@ -1,0 +1,94 @@
+"""The tables of what lies beyond the paper: what is in their cells."""
+
+from dataclasses import replace
+
+import pytest
+
+from robsmooth import (
+    InfeasibleDesignError,
+    Uncertainty,
+    analysis_bound,
+    augment,
+    baselines,
+    design_smoother,
+    error_covariance,
+    homodyne,
+    limiting_smoother,
+    simulate,
+    stationary_errors,
+    summaries,
+    worst_case,
+)
+from robsmooth.comparison import compare
+
+SYSTEM = homodyne.PAPER.uncertain_system()
+PLANT = augment(SYSTEM, 3.1e-6, 1)
+
+
+def test_estimators_are_compared_by_the_same_numbers_as_by_themselves():
+    classical = baselines.fixed_lag_smoother(SYSTEM, 3.1e-6, 1, copies=True)
+    (case,) = compare(
+        {"classical": (classical, "smoothed")}, homodyne.PAPER, (-0.5,), runs=128, duration=1e-5
+    ).values()
+    Delta = classical.plant.structured_delta((), [-0.5])
+    assert case.at == (error_covariance(classical, Delta, copy_noise=False)[0, 0],)
+    assert case.worst.mean_square == worst_case(classical, copy_noise=False).mean_square
+    assert case.exact == stationary_errors(homodyne.PAPER, classical).smoothed
+    assert case.promised is None
+    (row,) = summaries.side_by_side({"classical": case}, (-0.5,)).rows
+    assert row[1:4] == (*case.at, case.worst.mean_square, case.allowed.mean_square)
+
+
+def test_optimum_is_that_of_the_limit_where_there_is_one():
+    limit = limiting_smoother(PLANT, 1e-6, [1.0, 0.5, 0.0, 0.0])
+    attained = design_smoother(PLANT, 1e-6, [1.0, 0.499, 1e-6, 1e-6])
+    beside = replace(attained, limit=limit, bound_infimum=limit.bound)
+    first, second = summaries.optima({"limit": beside, "attained": attained}).rows
+    assert first[1:3] == (limit.bound, "no")
+    assert second[1:3] == (attained.bound, "yes")
+
+
+def test_tightness_is_relative_to_the_guarantee():
+    design = design_smoother(PLANT, 1e-6, [1.0, 0.499, 1e-6, 1e-6])
+    found = [
+        worst(design, "guaranteed", noise)
+        for noise in (True, False)
+        for worst in (worst_case, analysis_bound)
+    ]
+    (row,) = summaries.tightness({"design": found}).rows
+    assert row[1] == 2 * design.bound
+    assert row[5] == f"{100 * found[1].mean_square / (2 * design.bound):.0f}%"
+    assert row[8] == f"{100 * found[3].mean_square / (2 * design.bound):.0f}%"
+
+
+def test_a_share_that_no_order_reaches_is_left_empty():
+    table = summaries.lag_choices(SYSTEM, ["filtered cost"], [0.5, 0.99])
+    reached, not_reached = table.rows
+    assert reached[2] > reached[5] > 0.0  # µs, with the model and with an exact delay
+    assert not_reached[2:] == (None, None, None, None)
+
+
+def test_refusals_quote_the_library_and_nothing_else():
+    def refuse():
+        raise InfeasibleDesignError("Assumption 9", "for a test")
+
+    table = summaries.refusals({"bad": refuse, "good": lambda: None})
+    assert [row[1] for row in table.rows] == ["Assumption 9 fails: for a test", "not refused"]
+    with pytest.raises(ZeroDivisionError):
+        summaries.refusals({"broken": lambda: 1 / 0})
+
+
+def test_own_systems_are_predicted_by_their_equivalent_slopes():
+    # without its literal nonlinearity the example is linear, and the prediction exact
+    linear = replace(SYSTEM, nonlinearities=())
+    design = design_smoother(augment(_with_noise_channel(linear), 3.1e-6, 1), 1e-6, [0.9, 0.9])
+    found = simulate(design, runs=64, duration=1e-4)
+    (row,) = summaries.own_systems({"linear": (design, found)}).rows
+    exact = error_covariance(design, design.plant.structured_delta(), copy_noise=False)[0, 0]
+    assert row[2] == pytest.approx(exact, rel=1e-12)
+    assert row[5] == 2 * design.bound
+
+
+def _with_noise_channel(system):
+    channel = Uncertainty([[0.0]], [[0.0]], system.D21[:, 1:])
+    return replace(system, uncertainties=(*system.uncertainties, channel))
