@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from importlib import metadata
 
 from benchmarks import report, scales
+from benchmarks.design import design_and_sweep
 from benchmarks.peers import cpp
 from robsmooth import provenance
 
@@ -29,6 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         report.peers_table(results),
         *report.scale_tables(results),
         report.records_table(results),
+        report.design_table(results),
     ):
         print(table)
     for text in report.skipped(results) if options.quick else report.remarks(results):
@@ -47,11 +49,12 @@ def measure(quick: bool, peers: str) -> dict:
     race = on_one_core("benchmarks.race", "--peers", peers, *(["--quick"] if quick else []))
     records = on_one_core("benchmarks.throughput", *(["--quick"] if quick else []))
     curves = scales.scales(scales.QUICK if quick else scales.FULL)
+    waits = design_and_sweep(5 if quick else 31)
     about = provenance.collect(started=started)
     about["load_before"] = load
     about["compiler"] = cpp.version()
     about["versions"] |= {name: version(name) for name in ("jax", "diffrax")}
-    return {"about": about, "race": race, "scales": curves, "records": records}
+    return {"about": about, "race": race, "scales": curves, "records": records, "design": waits}
 
 
 def on_one_core(module: str, *arguments: str) -> dict:

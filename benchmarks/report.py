@@ -6,6 +6,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
+from benchmarks.design import AIM as DESIGN_AIM
 from robsmooth import figures, files
 from robsmooth.tables import Table
 
@@ -54,8 +55,9 @@ def disturbances(results: dict) -> list[str]:
 
 def shortfalls(results: dict) -> list[str]:
     """Say which aims are not met."""
-    peers = results["race"]["peers"]
-    return [
+    peers, both = results["race"]["peers"], results["design"]["both"]
+    late = [] if both <= DESIGN_AIM else [_late(both)]
+    return late + [
         f"robsmooth, {precision}, is {_ratio(peers[name], precision)} times as fast as {name}; "
         f"the aim is {aim:g}"
         for (name, precision), aim in AIMS.items()
@@ -169,8 +171,27 @@ def records_table(results: dict) -> Table:
     )
 
 
+def design_table(results: dict) -> Table:
+    """Return how long a design and a sweep over its uncertainty take."""
+    names = {
+        "design": "a design at given multipliers",
+        "sweep": "a sweep over 101 values of the uncertainty",
+        "both": "both",
+    }
+    return Table(
+        columns=("what", "ms"),
+        rows=[(text, 1e3 * results["design"][key]) for key, text in names.items()],
+        caption="A design of the example and its Fig. 4, after a first call: medians.",
+        digits=2,
+    )
+
+
+def _late(both: float) -> str:
+    return f"design and sweep take {1e3 * both:.0f} ms; the aim is {1e3 * DESIGN_AIM:.0f} ms"
+
+
 def words(results: dict) -> Iterator[str]:
-    """Yield the scales and the records in a sentence each."""
+    """Yield the scales, the records and the design in a sentence each."""
     scales = results["scales"]
     best = scales["threads"][-1]
     yield f"{best['threads']} threads are {best['speed_up']:.2f} times as fast as one."
@@ -201,6 +222,11 @@ def words(results: dict) -> Iterator[str]:
         f"{_span(records['scipy.signal.dlsim']['ratio'])} times its dlsim; with compiled copies, "
         f"which lfilter cannot have, at {copies['rate'] / 1e6:.0f} million."
     )
+    waits = results["design"]
+    yield (
+        f"A design of the example takes {1e3 * waits['design']:.2g} ms, and a sweep over 101 "
+        f"values of its uncertainty {1e3 * waits['sweep']:.2g} ms."
+    )
 
 
 def heading(results: dict) -> str:
@@ -230,6 +256,8 @@ def markdown(results: dict) -> str:
         *(table.markdown() for table in scale_tables(results)),
         "## Records",
         records_table(results).markdown(),
+        "## Design",
+        design_table(results).markdown(),
     ]
     return "\n\n".join(part.rstrip("\n") for part in parts if part) + "\n"
 

@@ -18,6 +18,7 @@ the system's q components, then g fictitious ones that the theory adds to the co
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, wraps
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -25,8 +26,12 @@ from scipy.linalg import block_diag
 from robsmooth import validation
 from robsmooth.delay import DelayModel, pade_delay
 from robsmooth.errors import InfeasibleDesignError
+from robsmooth.statespace import Blocks
 from robsmooth.systems import UncertainSystem
 from robsmooth.validation import Matrix, frozen
+
+if TYPE_CHECKING:
+    import control
 
 _J_RESIDUAL = 1e-9  # largest misfit of Assumption 1, relative to each row's size
 
@@ -225,6 +230,22 @@ class AugmentedSystem:
             else:
                 blocks.append(validation.real(name, value) * np.eye(rows, columns))
         return block_diag(np.zeros((0, 0)), *blocks)
+
+    def to_statespace(self) -> "control.StateSpace":
+        """Return the linear part as a python-control object, with its channels open.
+
+        The signals are those of `UncertainSystem.to_statespace`, and the output ``w_a`` of the
+        delay model.
+
+        Returns
+        -------
+        control.StateSpace
+        """
+        part = self.system.blocks
+        inputs = {name: self._state_rows(B) for name, B in part.inputs.items()}
+        outputs = {name: self._state_columns(C) for name, C in part.outputs.items()}
+        outputs["w_a"] = self.C_a
+        return Blocks(self.A_p, inputs, outputs, part.feedthrough).to_control()
 
     def __repr__(self) -> str:
         return (

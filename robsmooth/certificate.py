@@ -11,9 +11,9 @@ With the cost on the filtered error the example is scalar: the delay's states pl
     0 = -2\lambda x + c^2h + \kappa x^2, \quad x = X/\tau,\\
     V &= \tfrac12 Y(1 + \tau c^2p) + \tfrac12\,\frac{Y^2 s p\,\tau x}{1 - Yx} .
 
-V grows with h, so the least h for each p is best. With :math:`J_{21} = 1` the constraint is
-:math:`d^2 \le (1-p)(1-q)`: it allows :math:`h = 0` up to :math:`p = 1/2`, and beyond that
-:math:`h = p - q` with :math:`q^2 = (1-p)(1-q)`. Two numbers are left, p and tau.
+V grows with h, so the least h for each p is best. With :math:`J_{21} = j` the constraint is
+:math:`d^2 \le (1-p)(j^{-2}-q)`: it allows :math:`h = 0` up to :math:`p = 1/(1+j^2)`, and beyond
+that :math:`h = p - q` with :math:`q^2 = (1-p)(j^{-2}-q)`. Two numbers are left, p and tau.
 """
 
 import numpy as np
@@ -24,7 +24,9 @@ from robsmooth.homodyne import HomodyneParameters
 _DEPTH = 60  # how often a cell may be cut
 
 
-def scalar_bound(parameters: HomodyneParameters, p: ArrayLike, tau: ArrayLike) -> NDArray:
+def scalar_bound(
+    parameters: HomodyneParameters, p: ArrayLike, tau: ArrayLike, J_21: float = 1.0
+) -> NDArray:
     """Return V at p and tau, the rest at its best; infinity where there is no design.
 
     Parameters
@@ -34,6 +36,8 @@ def scalar_bound(parameters: HomodyneParameters, p: ArrayLike, tau: ArrayLike) -
         Between zero and one.
     tau : array
         In rad^2 s, positive.
+    J_21 : float
+        Intensity of the copy's noise.
 
     Returns
     -------
@@ -41,10 +45,10 @@ def scalar_bound(parameters: HomodyneParameters, p: ArrayLike, tau: ArrayLike) -
         In rad^2.
     """
     p, tau = np.asarray(p, dtype=float), np.asarray(tau, dtype=float)
-    return _value(parameters, _Y(parameters, p, tau), _x(parameters, p), p, tau)
+    return _value(parameters, _Y(parameters, p, tau), _x(parameters, p, J_21), p, tau)
 
 
-def prove_infimum(parameters: HomodyneParameters, target: float) -> int:
+def prove_infimum(parameters: HomodyneParameters, target: float, J_21: float = 1.0) -> int:
     """Prove that no design of the example has a bound below a target, by branch and bound.
 
     On a cell of p and tau, V is at least its value with Y, which falls in both, from the upper
@@ -56,6 +60,8 @@ def prove_infimum(parameters: HomodyneParameters, target: float) -> int:
     parameters : HomodyneParameters
     target : float
         In rad^2.
+    J_21 : float
+        Intensity of the copy's noise.
 
     Returns
     -------
@@ -83,12 +89,12 @@ def prove_infimum(parameters: HomodyneParameters, target: float) -> int:
     for _ in range(_DEPTH):
         cells += len(low)
         Y = _Y(parameters, *high.T)
-        left = _value(parameters, Y, _x(parameters, low[:, 0]), *low.T) < target
+        left = _value(parameters, Y, _x(parameters, low[:, 0], J_21), *low.T) < target
         if not left.any():
             return cells
         low, high = low[left], high[left]
         middle = np.where(np.isinf(high), 2.0 * low, (low + high) / 2.0)
-        if (found := scalar_bound(parameters, *middle.T)).min() < target:
+        if (found := scalar_bound(parameters, *middle.T, J_21)).min() < target:
             p, tau = middle[found.argmin()]
             raise ValueError(
                 f"V is {found.min():.9g} rad^2 at p = {p:.6g}, tau = {tau:.6g} rad^2 s"
@@ -107,9 +113,10 @@ def _squares(parameters: HomodyneParameters) -> tuple[float, float]:
     return amplitude * parameters.beta**2, amplitude * parameters.gamma**2
 
 
-def _least_h(p: NDArray) -> NDArray:
-    q = ((p - 1.0) + np.sqrt((1.0 - p) * (5.0 - p))) / 2.0  # of q^2 = (1 - p)(1 - q)
-    return np.where(p <= 0.5, 0.0, np.maximum(p - q, 0.0))
+def _least_h(p: NDArray, J_21: float) -> NDArray:
+    r = 1.0 - p
+    q = (np.sqrt(r**2 + 4.0 * r / J_21**2) - r) / 2.0  # of q^2 = (1 - p)(1/J_21^2 - q)
+    return np.where(p <= 1.0 / (1.0 + J_21**2), 0.0, np.maximum(p - q, 0.0))
 
 
 def _Y(parameters: HomodyneParameters, p: NDArray, tau: NDArray) -> NDArray:
@@ -119,9 +126,9 @@ def _Y(parameters: HomodyneParameters, p: NDArray, tau: NDArray) -> NDArray:
     return np.where(root < 0.0, np.inf, value)
 
 
-def _x(parameters: HomodyneParameters, p: NDArray) -> NDArray:
+def _x(parameters: HomodyneParameters, p: NDArray, J_21: float) -> NDArray:
     _, c2 = _squares(parameters)
-    h = _least_h(p)
+    h = _least_h(p, J_21)
     root = parameters.lam**2 - parameters.kappa * c2 * h
     value = c2 * h / (parameters.lam + np.sqrt(np.maximum(root, 0.0)))
     return np.where(root < 0.0, np.inf, value)

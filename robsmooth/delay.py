@@ -24,11 +24,16 @@ are better conditioned.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robsmooth import validation
+from robsmooth.statespace import Blocks
 from robsmooth.validation import Matrix, frozen
+
+if TYPE_CHECKING:
+    import control
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +67,11 @@ class DelayModel:
         s = 1j * np.asarray(omega)[..., None, None]
         identity = np.eye(self.F.shape[0])
         return self.H @ np.linalg.solve(s * identity - self.F, self.G + 0j * s) + self.J
+
+    def to_statespace(self) -> "control.StateSpace":
+        """Return the model as a python-control object, from ``w`` to ``w_a``."""
+        feedthrough = {("w_a", "w"): self.J}
+        return Blocks(self.F, {"w": self.G}, {"w_a": self.H}, feedthrough).to_control()
 
 
 def pade_delay(delay: float, order: int, channels: int = 1) -> DelayModel:

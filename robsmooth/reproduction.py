@@ -14,7 +14,6 @@ import numpy as np
 
 from robsmooth import statements, validation
 from robsmooth.blas import one_thread
-from robsmooth.bound import VANISHING
 from robsmooth.published import (
     corrected_smoother,
     data_folder,
@@ -161,12 +160,11 @@ class _Values:
     @cached_property
     def optimum(self) -> dict[str, float | Matrix]:
         best = corrected_smoother()
-        attained = best.bound_infimum is None
-        limit = best.multipliers * (attained | (best.multipliers > 10 * VANISHING))
+        least = best.limit or best  # the infimum is not attained
         return {
-            "least V": best.bound if attained else best.bound_infimum,
-            "tau": best.tau,
-            **{f"lambda_{i + 1}": float(limit[i]) for i in range(4)},
+            "least V": least.bound,
+            "tau": least.tau,
+            **{f"lambda_{i + 1}": float(least.multipliers[i]) for i in range(4)},
         }
 
     @cached_property

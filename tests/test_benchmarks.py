@@ -197,6 +197,11 @@ def test_a_peer_that_disagrees_is_marked(results):
     assert not report.is_complete(changed)
 
 
+def test_a_design_that_takes_too_long_is_said_to(results):
+    slow = {**results, "design": {"design": 0.02, "sweep": 0.06, "both": 0.08}}
+    assert report.shortfalls(slow) == ["design and sweep take 80 ms; the aim is 50 ms"]
+
+
 # --- the record ----------------------------------------------------------------------------------
 
 

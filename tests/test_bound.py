@@ -20,12 +20,12 @@ from robsmooth import (
 )
 from robsmooth import bound as bound_module
 from robsmooth.bound import VANISHING
+from robsmooth.certificate import scalar_bound
 from robsmooth.limit import limiting_smoother
 from robsmooth.smoother import multiplier_level
 from tests.strategies import feasible_design, plants, random_system, seeds
 
 COSTS = ("filtered", "smoothed")
-A, KAPPA, S, C_SQUARED = 9140.0, 4e4, 2324.0**2, (0.8 * 1162.0) ** 2  # of the example
 
 
 @pytest.fixture(scope="module")
@@ -43,93 +43,13 @@ def best(bests):
     return bests["filtered"]
 
 
-# --- certificates for the example ---------------------------------------------------------------
-#
-# With the filtered cost everything is scalar. Let p, q = lambda_2 + lambda_3, lambda_2 + lambda_4
-# and d = lambda_2. X depends on them through h = p - d^2/q alone, and V grows with h, falls with
-# lambda_1 <= 1, and depends on nothing else but p and tau. The constraint (1 - p)(1 - q) >= d^2
-# lets h be zero up to p = 1/2, and no less than p - q at q^2 = (1 - p)(1 - q) beyond.
+# --- the example -----------------------------------------------------------------------------
 
 
-def least_h(p):
-    """The least h for a p, vectorised."""
-    r = 1 - p
-    return np.where(p <= 0.5, 0.0, p - (np.sqrt(r * r + 4 * r) - r) / 2)
-
-
-def scalar_y(p, tau, s=S, c_squared=C_SQUARED):
-    """Y of the example, or infinity where there is none; it falls in p and in tau."""
-    discriminant = A * A + KAPPA * ((s - c_squared) * p - 1 / tau)
-    return np.where(discriminant < 0, np.inf, KAPPA / (A + np.sqrt(np.maximum(discriminant, 0))))
-
-
-def scalar_x(p, c_squared=C_SQUARED):
-    """X/tau of the example at the least h, or infinity where there is none; it grows in p."""
-    h = least_h(p)
-    discriminant = A * A - KAPPA * c_squared * h
-    return np.where(
-        discriminant < 0, np.inf, c_squared * h / (A + np.sqrt(np.maximum(discriminant, 0)))
-    )
-
-
-def scalar_v(y, x, p, tau, s=S, c_squared=C_SQUARED):
-    """V of the example; it grows in each argument."""
-    with np.errstate(invalid="ignore"):
-        feasible = np.isfinite(y) & np.isfinite(x) & (y * x < 1)
-        value = 0.5 * y * (1 + tau * c_squared * p) + 0.5 * y**2 * s * p * tau * x / (1 - y * x)
-    return np.where(feasible, value, np.inf)
-
-
-def test_nothing_is_below_the_infimum_of_the_example():
-    # Branch and bound: on a cell of p and tau, V is at least its value with Y from the upper corner
-    # and all else from the lower one. Cells that may hold less than the target are cut in four.
-    target = 0.12167363 * (1 - 1e-6)
-    tau = np.concatenate([[1e-12], np.geomspace(1e-9, 1e-2, 60), [np.inf]])
-    p = np.linspace(0, 1, 41)
-    low = np.stack(np.meshgrid(p[:-1], tau[:-1]), -1).reshape(-1, 2)
-    high = np.stack(np.meshgrid(p[1:], tau[1:]), -1).reshape(-1, 2)
-    assert np.isinf(scalar_y(1.0, 1e-12))  # and so for every smaller p and tau
-    for _ in range(40):
-        bound = scalar_v(scalar_y(*high.T), scalar_x(low[:, 0]), *low.T)
-        left = bound < target
-        if not left.any():
-            break
-        low, high = low[left], high[left]
-        assert len(low) < 50_000
-        middle = np.where(np.isinf(high), 2 * low, (low + high) / 2)
-        corners = [(i, j) for i in (0, 1) for j in (0, 1)]
-        low, high = (
-            np.vstack([np.where(corner, middle, low) for corner in corners]),
-            np.vstack([np.where(corner, high, middle) for corner in corners]),
-        )
-    else:
-        raise AssertionError("cells are left that may hold less")
-
-
-def test_scalar_form_of_the_example_is_its_bound(example):
-    rng = np.random.default_rng(0)
-    compared = 0
-    for _ in range(60):
-        p = rng.uniform(0.4, 0.5025)
-        q = p if p <= 0.5 else p - float(least_h(p))
-        tau = 1e-6 * rng.uniform(0.8, 2.0)
-        d = q if p <= 0.5 else np.sqrt((1 - p) * (1 - q))
-        expected = scalar_v(scalar_y(p, tau), scalar_x(p), p, tau)
-        pair = [max(p - d, 0.0), max(q - d, 0.0)]
-        try:
-            bound = limiting_smoother(example, tau, [1.0, d, *pair]).bound
-        except InfeasibleDesignError:
-            assert np.isinf(expected)
-            continue
-        compared += 1
-        assert bound == pytest.approx(float(expected), rel=1e-6)
-    assert compared > 20
-
-
-def least_scalar(p):
-    """The least V of the example for a p up to 1/2, and its tau."""
+def least_scalar(p, J_21=1.0):
+    """The least V of the example for a p, and its tau."""
     found = minimize_scalar(
-        lambda u: float(scalar_v(scalar_y(p, np.exp(u)), 0.0, p, np.exp(u))),
+        lambda u: float(scalar_bound(homodyne.PAPER, p, np.exp(u), J_21)),
         bounds=np.log([5e-7, 1e-4]),
         method="bounded",
         options={"xatol": 1e-10},
@@ -150,7 +70,7 @@ def test_copy_noise_moves_the_infimum_of_the_example_along_its_scalar_form(J_21)
     # the constraint on the copy is J_21^2 q <= 1, and h = 0 up to p = 1/(1 + J_21^2)
     best = minimize_bound(augment(homodyne.PAPER.uncertain_system(), 0.0, 0, J_21=J_21))
     p = 1 / (1 + J_21**2)
-    assert best.bound_infimum == pytest.approx(least_scalar(p)[0], rel=1e-9)
+    assert best.bound_infimum == pytest.approx(least_scalar(p, J_21)[0], rel=1e-9)
     assert_allclose(best.limit.multipliers, [1.0, p, 0.0, 0.0], atol=1e-9)
 
 
@@ -163,9 +83,7 @@ def test_least_bound_is_that_of_a_grid_whatever_the_sector_and_the_noise(gamma, 
     best = minimize_bound(augment(loop.uncertain_system(), 0.0, 0))
     p = np.concatenate([np.geomspace(1e-14, 0.5, 400), 0.5 + np.geomspace(1e-6, 0.5, 500)])
     p, tau = np.meshgrid(p, np.geomspace(1e-9, 1e6, 1500))
-    sizes = S / noise, S / noise * gamma**2
-    y, x = scalar_y(p, tau, *sizes), scalar_x(p, sizes[1])
-    least = scalar_v(y, x, p, tau, *sizes).min()
+    least = scalar_bound(loop, p, tau).min()
     found = best.bound_infimum or best.bound
     assert found * (1 - 1e-9) <= least <= found * (1 + 2e-4)
 
@@ -303,7 +221,7 @@ def two_channels(c=0.4):
     )
 
 
-def scalar_bound(tau, l1, l2, c):
+def two_channel_bound(tau, l1, l2, c):
     """V of `two_channels` from its two quadratic equations, solved by hand."""
     q, w = tau * (l1 + l2) * c**2, 1 / l1
     R = 1 + q
@@ -325,17 +243,19 @@ def test_an_attained_minimum_has_no_infimum_and_is_that_of_a_grid(c):
         np.linspace(0.02, 1, 50),
         indexing="ij",
     )
-    values = scalar_bound(np.exp(log_tau), l1, l2, c)
+    values = two_channel_bound(np.exp(log_tau), l1, l2, c)
     at = np.unravel_index(values.argmin(), values.shape)
     start = [log_tau[at], l1[at], l2[at]]
     refined = minimize(
-        lambda z: float(scalar_bound(np.exp(z[0]), *np.clip(z[1:], 1e-3, 1), c)),
+        lambda z: float(two_channel_bound(np.exp(z[0]), *np.clip(z[1:], 1e-3, 1), c)),
         start,
         method="Nelder-Mead",
         options={"xatol": 1e-9, "fatol": 1e-13, "maxiter": 2000},
     )
     assert design.bound == pytest.approx(refined.fun, rel=1e-6)
-    assert scalar_bound(design.tau, *design.multipliers, c) == pytest.approx(design.bound, rel=1e-9)
+    assert two_channel_bound(design.tau, *design.multipliers, c) == pytest.approx(
+        design.bound, rel=1e-9
+    )
 
 
 @given(plants(max_g=1, max_order=1), seeds)
@@ -429,7 +349,9 @@ def test_a_wide_sector_with_little_noise_has_designs():
 def test_where_the_measurement_is_worth_nothing_the_least_bound_ignores_it():
     # half the variance of the phase, kappa/(2 lam), as multipliers vanish and tau grows
     best = minimize_bound(augment(homodyne.PAPER.uncertain_system(), 0.0, 0, J_21=30.0))
-    assert best.bound_infimum == pytest.approx(KAPPA / (4 * A), rel=1e-7)
+    assert best.bound_infimum == pytest.approx(
+        homodyne.PAPER.kappa / (4 * homodyne.PAPER.lam), rel=1e-7
+    )
     assert best.bound < 1.001 * best.bound_infimum
     assert abs(best.limit.B_c).max() == 0.0
 

@@ -50,10 +50,14 @@ def test_no_other_multipliers_with_the_same_p_are_better():
     assert compared > 20
 
 
-def test_nothing_is_below_the_infimum_of_the_example():
-    best = minimize_bound(augment(PAPER.uncertain_system(), 0.0, 0))
-    assert best.bound_infimum == pytest.approx(INFIMUM, rel=1e-9)
-    assert prove_infimum(PAPER, best.bound_infimum * (1 - 1e-6)) > 1000
+@pytest.mark.parametrize("J_21", [1.0, 0.1, 2.0])
+def test_nothing_is_below_the_infimum_of_the_example(J_21):
+    best = minimize_bound(augment(PAPER.uncertain_system(), 0.0, 0, J_21=J_21))
+    if J_21 == 1.0:
+        assert best.bound_infimum == pytest.approx(INFIMUM, rel=1e-9)
+    assert prove_infimum(PAPER, best.bound_infimum * (1 - 1e-6), J_21) > 1000
+    with pytest.raises(ValueError, match="V is"):
+        prove_infimum(PAPER, best.bound_infimum * (1 + 1e-4), J_21)
 
 
 def test_a_target_that_designs_are_below_is_not_proven():

@@ -26,6 +26,7 @@ from tests.strategies import (
     admissible_delta,
     designs,
     feasible_design,
+    plants,
     random_system,
     seeds,
     stable_matrix,
@@ -462,3 +463,18 @@ def test_nonlinearities_of_the_same_name_do_not_mix():
     order = sorted(sys.input_labels)
     back = UncertainSystem.from_statespace(sys[:, order], lipschitz(system))
     assert_same_system(back, system)
+
+
+@given(plants(), st.floats(0.01, 100.0))
+@few
+def test_a_plant_and_its_delay_model_go_out_too(plant, omega):
+    s, delay = 1j * omega, plant.delay_model
+    if len(delay.F):
+        response = control.evalfr(delay.to_statespace(), s, squeeze=False)
+        assert_allclose(response, delay.response(omega), rtol=1e-9, atol=1e-12)
+    noise = plant.B_p1[:, : plant.system.q]
+    out = plant.to_statespace()
+    rows = [i for i, label in enumerate(out.output_labels) if label.startswith("w_a[")]
+    columns = [j for j, label in enumerate(out.input_labels) if label.startswith("W[")]
+    response = control.evalfr(out, s, squeeze=False)[np.ix_(rows, columns)]
+    assert_allclose(response, transfer(plant.A_p, noise, plant.C_a, s), rtol=1e-9, atol=1e-12)

@@ -158,17 +158,18 @@ def lag_and_order(sweeps: Mapping[str, LagSweep], lag: float) -> Figure:
         left.axhline(sweep.two_sided, color="0.6", linestyle="-", linewidth=0.6)
         for axes in (left, right):
             axes.axvline(1e6 * lag, color="0.4", linestyle="--", linewidth=0.6)
-            axes.set(xscale="log", xlim=lags[[0, -1]])
+            axes.set(xscale="log")
         left.set(ylabel=f"{name}\n(rad$^2$)")
     first = np.atleast_2d(panels)[0]
     low, high = sweep.two_sided, sweep.filtering
     first[0].set(title="no uncertainty", ylim=(0.9 * low, 1.25 * high))
     first[1].set(title="worst constant", ylim=(1.4 * low, 2.2 * high))
-    ticks = [tick for tick in (0.3, 1, 3, 10, 30) if lags[0] <= tick <= lags[-1]]
+    every = 1e6 * np.concatenate([sweep.lags for sweep in sweeps.values()])
+    ticks = [tick for tick in (0.3, 1, 3, 10, 30) if every.min() <= tick <= every.max()]
     for axes in np.atleast_2d(panels)[-1]:
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
-        axes.set(xlabel="lag (µs)")
+        axes.set(xlabel="lag (µs)", xlim=(every.min(), every.max()))
     handles, labels = first[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
     return figure
