@@ -551,7 +551,6 @@ def test_nonlinearity_without_a_function_is_refused():
             r"uncertainties\[0\] must map .* to shape \(1, paths\), got \(2,\) for 2 paths",
         ),
     ],
-    ids=str,
 )
 def test_bad_arguments_are_refused(arguments, error, message):
     arguments = {"smoother": fixed_lag_smoother(scalar_system(soft), 0.2, 1)} | arguments
