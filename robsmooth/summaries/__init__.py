@@ -10,7 +10,7 @@ from robsmooth.summaries.design import (
     sector_ranges,
     sign_readings,
 )
-from robsmooth.summaries.own import own_systems, refusals
+from robsmooth.summaries.own import in_units, own_systems, refusals
 from robsmooth.summaries.simulation import (
     change_needed,
     noise_sweep,
@@ -26,6 +26,7 @@ __all__ = [
     "copy_noise",
     "covariances",
     "designs",
+    "in_units",
     "lag_choices",
     "noise_sweep",
     "noise_table",
