@@ -35,6 +35,7 @@ from robsmooth.errors import InfeasibleDesignError
 from robsmooth.limit import default_rates, limiting_smoother
 from robsmooth.smoother import (
     COSTS,
+    MAKE_A_PLANT,
     RobustSmoother,
     check_measurement_noise,
     check_stable_plant,
@@ -94,7 +95,7 @@ def minimize_bound(
         Where no feasible design was found; it says which condition fails, and up to how much of
         the uncertainty there are designs.
     """
-    validation.instance("plant", plant, AugmentedSystem)
+    validation.instance("plant", plant, AugmentedSystem, MAKE_A_PLANT)
     cost = validation.choice("cost", cost, COSTS)
     starts = validation.integer("starts", starts, low=1)
     seed = validation.integer("seed", seed, low=0)

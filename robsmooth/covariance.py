@@ -41,6 +41,7 @@ from robsmooth.augmented import AugmentedSystem
 from robsmooth.blas import one_thread
 from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
+from robsmooth.interconnection import matrices
 from robsmooth.lyapunov import check_certainty, covariances
 from robsmooth.validation import Matrix
 
@@ -161,19 +162,8 @@ def _check_stability(A: Matrix) -> None:
 
 def _loop(estimator: Estimator, Delta: Matrix, copy_noise: bool) -> tuple[Matrix, Matrix]:
     """Return A and B of (eqclosed), for one Delta or (N, ., .) of them."""
-    plant, gain = estimator.plant, estimator.B_c
-    alone = np.block(
-        [
-            [plant.A_p, np.zeros((plant.n, len(estimator.A_c)))],
-            [gain @ plant.C2_tilde, estimator.A_c],
-        ]
-    )
-    into = np.vstack([plant.B1_tilde, gain @ plant.D21_tilde])
-    out_of = np.hstack([plant.C1_tilde, plant.D12_tilde @ estimator.C_c])
-    noise = plant.D21_bar.copy()
-    if not copy_noise:
-        noise[plant.system.l :] = 0.0
-    return alone + into @ Delta @ out_of, np.vstack([plant.B_p1, gain @ noise])
+    A, B, inputs, outputs = matrices(estimator, copy_noise)
+    return A + inputs @ Delta @ outputs, B
 
 
 def _error_coordinates(estimator: Estimator) -> Matrix:

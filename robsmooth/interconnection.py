@@ -91,6 +91,21 @@ class OpenLoop:
         ]
 
 
+def matrices(estimator: Estimator, copy_noise: bool) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """Return drift, noise intensity, inputs and outputs of the loop, as `OpenLoop` has them."""
+    plant, gain = estimator.plant, estimator.B_c
+    noise = plant.D21_bar.copy()
+    if not copy_noise:
+        noise[plant.system.l :] = 0.0
+    beside = np.zeros((plant.n, len(estimator.A_c)))
+    return (
+        np.block([[plant.A_p, beside], [gain @ plant.C2_tilde, estimator.A_c]]),
+        np.vstack([plant.B_p1, gain @ noise]),
+        np.vstack([plant.B1_tilde, gain @ plant.D21_tilde]),
+        np.hstack([plant.C1_tilde, plant.D12_tilde @ estimator.C_c]),
+    )
+
+
 def open_loop(smoother: Estimator, output: str, copy_noise: bool) -> OpenLoop:
     """Take the uncertainty out of the loop of an estimator and its plant.
 
@@ -124,15 +139,10 @@ def open_loop(smoother: Estimator, output: str, copy_noise: bool) -> OpenLoop:
             )
         truth = plant.C_p0 if smoother.cost == "filtered" else plant.C_a
         estimate = smoother.C_c[: plant.system.m]
-    noise = plant.D21_bar.copy()
-    if not copy_noise:
-        noise[plant.system.l :] = 0.0
-    gain, beside = smoother.B_c, np.zeros((plant.n, len(smoother.A_c)))
-    inputs = np.vstack([plant.B1_tilde, gain @ plant.D21_tilde])
-    outputs = np.hstack([plant.C1_tilde, plant.D12_tilde @ smoother.C_c])
+    A, B, inputs, outputs = matrices(smoother, copy_noise)
     return OpenLoop(
-        A=np.block([[plant.A_p, beside], [gain @ plant.C2_tilde, smoother.A_c]]),
-        B=np.vstack([plant.B_p1, gain @ noise]),
+        A=A,
+        B=B,
         inputs=inputs,
         outputs=outputs,
         truth=np.hstack([truth, np.zeros_like(estimate)]),

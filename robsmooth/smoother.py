@@ -39,6 +39,7 @@ from robsmooth.riccati import RiccatiError, RiccatiSolution, solve_riccati
 from robsmooth.validation import Matrix, frozen
 
 COSTS = ("filtered", "smoothed")
+MAKE_A_PLANT = "; augment(system, delay, order) makes one"
 ASSUMPTION_Y = "Assumption 3.1 (Riccati equation for Y)"
 ASSUMPTION_X = "Assumption 3.2 (Riccati equation for X)"
 # What usually mends them. X/tau depends on the multipliers alone.
@@ -328,7 +329,7 @@ def check_arguments(
     plant: AugmentedSystem, tau: float, multipliers: Sequence[float], cost: str
 ) -> tuple[float, np.ndarray, str]:
     """Return the clean arguments of a design, after checking Assumption 2, too."""
-    validation.instance("plant", plant, AugmentedSystem)
+    validation.instance("plant", plant, AugmentedSystem, MAKE_A_PLANT)
     tau = validation.positive("tau", tau)
     multipliers = weights("multipliers", plant, multipliers)
     cost = validation.choice("cost", cost, COSTS)

@@ -57,7 +57,10 @@ def real(
         value = value[()]
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
         raise TypeError(f"{name} must be a real number, got {value!r}")
-    result = float(value)
+    try:
+        result = float(value)
+    except OverflowError:  # an integer beyond the floats
+        result = math.inf if value > 0 else -math.inf
     inside = (low < result if low_open else low <= result) and (
         result < high if high_open else result <= high
     )
@@ -97,11 +100,11 @@ def boolean(name: str, value: bool) -> bool:
     return bool(value)
 
 
-def instance(name: str, value: object, kind: type) -> None:
-    """Check that `value` is a `kind`."""
+def instance(name: str, value: object, kind: type, hint: str = "") -> None:
+    """Check that `value` is a `kind`; the hint says how to come by one."""
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise TypeError(f"{name} must be {article} {kind.__name__}, got {type(value).__name__}")
+        raise TypeError(f"{name} must be {article} {kind.__name__}, got {type(value).__name__}{hint}")
 
 
 def choice(name: str, value: str, allowed: Sequence[str]) -> str:

@@ -10,6 +10,7 @@ import types
 import numpy as np
 from scipy.linalg import solve_continuous_are
 
+from robsmooth import Estimator, UncertainSystem, Uncertainty, augment
 from robsmooth.montecarlo import noise
 from robsmooth.montecarlo.noise import LANES
 
@@ -79,3 +80,20 @@ def assert_within(values, expected, standard_error):
         expected,
         standard_error,
     )
+
+
+def looking_at_nothing(uncertainty):
+    """dx = (-x + xi) dt + dW, |xi| <= uncertainty |x|, and an estimate of zero."""
+    system = UncertainSystem(
+        A=[[-1.0]],
+        B1=[[1.0, 0.0]],
+        C0=[[1.0]],
+        C2=[[1.0]],
+        D21=[[0.0, 1.0]],
+        uncertainties=[
+            Uncertainty(B=[[1.0]], C=[[uncertainty]], D=[[0.0]]),
+            Uncertainty(B=[[0.0]], C=[[0.0]], D=[[1.0]]),
+        ],
+    )
+    zeros = {name: np.zeros((1, 1)) for name in ("B_c", "C_c", "C_a", "C_f")}
+    return Estimator(plant=augment(system, 0.0, 0), A_c=np.array([[-1.0]]), **zeros)

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from scipy.linalg import solve_continuous_lyapunov
 
 from robsmooth import (
-    Estimator,
     UncertainSystem,
     Uncertainty,
     augment,
@@ -24,6 +23,7 @@ from robsmooth.analysis import _with_delay_model, analysis_bound
 from robsmooth.covariance import closed_loop
 from robsmooth.interconnection import OUTPUTS, open_loop
 from robsmooth.riccati import solve_riccati
+from tests.loops import looking_at_nothing
 from tests.strategies import admissible_delta, designs, seeds
 
 NEAR_INFIMUM = {
@@ -35,24 +35,6 @@ NEAR_INFIMUM = {
 def example(cost, system=None):
     system = system or homodyne.PAPER.uncertain_system()
     return design_smoother(augment(system, 3.1e-6, 2), *NEAR_INFIMUM[cost], cost)
-
-
-def open_decay(uncertainty):
-    """dx = (-x + xi) dt + dW, |xi| <= uncertainty |x|; an estimator that looks at nothing."""
-    system = UncertainSystem(
-        A=[[-1.0]],
-        B1=[[1.0, 0.0]],
-        C0=[[1.0]],
-        C2=[[1.0]],
-        D21=[[0.0, 1.0]],
-        uncertainties=[
-            Uncertainty(B=[[1.0]], C=[[uncertainty]], D=[[0.0]]),
-            Uncertainty(B=[[0.0]], C=[[0.0]], D=[[1.0]]),
-        ],
-    )
-    nothing = {"A_c": [[-1.0]], "B_c": [[0.0]], "C_c": [[0.0]], "C_a": [[0.0]], "C_f": [[0.0]]}
-    matrices = {name: np.array(value) for name, value in nothing.items()}
-    return Estimator(plant=augment(system, 0.0, 0), **matrices)
 
 
 @given(designs(), st.sampled_from(OUTPUTS), st.booleans(), seeds)
@@ -135,7 +117,7 @@ def test_no_other_multipliers_have_a_lower_bound(design, seed):
 
 @pytest.mark.parametrize("uncertainty", [0.1, 0.5, 0.9])
 def test_uncertain_decay_rate_has_a_constant_worst_case(uncertainty):
-    found = analysis_bound(open_decay(uncertainty), "filtered")
+    found = analysis_bound(looking_at_nothing(uncertainty), "filtered")
     assert_allclose(found.mean_square, 1 / (2 * (1 - uncertainty)), rtol=1e-7)
     # theta at the minimum of the scalar problem, by hand
     assert_allclose(found.multipliers[0], 0.5 / uncertainty / (1 - uncertainty), rtol=1e-3)
@@ -145,7 +127,7 @@ def test_uncertain_decay_rate_has_a_constant_worst_case(uncertainty):
 
 @pytest.mark.parametrize("uncertainty", [1.0, 1.25, 4.0])
 def test_too_much_uncertainty_has_no_bound_and_the_fraction_says_how_much_has(uncertainty):
-    found = analysis_bound(open_decay(uncertainty), "filtered")
+    found = analysis_bound(looking_at_nothing(uncertainty), "filtered")
     assert math.isinf(found.mean_square)
     assert found.multipliers.size == found.feedback.size == 0
     assert_allclose(found.fraction, 1 / uncertainty, rtol=0.01)
@@ -153,7 +135,7 @@ def test_too_much_uncertainty_has_no_bound_and_the_fraction_says_how_much_has(un
 
 
 def test_loop_that_is_not_stable_has_no_bound_for_any_fraction():
-    smoother = replace(open_decay(0.5), A_c=np.array([[1.0]]))
+    smoother = replace(looking_at_nothing(0.5), A_c=np.array([[1.0]]))
     found = analysis_bound(smoother, "filtered")
     assert (found.mean_square, found.fraction) == (math.inf, 0.0)
 
@@ -241,7 +223,7 @@ def test_report_of_a_bound():
     found = analysis_bound(example("filtered"))
     assert repr(found).startswith(f"AnalysisBound(mean_square={found.mean_square:.5g}, gap=")
     assert repr(found).endswith(f", fraction=1, guarantee={found.guarantee:.5g})")
-    none = analysis_bound(open_decay(2.0), "filtered")
+    none = analysis_bound(looking_at_nothing(2.0), "filtered")
     assert repr(none).startswith("AnalysisBound(mean_square=inf, gap=nan, fraction=0.")
     assert repr(none).endswith("guarantee=none)")
 

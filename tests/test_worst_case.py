@@ -22,6 +22,7 @@ from robsmooth import (
 from robsmooth.analysis import analysis_bound
 from robsmooth.interconnection import OUTPUTS, open_loop
 from robsmooth.worst_case import _error, worst_case, worst_dynamic_case
+from tests.loops import looking_at_nothing
 from tests.strategies import admissible_delta, designs, feasible_design, random_system, seeds
 
 
@@ -38,23 +39,6 @@ def designed(seed, cost="filtered", size=0.1, **sizes):
     design = feasible_design(rng, augment(random_system(rng, size=size, **sizes), 0.7, 2), cost)
     assert design is not None
     return design
-
-
-def looking_at_nothing(uncertainty):
-    """dx = (-x + xi) dt + dW, |xi| <= uncertainty |x|, and an estimate of zero."""
-    system = UncertainSystem(
-        A=[[-1.0]],
-        B1=[[1.0, 0.0]],
-        C0=[[1.0]],
-        C2=[[1.0]],
-        D21=[[0.0, 1.0]],
-        uncertainties=[
-            Uncertainty(B=[[1.0]], C=[[uncertainty]], D=[[0.0]]),
-            Uncertainty(B=[[0.0]], C=[[0.0]], D=[[1.0]]),
-        ],
-    )
-    zeros = {name: np.zeros((1, 1)) for name in ("B_c", "C_c", "C_a", "C_f")}
-    return Estimator(plant=augment(system, 0.0, 0), A_c=np.array([[-1.0]]), **zeros)
 
 
 @settings(max_examples=20)
