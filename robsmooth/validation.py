@@ -104,7 +104,9 @@ def instance(name: str, value: object, kind: type, hint: str = "") -> None:
     """Check that `value` is a `kind`; the hint says how to come by one."""
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise TypeError(f"{name} must be {article} {kind.__name__}, got {type(value).__name__}{hint}")
+        raise TypeError(
+            f"{name} must be {article} {kind.__name__}, got {type(value).__name__}{hint}"
+        )
 
 
 def choice(name: str, value: str, allowed: Sequence[str]) -> str:

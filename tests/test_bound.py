@@ -434,7 +434,7 @@ def test_bad_options_are_errors_that_name_them(example, options, error):
 
 
 def test_only_an_augmented_system_has_a_bound(example):
-    with pytest.raises(TypeError, match=r"got UncertainSystem; augment\(system, delay, order\) makes"):
+    with pytest.raises(TypeError, match=r"got UncertainSystem; augment\(system, delay, order\) ma"):
         minimize_bound(example.system)
 
 

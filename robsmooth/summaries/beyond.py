@@ -75,6 +75,7 @@ def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float]) -> T
                 case.promised,
                 f"{simulated.mean_square:.4f} ± {simulated.standard_error:.4f}",
                 case.exact,
+                case.slips,
             )
         )
     return Table(
@@ -86,6 +87,7 @@ def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float]) -> T
             "$2V$",
             "with the sine",
             "without sampling",
+            "slips",
         ),
         rows=rows,
         caption=(
