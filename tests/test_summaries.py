@@ -48,6 +48,18 @@ def test_optimum_is_that_of_the_limit_where_there_is_one():
     assert second[1:3] == (attained.bound, "yes")
 
 
+def test_gains_are_the_entries_of_the_phase():
+    design = limiting_smoother(PLANT, 1e-6, [1.0, 0.5, 0.0, 0.0])
+    (row,) = summaries.gains({"design": design}).rows
+    assert row[1:4] == (design.A_c[0, 0], design.B_c[0, 0], design.B_c[0, 1])
+    assert row[4:] == (design.C_c[0, 0], design.C_c[1, 0])
+
+
+def test_the_example_is_the_same_in_every_unit():
+    seconds, years = summaries.in_units({"s": 1.0, "years": 3.2e7}).rows
+    assert seconds[1:] == pytest.approx(years[1:], rel=1e-9)
+
+
 def test_tightness_is_relative_to_the_guarantee():
     design = design_smoother(PLANT, 1e-6, [1.0, 0.499, 1e-6, 1e-6])
     found = [

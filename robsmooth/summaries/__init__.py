@@ -1,6 +1,6 @@
 """The tables of the notebooks."""
 
-from robsmooth.summaries.beyond import lag_choices, optima, side_by_side, study, tightness
+from robsmooth.summaries.beyond import gains, lag_choices, optima, side_by_side, study, tightness
 from robsmooth.summaries.design import (
     approach_to_infimum,
     copy_noise,
@@ -26,6 +26,7 @@ __all__ = [
     "copy_noise",
     "covariances",
     "designs",
+    "gains",
     "in_units",
     "lag_choices",
     "noise_sweep",

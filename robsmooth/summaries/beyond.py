@@ -7,6 +7,7 @@ import numpy as np
 from robsmooth.analysis import AnalysisBound
 from robsmooth.comparison import Compared
 from robsmooth.errors import InfeasibleDesignError
+from robsmooth.estimator import Estimator
 from robsmooth.lag import choose_lag
 from robsmooth.smoother import RobustSmoother
 from robsmooth.study import Study
@@ -119,7 +120,6 @@ def optima(designs: Mapping[str, RobustSmoother]) -> Table:
                 "no" if design.limit else "yes",
                 float(1e6 * limit.tau),
                 f"({weights})",
-                float(limit.B_c[0, 0]),
                 poles.replace("+0j", ""),
             )
         )
@@ -130,14 +130,38 @@ def optima(designs: Mapping[str, RobustSmoother]) -> Table:
             "attained",
             r"$\tau$ (rad² µs)",
             r"$\lambda$",
-            "$B_c[0,0]$ (1/s)",
             "poles (1/µs)",
         ),
         rows=rows,
         caption=(
             "The true optimum: the infimum of the bound over all multipliers, where it is, and the "
-            "estimator in the limit. $B_c[0,0]$ is the gain from the measurement into the phase's "
-            "estimate; of a pair of complex poles one is shown."
+            "estimator in the limit; of a pair of complex poles one is shown."
+        ),
+        digits=6,
+    )
+
+
+def gains(estimators: Mapping[str, Estimator]) -> Table:
+    """Return the leading entries of the estimators' matrices, which are those of the phase."""
+    return Table(
+        columns=(
+            "estimator",
+            "$A_c[0,0]$ (1/s)",
+            "$B_c[0,0]$ (1/s)",
+            "$B_c[0,1]$",
+            "$C_c[0,0]$",
+            "$C_c[1,0]$",
+        ),
+        rows=[
+            (
+                name,
+                *(float(entry) for entry in (e.A_c[0, 0], *e.B_c[0], *e.C_c[:, 0])),
+            )
+            for name, e in estimators.items()
+        ],
+        caption=(
+            "The gains of the phase: its own drift, what the measurement and the copy drive it "
+            "with, and what $\\hat w$ and the copy's argument take of it."
         ),
         digits=6,
     )
