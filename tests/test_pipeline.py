@@ -347,18 +347,6 @@ def test_a_fresh_notebook_is_skipped_and_any_change_runs_it_again(project):
     assert project.results() == before
 
 
-def test_the_notebooks_that_took_longest_go_first(project):
-    project.add("good", "good", "good", "good")
-    folder = project.root / "figures"
-    folder.mkdir()
-    times = {"01_good": "20", "02_good": "90.5", "03_good": "null"}  # the fourth has never run
-    for name, seconds in times.items():
-        (folder / f"{name}.provenance.json").write_text(f'{{"run_time_seconds": {seconds}}}')
-    order = []
-    project.run(jobs=1, finished=lambda result: order.append(result.name))
-    assert order == ["03_good", "04_good", "02_good", "01_good"]
-
-
 def test_values_of_ones_own_never_reach_the_results_of_the_paper(project):
     (result,) = project.add("good").run(parameters={"runs": 11})
     assert result.status == "done"

@@ -12,7 +12,6 @@ the hash it had, and everything it produced is still there unchanged.
 import fcntl
 import hashlib
 import json
-import math
 import platform
 import shutil
 import time
@@ -144,8 +143,6 @@ def run_notebooks(
             else:
                 results.append(_result(task, places, "fresh", 0.0, produced))
                 finished(results[-1])
-        # the longest first, so that none of them is left to run alone at the end
-        waiting.sort(key=lambda task: -_last_time(task, places))
         with closing(_run(waiting, places, profile, jobs, time_limit, scheduler)) as running:
             for result in running:
                 results.append(result)
@@ -250,15 +247,6 @@ def _fresh(task: Task, places: Places) -> tuple[str, ...] | None:
         return tuple(stamp["files"]) if same else None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None  # never run, or its stamp or results are gone or damaged
-
-
-def _last_time(task: Task, places: Places) -> float:
-    """Return how long the notebook took last time, in seconds; infinity where nothing tells."""
-    try:
-        about = json.loads((places.figures / f"{task.name}.provenance.json").read_text())
-        return float(about["run_time_seconds"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return math.inf
 
 
 def _check_scheduler(address: str) -> None:
