@@ -47,15 +47,14 @@ from numba.core.errors import NumbaError
 from numba.extending import is_jitted
 from numba.np.ufunc.dufunc import DUFunc
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm, matrix_balance
 
 from robsmooth import validation
 from robsmooth.blas import one_thread
+from robsmooth.exponential import phi_functions
 from robsmooth.systems import Nonlinearity
 from robsmooth.validation import Matrix
 
 OUTPUTS = ("smoothed", "filtered")
-_RESIDUAL_TOLERANCE = 1e-10
 
 
 class DiscreteSmoother:
@@ -353,28 +352,6 @@ class _Model:
             phi_2 @ B_mu * dt,
         )
         return _Steps(*(np.ascontiguousarray(matrix.T)[None] for matrix in matrices))
-
-
-def phi_functions(A: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-    r"""Return :math:`\varphi_0 = e^A` and :math:`\varphi_{j+1} = A^{-1}(\varphi_j - 1/j!)`, j < 2.
-
-    They are blocks of one exponential, which needs no inverse of A.
-    """
-    n = len(A)
-    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    block = np.eye(3 * n, k=n)
-    block[:n, :n] = balanced
-    with np.errstate(all="ignore"):  # an overflow leaves a residual that is not a number
-        phi = expm(block)[:n].reshape(n, 3, n).swapaxes(0, 1)
-        residuals = balanced @ phi[1:] - phi[:2] + np.eye(n)
-        size = 1.0 + np.linalg.norm(balanced) * np.linalg.norm(phi[1:], axis=(1, 2))
-        residual = (np.linalg.norm(residuals, axis=(1, 2)) / size).max()
-    if not residual <= _RESIDUAL_TOLERANCE:
-        raise ArithmeticError(
-            f"the matrix exponential over one sample was found to {residual:.2g} only: dt is too "
-            "long for an unstable estimator"
-        )
-    return tuple(scale[:, None] * phi / scale)
 
 
 # --- the nonlinearities' functions ---------------------------------------------------------------

@@ -28,13 +28,13 @@ solved fast and not certified: the design that a search ends with is, by `design
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, schur, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, schur, solve_continuous_lyapunov
 
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.delay import pade_delay
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.limit import Reduction, reduction
-from robsmooth.smoother import ASSUMPTION_X, ASSUMPTION_Y, sum_of_squares
+from robsmooth.smoother import ASSUMPTION_X, ASSUMPTION_Y, inverse, sum_of_squares
 from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
 from robsmooth.validation import Matrix
 
@@ -93,7 +93,7 @@ class Entropy:
 
     def natural_tau(self, multipliers: np.ndarray) -> float:
         """Return the tau at which the cost weighs as much as the measurement in the Y equation."""
-        M_inverse = _inverse(np.tensordot(multipliers, self.M, 1))
+        M_inverse = inverse(np.tensordot(multipliers, self.M, 1))
         E = self.D21 @ M_inverse @ self.D21.T
         information = np.linalg.norm(self.C2.T @ np.linalg.solve(E, self.C2), 2)
         cost = np.linalg.norm(self.C, 2) ** 2
@@ -109,7 +109,7 @@ class Entropy:
         """
         A, B1, C2, D21, C1 = self.A, self.B1, self.C2, self.D21, self.C1
         identity = np.eye(len(A))
-        M_inverse = _inverse(np.tensordot(theta, self.M, 1))
+        M_inverse = inverse(np.tensordot(theta, self.M, 1))
         N, N_rates = np.tensordot(theta, self.N, 1), np.tensordot(rates, self.N_vanishing, 1)
         outputs = C1 + self.copies @ self._feedback(N, N_rates)
         R = self.C.T @ self.C + C1.T @ N @ C1
@@ -169,7 +169,7 @@ class Entropy:
 
     def _first_order(self, X, closed_X, outputs, rates):
         """Return x, its multiplier, its term of v and that term's gradient in the rates."""
-        S_inverse = _inverse(np.tensordot(rates, self.spread, 1))
+        S_inverse = inverse(np.tensordot(rates, self.spread, 1))
         b = self.entering
         bb = b @ S_inverse @ b.T
         if np.trace(bb @ X) > _ORTHOGONAL * np.sum(np.abs(bb) * np.abs(X)):
@@ -293,13 +293,6 @@ def _stabilising(condition: str, A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
 def _lyapunov(A: Matrix, Q: Matrix) -> Matrix:
     """Return the solution of A X + X A' + Q = 0."""
     return solve_continuous_lyapunov(A, -Q)
-
-
-def _inverse(M: Matrix) -> Matrix:
-    try:
-        return cho_solve(cho_factor(M), np.eye(len(M)))
-    except LinAlgError as error:
-        raise InfeasibleDesignError("M(lambda) > 0", str(error)) from None
 
 
 def _inner(matrices: np.ndarray, weight: Matrix) -> np.ndarray:

@@ -249,21 +249,19 @@ def _reduced_equations(
     M_f = reduced.rest @ np.linalg.solve(
         reduced.rest.T @ plant.M(multipliers) @ reduced.rest, reduced.rest.T
     )
-    B1, D21 = reduced.B1, reduced.D21
     return DesignEquations(
         plant=plant,
         tau=tau,
         multipliers=multipliers,
         cost=cost,
+        M_inverse=M_f,
         A=reduced.A,
+        B1=reduced.B1,
         C2=reduced.C2,
+        D21=reduced.D21,
         R=R,
         Gamma=Gamma,
         feedback=feedback,
-        worst_noise=plant.B1_tilde @ M_f @ plant.B1_tilde.T,
-        noise=B1 @ M_f @ B1.T,
-        correlation=B1 @ M_f @ D21.T,
-        E=D21 @ M_f @ D21.T,
     )
 
 

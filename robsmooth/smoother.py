@@ -26,6 +26,7 @@ the X equation has the sign as printed (the paper's numbers follow from the othe
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -115,36 +116,44 @@ class DesignEquations:
 
     Attributes
     ----------
-    A, C2 : arrays
-        A_p and C2_tilde, (n, n) and (l + g, n).
+    M_inverse : (r + 2g, r + 2g) array
+        The inverse of M(lambda); in the limit of vanishing multipliers, what stays finite of it.
+    A, B1, C2, D21 : arrays
+        The system of the Y equation: A_p, B1_tilde, C2_tilde and D21_tilde, or in the limit those
+        of a reduced system.
     R, Gamma : arrays
         (n, n) and (n, m + g), as in Assumption 3.
     feedback : (m + g, n) array
         -G^{-1} Gamma', the estimator's output if it knew the state.
-    worst_noise : (n, n) array
-        B1_tilde M^{-1} B1_tilde' in the X equation.
-    noise : (n, n) array
-        The same in the Y equation. In the limit of vanishing multipliers A, C2 and what follows are
-        those of a reduced system, and this is another.
-    correlation : (n, l + g) array
-        B1_tilde M^{-1} D21_tilde'.
-    E : (l + g, l + g) array
-        E_lambda.
     """
 
     plant: AugmentedSystem
     tau: float
     multipliers: np.ndarray
     cost: str
+    M_inverse: Matrix
     A: Matrix
+    B1: Matrix
     C2: Matrix
+    D21: Matrix
     R: Matrix
     Gamma: Matrix
     feedback: Matrix
-    worst_noise: Matrix
-    noise: Matrix
-    correlation: Matrix
-    E: Matrix
+
+    @cached_property
+    def worst_noise(self) -> Matrix:
+        """(n, n) B1_tilde M^{-1} B1_tilde', in the X equation."""
+        return self.plant.B1_tilde @ self.M_inverse @ self.plant.B1_tilde.T
+
+    @cached_property
+    def correlation(self) -> Matrix:
+        """(n, l + g) B1_tilde M^{-1} D21_tilde'."""
+        return self.B1 @ self.M_inverse @ self.D21.T
+
+    @cached_property
+    def E(self) -> Matrix:
+        """(l + g, l + g) E_lambda."""
+        return self.D21 @ self.M_inverse @ self.D21.T
 
     @property
     def Q_X(self) -> Matrix:
@@ -175,7 +184,7 @@ class DesignEquations:
         gain = np.linalg.solve(self.E, self.correlation.T)
         return solve_riccati(
             (self.A - self.correlation @ np.linalg.solve(self.E, C2)).T,
-            self.noise - self.correlation @ gain,
+            self.B1 @ self.M_inverse @ self.B1.T - self.correlation @ gain,
             C2.T @ np.linalg.solve(self.E, C2) - self.R / self.tau,
         )
 
@@ -207,25 +216,22 @@ def design_equations(
     """
     tau, multipliers, cost = check_arguments(plant, tau, multipliers, cost)
     M = plant.M(multipliers)
-    M_inverse = _inverse(M)
+    M_inverse = inverse(M)
     check_multiplier_level(plant, M)
-    B1, D21 = plant.B1_tilde, plant.D21_tilde
-    worst_noise = B1 @ M_inverse @ B1.T
     R, G, Gamma = cost_matrices(plant, tau, multipliers, cost)
     return DesignEquations(
         plant=plant,
         tau=tau,
         multipliers=multipliers,
         cost=cost,
+        M_inverse=M_inverse,
         A=plant.A_p,
+        B1=plant.B1_tilde,
         C2=plant.C2_tilde,
+        D21=plant.D21_tilde,
         R=R,
         Gamma=Gamma,
         feedback=-np.linalg.solve(G, Gamma.T),
-        worst_noise=worst_noise,
-        noise=worst_noise,
-        correlation=B1 @ M_inverse @ D21.T,
-        E=D21 @ M_inverse @ D21.T,
     )
 
 
@@ -355,7 +361,7 @@ def check_measurement_noise(plant: AugmentedSystem) -> None:
     check_noise("Assumption 2", plant.D21_bar)
 
 
-def _inverse(M: Matrix) -> Matrix:
+def inverse(M: Matrix) -> Matrix:
     """Return the inverse of M(lambda), or refuse multipliers that make it singular."""
     try:
         return cho_solve(cho_factor(M), np.eye(M.shape[0]))

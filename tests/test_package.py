@@ -14,8 +14,8 @@ SOURCES = Path(robsmooth.__file__).parent
 # Each module imports only from those to its left.
 ORDER = """
     blas errors files validation steps statespace systems delay augmented riccati lyapunov
-    discrete records estimator smoother limit storage entropy barrier bound interconnection
-    covariance analysis worst_case homodyne certificate baselines lag loop journal
+    exponential discrete records estimator smoother limit storage entropy barrier bound
+    interconnection covariance analysis worst_case homodyne certificate baselines lag loop journal
     executors galerkin montecarlo nonlinear study comparison published provenance simulations
     statements reproduction tables report figures diagrams summaries
 """.split()  # noqa: SIM905 - one a line would be long

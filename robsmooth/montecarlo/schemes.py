@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from robsmooth.errors import UnstableLoopError
 from robsmooth.loop import Loop
+from robsmooth.lyapunov import square_root
 from robsmooth.montecarlo import splitting
 
 
@@ -89,7 +90,7 @@ class SplittingStep:
         drift, P = loop.linearised_drift(*slopes), loop.covariance(*slopes)
         transition = expm(drift * step)
         root = np.zeros((1 + loop.order, splitting.draws(loop.order)))
-        root[:, : 1 + loop.order] = _root(_noise_over(step, drift, loop.noise_covariance()))
+        root[:, : 1 + loop.order] = square_root(_noise_over(step, drift, loop.noise_covariance()))
         gains = step * loop.gains()[1:].T
         arguments = np.vstack([loop.reference, loop.copy])
         products = arguments @ gains.T
@@ -107,7 +108,7 @@ class SplittingStep:
         filtered, smoothed = control_mean_squares(loop, drift, P)
         return cls(
             copies=bool(loop.copy.any() and loop.copy_gain.any()),
-            start=_root(P),
+            start=square_root(P),
             coefficients=np.concatenate([part.ravel() for part in coefficients]),
             readout=_readout(loop),
             control=np.array([filtered, smoothed, 3 * filtered**2]),  # it is Gaussian
@@ -154,11 +155,3 @@ def _noise_over(step: float, drift: NDArray, Q: NDArray) -> NDArray[np.float64]:
     size = len(drift)
     covariance = exponential[size:, size:].T @ exponential[:size, size:]
     return (covariance + covariance.T) / 2
-
-
-def _root(covariance: NDArray) -> NDArray[np.float64]:
-    """Return R with R R' = covariance, which may be singular."""
-    scale = np.sqrt(np.diag(covariance))
-    scale[scale == 0] = 1.0
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None))

@@ -17,8 +17,9 @@ block exponential, the common way, overflows with these and drowns those in the 
 import math
 
 import numpy as np
-from scipy.linalg import expm, matrix_balance
+from scipy.linalg import expm
 
+from robsmooth.exponential import balance, phi_functions
 from robsmooth.validation import Matrix
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -27,23 +28,13 @@ _SHORT = 0.5  # |F| h over which eight nodes are exact
 
 def responses(F: Matrix, G: Matrix, step: float) -> tuple[Matrix, Matrix, Matrix]:
     """Return e^{F step}, K_1 and K_2."""
-    F, scale = _balanced(F)
-    size, inputs = G.shape
-    exponent = np.zeros((size + 2 * inputs, size + 2 * inputs))
-    exponent[:size, :size] = step * F
-    exponent[:size, size : size + inputs] = step * G / scale[:, None]
-    exponent[size : size + inputs, size + inputs :] = np.eye(inputs)
-    transition, first, second = np.split(expm(exponent)[:size], [size, size + inputs], axis=1)
-    return (
-        scale[:, None] * transition / scale,
-        scale[:, None] * first,
-        scale[:, None] * second,
-    )
+    phi_0, phi_1, phi_2 = phi_functions(step * F)
+    return phi_0, step * phi_1 @ G, step * phi_2 @ G
 
 
 def noise_root(F: Matrix, B: Matrix, step: float) -> Matrix:
     """Return the lower triangular root of the covariance of the noise of a step."""
-    F, scale = _balanced(F)
+    F, scale = balance(F)
     doublings = max(0, math.ceil(math.log2(max(np.linalg.norm(F, 1) * step / _SHORT, 1.0))))
     root, transition = _short_root(F, B / scale[:, None], step / 2**doublings)
     for _ in range(doublings):
@@ -53,17 +44,11 @@ def noise_root(F: Matrix, B: Matrix, step: float) -> Matrix:
 
 def stationary_root(F: Matrix, B: Matrix) -> Matrix:
     """Return the lower triangular root of the stationary covariance; `F` must be stable."""
-    F, scale = _balanced(F)
+    F, scale = balance(F)
     root, transition = _short_root(F, B / scale[:, None], _SHORT / np.linalg.norm(F, 1))
     while transition.any():  # until it underflows, ten doublings after it has lost its effect
         root, transition = _compressed(root, transition @ root), transition @ transition
     return scale[:, None] * root
-
-
-def _balanced(F: Matrix) -> tuple[Matrix, Matrix]:
-    """Return T^-1 F T and the diagonal of T, powers of two that even out the sizes of states."""
-    balanced, (scale, _) = matrix_balance(F, permute=False, separate=True)
-    return balanced, scale
 
 
 def _short_root(F: Matrix, B: Matrix, step: float) -> tuple[Matrix, Matrix]:
