@@ -29,13 +29,14 @@ import numpy as np
 from scipy.linalg import null_space, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from robsmooth import validation
+from robsmooth import notation, validation
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.blas import one_thread
 from robsmooth.delay import pade_delay
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import OpenLoop, guarantee, open_loop
 from robsmooth.riccati import RiccatiError, solve_riccati
+from robsmooth.tables import Table
 from robsmooth.validation import Matrix, frozen
 
 _FLOOR = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
@@ -90,6 +91,18 @@ class AnalysisBound:
             f"AnalysisBound(mean_square={self.mean_square:.5g}, gap={self.gap:.1g}, "
             f"fraction={self.fraction:.3g}, guarantee={given})"
         )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("largest mean square error, (unit of $w$)²", self.mean_square),
+            ("share of it that no input was shown to reach", self.gap),
+            ("share of the uncertainty for which there is a bound", self.fraction),
+            ("guarantee, $2V$", self.guarantee),
+            (r"multipliers $\theta$, s (unit of $w$)²", f"${notation.vector(self.multipliers)}$"),
+        ]
+        rows = [row for row in rows if row[1] is not None]
+        caption = "The worst that the constraints on the uncertainty allow."
+        return Table(("", "value"), rows, caption, digits=5).html()
 
 
 @one_thread

@@ -23,11 +23,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import block_diag
 
-from robsmooth import validation
+from robsmooth import notation, validation
 from robsmooth.delay import DelayModel, pade_delay
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.statespace import Blocks
 from robsmooth.systems import UncertainSystem
+from robsmooth.tables import Table
 from robsmooth.validation import Matrix, frozen
 
 if TYPE_CHECKING:
@@ -252,6 +253,25 @@ class AugmentedSystem:
             f"AugmentedSystem({self.system!r}, delay={self.delay:g} s, order={self.order}, "
             f"n={self.n} states)"
         )
+
+    def _repr_html_(self) -> str:
+        matrices = [
+            ("$A_p$ (1/s)", self.A_p),
+            (r"$\tilde B_1$", self.B1_tilde),
+            ("$B_{p1}$", self.B_p1),
+            ("$C_{p0}$", self.C_p0),
+            ("$C_a$", self.C_a),
+            (r"$\tilde C_1$", self.C1_tilde),
+            (r"$\tilde C_2$", self.C2_tilde),
+            (r"$\tilde D_{21}$", self.D21_tilde),
+            (r"$\bar D_{21}$", self.D21_bar),
+        ]
+        rows = [(name, f"${notation.matrix(value)}$") for name, value in matrices]
+        caption = (
+            f"Augmented system: {self.n} states, of which {self.n - self.system.n} model the delay "
+            f"of ${notation.number(self.delay)}$ s with order {self.order}."
+        )
+        return Table(("", "value"), rows, caption).html()
 
     def _no_columns(self, count: int) -> Matrix:
         return np.zeros((self.system.n, count))

@@ -2,17 +2,16 @@
 
 import argparse
 import ast
-import os
 import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
-
-from tqdm import tqdm
 
 from robsmooth.pipeline import NotebookResult, PipelineError, Places, run_notebooks
 from robsmooth.pipeline.runner import PROFILES
+from robsmooth.progress import progress_bar
 
 INTERRUPTED = 130
 
@@ -40,7 +39,7 @@ def figures(options: argparse.Namespace) -> int:
     root, build = _project(), options.build
     parameters = dict(options.set)
     places = Places.of(root, options.profile, bool(parameters), build)
-    with tqdm(disable=_plain(), unit="notebook", leave=False) as bar:
+    with progress_bar(unit="notebook", leave=False) as bar:
 
         def started(count: int) -> None:
             bar.total = count
@@ -112,6 +111,16 @@ def bench(options: argparse.Namespace) -> int:
     return subprocess.run(command, cwd=_project()).returncode
 
 
+def site(options: argparse.Namespace) -> int:
+    """Build the site from executed notebooks, as docs/ has it."""
+    if find_spec("sphinx") is None:
+        raise PipelineError("Sphinx is not installed; `make report` makes an environment with it")
+    command = [sys.executable, "-m", "docs", "--profile", options.profile]
+    if options.build:
+        command += ["--build", str(options.build.resolve())]
+    return subprocess.run(command, cwd=_project()).returncode
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="robsmooth", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -161,6 +170,15 @@ def _parser() -> argparse.ArgumentParser:
     command = commands.add_parser("verdicts", help="every printed number with its verdict")
     command.set_defaults(command=verdicts)
 
+    command = commands.add_parser(
+        "report", help="build the offline site from what `figures` has left"
+    )
+    command.set_defaults(command=site)
+    command.add_argument(
+        "--profile", choices=PROFILES, default="paper", help="whose results (default: %(default)s)"
+    )
+    command.add_argument("--build", type=Path, help="folder that the run worked in")
+
     command = commands.add_parser("bench", help="measure the speed of the simulation")
     command.set_defaults(command=bench)
     command.add_argument("--quick", action="store_true", help="in seconds; ratios mean little")
@@ -192,11 +210,6 @@ def _project() -> Path:
     raise PipelineError(
         "there is no notebooks/profiles.toml here or above: say this in the project's folder"
     )
-
-
-def _plain() -> bool:
-    """Whether to do without a progress bar."""
-    return not sys.stderr.isatty() or os.environ.get("CI") == "true"
 
 
 def _line(result: NotebookResult) -> str:

@@ -10,6 +10,7 @@ from robsmooth.estimator import Estimator
 from robsmooth.galerkin import StationaryErrors, stationary_errors
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, monte_carlo
+from robsmooth.progress import progress_bar
 from robsmooth.smoother import RobustSmoother
 from robsmooth.worst_case import WorstCase, worst_case
 
@@ -62,6 +63,8 @@ def compare(
     estimators: Mapping[str, tuple[Estimator, str]],
     parameters: HomodyneParameters,
     slopes: Sequence[float],
+    *,
+    progress: bool = False,
     **simulation,
 ) -> dict[str, Compared]:
     """Find the errors of each estimator, all with the same noise in the simulation.
@@ -73,6 +76,8 @@ def compare(
     parameters : HomodyneParameters
     slopes : sequence of float
         Of the nonlinearity, the paper's Delta_2.
+    progress : bool
+        Show a progress bar.
     **simulation
         For `monte_carlo`: runs, seed and so on.
 
@@ -81,7 +86,8 @@ def compare(
     dict of Compared
     """
     found = {}
-    for name, (estimator, output) in estimators.items():
+    cases = progress_bar(estimators.items(), unit="estimator", shown=progress)
+    for name, (estimator, output) in cases:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LossOfLockWarning)  # the result has the slips
             result = monte_carlo(parameters, estimator, "paper", **simulation)

@@ -58,6 +58,13 @@ class DelayModel:
     delay: float
     order: int
 
+    def __repr__(self) -> str:
+        channels, states = self.H.shape
+        return (
+            f"DelayModel(delay={self.delay:g} s, order={self.order}, {states} states, "
+            f"{channels} channels)"
+        )
+
     def __post_init__(self):
         for value in (self.F, self.G, self.H, self.J):
             frozen(value)

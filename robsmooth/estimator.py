@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robsmooth import validation
+from robsmooth import notation, validation
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.discrete import DiscreteSmoother
 from robsmooth.statespace import Blocks
+from robsmooth.tables import Table
 from robsmooth.validation import Matrix, frozen
 
 if TYPE_CHECKING:
@@ -123,3 +124,31 @@ class Estimator:
             Where the estimator is unstable, and dt too long for it.
         """
         return DiscreteSmoother(self, dt, functions)
+
+    def __repr__(self) -> str:
+        plant = self.plant
+        return (
+            f"Estimator({len(self.A_c)} states, delay={plant.delay:g} s, order={plant.order}, "
+            f"{plant.system.l} measurements, {plant.system.m} outputs, {plant.system.g} copies)"
+        )
+
+    def _repr_html_(self) -> str:
+        return self._sheet("Estimator", ())
+
+    def _sheet(self, what: str, rows: Sequence[tuple]) -> str:
+        """Return a table of what is particular to a design, then of what all have."""
+        plant = self.plant
+        matrices = {
+            "$A_c$ (1/s)": self.A_c,
+            r"$\tilde B_c$": self.B_c,
+            r"$\tilde C_c$": self.C_c,
+            "$C_a$": self.C_a,
+        }
+        shared = [
+            ("poles (1/s)", f"${notation.poles(self.poles)}$"),
+            *((name, f"${notation.matrix(value)}$") for name, value in matrices.items()),
+        ]
+        caption = (
+            f"{what}: lag ${notation.number(plant.delay)}$ s, delay model of order {plant.order}."
+        )
+        return Table(("", "value"), [*rows, *shared], caption, digits=6).html()

@@ -63,6 +63,7 @@ from robsmooth import validation
 from robsmooth.blas import one_thread
 from robsmooth.errors import UnstableLoopError
 from robsmooth.loop import Loop, check_stationary, homodyne_loop
+from robsmooth.tables import Table
 
 TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
 USELESS = 0.02  # relative truncation error above which there is no result
@@ -115,6 +116,17 @@ class StationaryErrors:
             f"rad^2, filtered {self.filtered:.10g} +- {self.filtered_truncation:.1g} rad^2; "
             f"degree {self.degree}, {self.unknowns} unknowns)"
         )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("smoothed", f"{self.smoothed:.10g}", self.smoothed_truncation),
+            ("filtered", f"{self.filtered:.10g}", self.filtered_truncation),
+        ]
+        columns = ("estimate", "mean square error (rad²)", "truncation (rad²)")
+        caption = (
+            f"The loop in lock: polynomials of degree {self.degree}, {self.unknowns} unknowns."
+        )
+        return Table(columns, rows, caption, digits=1).html()
 
 
 @one_thread

@@ -20,6 +20,7 @@ from scipy.special import erf
 
 from robsmooth import validation
 from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
+from robsmooth.tables import Table
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,24 @@ class HomodyneParameters:
                 ),
             ),
         )
+
+    def table(self) -> Table:
+        """Return Table I."""
+        rows = [
+            (r"$\lambda$", f"{self.lam:g}", "rad/s", "decay rate of the phase"),
+            (r"$\kappa$", f"{self.kappa:g}", "rad²/s", "diffusion of the phase"),
+            (r"$\alpha$", f"{self.alpha:g}", "s^-1/2", "amplitude of the beam"),
+            (r"$\beta$", f"{self.beta:g}", "", "slope of the tangent of the sine"),
+            (r"$\gamma$", f"{self.gamma:g}", "", "half width of the sector"),
+        ]
+        caption = (
+            "Table I of the paper, with the units that the equations need; it prints rad/s for "
+            "kappa and 1/s for alpha."
+        )
+        return Table(("symbol", "value", "unit", "what it is"), rows, caption)
+
+    def _repr_html_(self) -> str:
+        return self.table().html()
 
     def remainder(self, error: np.ndarray) -> np.ndarray:
         r"""Return :math:`f(e) = \sin e - \beta e` at errors in rad."""

@@ -16,15 +16,17 @@ from functools import partial
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from robsmooth import baselines, validation
+from robsmooth import baselines, notation, validation
 from robsmooth.augmented import augment
 from robsmooth.blas import one_thread
 from robsmooth.bound import minimize_bound
 from robsmooth.covariance import error_covariance
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.estimator import Estimator
+from robsmooth.progress import progress_bar
 from robsmooth.smoother import design_smoother
 from robsmooth.systems import UncertainSystem
+from robsmooth.tables import Table
 from robsmooth.validation import Matrix, frozen
 from robsmooth.worst_case import worst_case
 
@@ -84,6 +86,29 @@ class LagSweep:
             f"two_sided={self.two_sided:.5g})"
         )
 
+    def _repr_html_(self) -> str:
+        rows = []
+        for i, order in enumerate(self.orders):
+            nominal, worst = self.nominal[i].argmin(), self.worst[i].argmin()
+            rows.append(
+                (
+                    str(order),
+                    float(self.nominal[i, nominal]),
+                    float(self.lags[nominal]),
+                    f"{100 * self.gain[i, nominal]:.0f}%",
+                    float(self.worst[i, worst]),
+                    float(self.lags[worst]),
+                )
+            )
+        columns = ("order", "nominal error", "at lag (s)", "gain", "worst error", "at lag (s)")
+        caption = (
+            f"Least smoothed errors over {len(self.lags)} lags, in the squared unit of $w$, and "
+            "the share of the possible gain: filtering has "
+            f"${notation.number(self.filtering)}$, two-sided smoothing "
+            f"${notation.number(self.two_sided)}$."
+        )
+        return Table(columns, rows, caption).html()
+
 
 @dataclass(frozen=True)
 class LagChoice:
@@ -113,6 +138,24 @@ class LagChoice:
     shortest: float
     lags: dict[int, float]
 
+    def __repr__(self) -> str:
+        return (
+            f"LagChoice(lag={self.lag:.4g} s, order={self.order}, error={self.error:.5g}, "
+            f"target={self.target:.5g}, shortest={self.shortest:.4g} s)"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (str(order), lag, "chosen" if order == self.order else "")
+            for order, lag in self.lags.items()
+        ]
+        caption = (
+            "The shortest lag that meets the target for each order: an error of "
+            f"${notation.number(self.error)}$, at most ${notation.number(self.target)}$ was asked "
+            f"for. An exact delay would take ${notation.number(self.shortest)}$ s."
+        )
+        return Table(("order", "lag (s)", ""), rows, caption).html()
+
 
 @one_thread
 def lag_sweep(
@@ -120,6 +163,8 @@ def lag_sweep(
     lags: Sequence[float],
     orders: Sequence[int],
     design: str | Family = "classical",
+    *,
+    progress: bool = False,
 ) -> LagSweep:
     """Find the nominal and the worst smoothed error for each lag and order.
 
@@ -135,6 +180,8 @@ def lag_sweep(
         the robust smoother with the least bound on the filtered or on the smoothed error. (The
         search of the first of these does not depend on lag and order; that of the other does, and
         takes its time for each.) Or a function that makes an `Estimator` of system, lag and order.
+    progress : bool
+        Show a progress bar.
 
     Returns
     -------
@@ -153,16 +200,19 @@ def lag_sweep(
     for name, axis in (("lags", lags), ("orders", orders)):
         if not axis.size:
             raise ValueError(f"{name} must have at least one value")
+    validation.boolean("progress", progress)
     make = _family(system, design)
+    grid = [(lag, int(order)) for order in orders for lag in lags]
     cases = [
-        [worst_case(make(system, lag, int(order)), copy_noise=False) for lag in lags]
-        for order in orders
+        worst_case(make(system, lag, order), copy_noise=False)
+        for lag, order in progress_bar(grid, unit="design", shown=progress)
     ]
+    shape = len(orders), len(lags)
     return LagSweep(
         lags=lags,
         orders=orders,
-        nominal=np.array([[case.nominal for case in row] for row in cases]),
-        worst=np.array([[case.mean_square for case in row] for row in cases]),
+        nominal=np.reshape([case.nominal for case in cases], shape),
+        worst=np.reshape([case.mean_square for case in cases], shape),
         optimal=np.array([_optimum(system, lag) for lag in lags]),
         filtering=_optimum(system, 0.0),
         two_sided=_optimum(system, math.inf),

@@ -17,11 +17,11 @@ from tokenize import TokenError
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from robsmooth import validation
 from robsmooth.discrete import OUTPUTS, DiscreteSmoother
 from robsmooth.files import atomic_path
+from robsmooth.progress import progress_bar
 
 CHUNK = 65_536  # rows
 TIMING = 0.5  # of a sample: by how much a row may come too early or too late
@@ -107,7 +107,7 @@ def smooth_record(
     writer = _choice("target", target, _WRITERS)
     layout = _layout(record, smoother, columns, reference, time)
     before = smoother.state, smoother.samples
-    bar = tqdm(total=record.size, unit=record.unit, unit_scale=True, disable=not progress)
+    bar = progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress)
     try:
         with (
             bar,

@@ -7,17 +7,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from robsmooth import files, provenance, reproduction
-from robsmooth.reproduction import Verdict
+from robsmooth.reproduction import OUTCOMES, Verdict, table
 from robsmooth.simulations import MonteCarloTable
 from robsmooth.tables import Table
 
 NAME = "reproduction"
-OUTCOMES = (
-    reproduction.REPRODUCED,
-    reproduction.WITH_FLIPPED_SIGN,
-    reproduction.NOT_REPRODUCED,
-    reproduction.NOT_CHECKABLE,
-)
 _BEGIN, _END = "<!-- scorecard: written by make figures -->", "<!-- end of scorecard -->"
 
 
@@ -84,34 +78,6 @@ def scorecard(verdicts: Iterable[Verdict]) -> Table:
     )
 
 
-def table(verdicts: Iterable[Verdict], caption: str = "", merge_zeros: bool = False) -> Table:
-    """Return the verdicts as a table.
-
-    Parameters
-    ----------
-    verdicts : iterable of Verdict
-    caption : str
-        What the table shows.
-    merge_zeros : bool
-        Whether the reproduced zeros of a matrix share one row.
-    """
-    rows = []
-    for verdict in _merged(verdicts) if merge_zeros else verdicts:
-        rows.append(
-            (
-                verdict.name,
-                verdict.place,
-                verdict.printed,
-                verdict.value,
-                verdict.relative_difference,
-                verdict.verdict,
-                verdict.reason,
-            )
-        )
-    columns = ("what", "where", "printed", "ours", "relative difference", "verdict", "why")
-    return Table(columns=columns, rows=rows, caption=caption, digits=6)
-
-
 def markdown(verdicts: Sequence[Verdict]) -> str:
     """Return the whole report, a section for each verdict that needs words, then everything."""
     parts = [
@@ -133,33 +99,6 @@ def markdown(verdicts: Sequence[Verdict]) -> str:
         table(verdicts, "All verdicts. The zeros of a matrix share a row.", True).markdown(),
     ]
     return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
-
-
-def _merged(verdicts: Iterable[Verdict]) -> Iterable[Verdict]:
-    """Yield the verdicts with the reproduced zeros of each matrix as one."""
-
-    def kind(verdict: Verdict) -> tuple[str, bool]:
-        zero = verdict.printed.split(" ")[0] == "0" and verdict.value == 0.0
-        zero = zero and verdict.verdict == reproduction.REPRODUCED
-        return (verdict.name.split("[")[0] if zero else verdict.name, zero)
-
-    seen: dict[tuple[str, bool], list[Verdict]] = {}
-    for verdict in verdicts:
-        seen.setdefault(kind(verdict), []).append(verdict)
-    for (name, zero), group in seen.items():
-        first = group[0]
-        if zero and len(group) > 1:
-            yield Verdict(
-                name=f"{name}, {len(group)} zeros",
-                place=first.place,
-                printed=first.printed,
-                value=0.0,
-                relative_difference=None,
-                verdict=first.verdict,
-                reason="",
-            )
-        else:
-            yield first
 
 
 def about() -> Table:

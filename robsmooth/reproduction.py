@@ -5,7 +5,8 @@ what is printed (the paper does both). What follows from the printed :math:`\tau
 :math:`\lambda` agrees when it does so for some values that round to the printed ones.
 """
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,12 +28,14 @@ from robsmooth.published import (
     rounding_box,
 )
 from robsmooth.simulations import MonteCarloTable
+from robsmooth.tables import Table
 from robsmooth.validation import Matrix
 
 REPRODUCED = "reproduced"
 WITH_FLIPPED_SIGN = "reproduced with the sign flipped"
 NOT_REPRODUCED = "not reproduced"
 NOT_CHECKABLE = "not checkable"
+OUTCOMES = (REPRODUCED, WITH_FLIPPED_SIGN, NOT_REPRODUCED, NOT_CHECKABLE)
 
 KINDS = ("input", "model", "optimum", "design", "sweep", "simulation")
 
@@ -55,7 +58,7 @@ class Verdict:
     value : float or str or None
         Recomputed, in the printed unit; words for a statement; None where nothing can be computed.
     relative_difference : float or None
-        (value - printed)/|printed|, where that makes sense.
+        Of value from printed, by the size of printed, where that makes sense.
     verdict : str
         One of "reproduced", "reproduced with the sign flipped", "not reproduced", "not checkable".
     reason : str
@@ -70,9 +73,30 @@ class Verdict:
     verdict: str
     reason: str
 
+    def __repr__(self) -> str:
+        ours = self.value if isinstance(self.value, float) else None
+        found = "" if ours is None else f", ours {ours:.6g}"
+        return f"Verdict({self.name}: printed {_cut(self.printed)}{found}, {self.verdict})"
+
+
+class Verdicts(list[Verdict]):
+    """A list of verdicts, which a notebook shows as a table."""
+
+    def __repr__(self) -> str:
+        return f"Verdicts({self._counts})"
+
+    def _repr_html_(self) -> str:
+        return table(self, f"Verdicts: {self._counts}.", merge_zeros=True).html()
+
+    @property
+    def _counts(self) -> str:
+        counts = Counter(verdict.verdict for verdict in self)
+        found = [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
+        return ", ".join(found) or "none"
+
 
 @one_thread
-def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -> list[Verdict]:
+def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -> Verdicts:
     """Recompute every number that the paper prints and judge it.
 
     Parameters
@@ -86,7 +110,8 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     Returns
     -------
     list of Verdict
-        In the order of the paper; a matrix gives one for each entry.
+        In the order of the paper; a matrix gives one for each entry. A notebook shows it as a
+        table.
 
     Raises
     ------
@@ -100,7 +125,7 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
         simulation = MonteCarloTable.read(Path(data_dir) if data_dir else data_folder())
     values = _Values(simulation)
     checks = statements.checks(simulation)
-    found = []
+    found = Verdicts()
     for entry in published()["quantity"]:
         if entry["kind"] in kinds:
             found.extend(values.judge(entry))
@@ -119,6 +144,61 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
                 )
             )
     return found
+
+
+def table(verdicts: Iterable[Verdict], caption: str = "", merge_zeros: bool = False) -> Table:
+    """Return the verdicts as a table.
+
+    Parameters
+    ----------
+    verdicts : iterable of Verdict
+    caption : str
+        What the table shows.
+    merge_zeros : bool
+        Whether the reproduced zeros of a matrix share one row.
+    """
+    rows = []
+    for verdict in _merged(verdicts) if merge_zeros else verdicts:
+        rows.append(
+            (
+                verdict.name,
+                verdict.place,
+                verdict.printed,
+                verdict.value,
+                verdict.relative_difference,
+                verdict.verdict,
+                verdict.reason,
+            )
+        )
+    columns = ("what", "where", "printed", "ours", "relative difference", "verdict", "why")
+    return Table(columns=columns, rows=rows, caption=caption, digits=6)
+
+
+def _merged(verdicts: Iterable[Verdict]) -> Iterable[Verdict]:
+    """Yield the verdicts with the reproduced zeros of each matrix as one."""
+
+    def kind(verdict: Verdict) -> tuple[str, bool]:
+        zero = verdict.printed.split(" ")[0] == "0" and verdict.value == 0.0
+        zero = zero and verdict.verdict == REPRODUCED
+        return (verdict.name.split("[")[0] if zero else verdict.name, zero)
+
+    seen: dict[tuple[str, bool], list[Verdict]] = {}
+    for verdict in verdicts:
+        seen.setdefault(kind(verdict), []).append(verdict)
+    for (name, zero), group in seen.items():
+        first = group[0]
+        if zero and len(group) > 1:
+            yield Verdict(
+                name=f"{name}, {len(group)} zeros",
+                place=first.place,
+                printed=first.printed,
+                value=0.0,
+                relative_difference=None,
+                verdict=first.verdict,
+                reason="",
+            )
+        else:
+            yield first
 
 
 class _Values:
@@ -245,3 +325,7 @@ def _agrees(text: str, low: float, high: float, zero: float) -> bool:
     unit = last_digit(text)
     tiny = 1e-9 * number
     return high >= number - unit / 2 - tiny and low < number + unit
+
+
+def _cut(text: str, length: int = 40) -> str:
+    return text if len(text) <= length else f"{text[: length - 3]}..."

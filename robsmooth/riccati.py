@@ -38,7 +38,7 @@ class RiccatiError(ArithmeticError):
 
 @dataclass(frozen=True, eq=False)
 class RiccatiSolution:
-    """A stabilising solution with its certificate.
+    r"""A stabilising solution with its certificate.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class RiccatiSolution:
         The solution, symmetric.
     residual : float
         Backward error: the norm of the equation's residual, relative to
-        2 |A| |X| + |Q| + |S| |X|^2.
+        :math:`2|A||X| + |Q| + |S||X|^2`.
     smallest_eigenvalue : float
         Smallest eigenvalue of X, relative to its norm.
     decay_rate : float
@@ -62,6 +62,13 @@ class RiccatiSolution:
     smallest_eigenvalue: float
     decay_rate: float
     error: float
+
+    def __repr__(self) -> str:
+        return (
+            f"RiccatiSolution({len(self.X)} states, residual={self.residual:.2g}, "
+            f"smallest_eigenvalue={self.smallest_eigenvalue:.2g}, "
+            f"decay_rate={self.decay_rate:.4g}, error={self.error:.2g})"
+        )
 
 
 @one_thread

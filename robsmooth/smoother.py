@@ -31,7 +31,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from robsmooth import validation
+from robsmooth import notation, validation
 from robsmooth.augmented import AugmentedSystem, check_noise
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.estimator import Estimator
@@ -102,12 +102,23 @@ class RobustSmoother(Estimator):
             frozen(value)
 
     def __repr__(self) -> str:
-        weights = ", ".join(f"{value:.4g}" for value in self.multipliers)
         return (
             f"RobustSmoother(bound={self.bound:.4g}, cost={self.cost!r}, tau={self.tau:.4g}, "
-            f"multipliers=[{weights}], delay={self.plant.delay:g} s, order={self.plant.order}, "
+            f"multipliers={notation.array(self.multipliers)}, "
+            f"delay={self.plant.delay:g} s, order={self.plant.order}, "
             f"spectral_radius/tau={self.spectral_radius / self.tau:.3g})"
         )
+
+    def _repr_html_(self) -> str:
+        rows = [(f"bound $V$ on half the {self.cost} error, (unit of $w$)²", self.bound)]
+        if self.bound_infimum is not None:
+            rows.append(("its infimum, which no design attains", self.bound_infimum))
+        rows += [
+            (r"$\tau$, s (unit of $w$)²", self.tau),
+            (r"multipliers $\lambda$", f"${notation.vector(self.multipliers)}$"),
+            (r"$\rho(YX)/\tau$, below 1", self.spectral_radius / self.tau),
+        ]
+        return self._sheet("Robust smoother", rows)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,6 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from robsmooth import baselines, executors, validation
 from robsmooth.augmented import augment
@@ -26,7 +25,9 @@ from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.journal import open_journal
 from robsmooth.montecarlo import LossOfLockWarning, monte_carlo
+from robsmooth.progress import progress_bar
 from robsmooth.smoother import design_smoother
+from robsmooth.tables import Table
 
 AXES = ("gamma", "noise", "order", "lag")
 QUANTITIES = (
@@ -80,6 +81,22 @@ class Study:
     def __repr__(self) -> str:
         sizes = " x ".join(f"{len(getattr(self, name + 's'))} {name}s" for name in AXES)
         return f"Study({sizes}: {self.designs} designs, {len(self.failures)} columns without)"
+
+    def _repr_html_(self) -> str:
+        axes = {
+            r"half width $\gamma$ of the sector": self.gammas,
+            "power of the shot noise": self.noises,
+            "order": self.orders,
+            "lag (s)": self.lags,
+        }
+        found = self.ratio[np.isfinite(self.ratio)]
+        rows = [
+            (name, len(axis), float(min(axis)), float(max(axis))) for name, axis in axes.items()
+        ]
+        if found.size:
+            rows.append(("smoothed / filtered", found.size, float(found.min()), float(found.max())))
+        caption = f"{self.designs} designs; {len(self.failures)} sectors and noises have none."
+        return Table(("over", "values", "from", "to"), rows, caption).html()
 
 
 def parameter_study(
@@ -158,8 +175,8 @@ def parameter_study(
         results = journal.records if journal else []
         calls = [(loop,) for loop in loops[len(results) :]]
         # what was done before counts for the progress, but not for the rate
-        with tqdm(
-            total=len(loops), initial=len(results), unit="column", disable=not progress
+        with progress_bar(
+            total=len(loops), initial=len(results), unit="column", shown=progress
         ) as bar:
             for result in executors.in_order(compute, calls, client):
                 if journal:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robsmooth import validation
+from robsmooth import notation, validation
 from robsmooth.statespace import Blocks, check_continuous
 from robsmooth.validation import Matrix
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import control
 
 _ROUNDING = 1e-12
+_CHANNELS = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,13 @@ class Uncertainty:
         for name in ("B", "C", "D"):
             value = validation.matrix(f"Uncertainty {name}", getattr(self, name), (None, None))
             object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        return f"Uncertainty({_matrices(self)})"
+
+    def _repr_latex_(self) -> str:
+        B, C, D = map(notation.matrix, (self.B, self.C, self.D))
+        return rf"$$B_1 = {B},\quad C_1 = {C},\quad D_{{21}} = {D}$$"
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +108,18 @@ class Nonlinearity:
         object.__setattr__(self, "lipschitz", lipschitz)
         if self.function is not None:
             _check_function("Nonlinearity function", self.function)
+
+    def __repr__(self) -> str:
+        function = getattr(self.function, "__name__", type(self.function).__name__)
+        given = "" if self.function is None else f", function={function}"
+        return f"Nonlinearity({_matrices(self)}, lipschitz={self.lipschitz:.5g}{given})"
+
+    def _repr_latex_(self) -> str:
+        B, C, D = map(notation.matrix, (self.B, self.C, self.D))
+        return (
+            rf"$$\bar B_1 = {B},\quad \bar C_1 = {C},\quad \bar D_{{21}} = {D},\quad "
+            rf"\beta = {notation.number(self.lipschitz)}$$"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -389,6 +409,43 @@ class UncertainSystem:
             f"UncertainSystem(n={self.n} states, m={self.m} outputs, l={self.l} measurements, "
             f"q={self.q} noises, k={self.k} uncertainties, g={self.g} nonlinearities)"
         )
+
+    def _repr_latex_(self) -> str:
+        """Return the equations of the class with this system's numbers."""
+        mu = [(c, rf"\mu_{{{i}}}") for i, c in enumerate(self.nonlinearities, 1)]
+        xi = [(c, rf"\xi_{{{s}}}") for s, c in enumerate(self.uncertainties, 1)]
+        shown = mu[:_CHANNELS] + xi[:_CHANNELS]
+        dots = r"\cdots" if max(len(mu), len(xi)) > _CHANNELS else ""
+
+        def equation(left: str, of_state: Matrix, channel: str, noise: Matrix) -> str:
+            inputs = [notation.product(getattr(c, channel), symbol) for c, symbol in shown]
+            drift = notation.total([notation.product(of_state, "x"), *inputs, dots])
+            drift = rf"\left[{drift}\right]dt" if drift != "0" else ""
+            return f"{left} &= {notation.total([drift, notation.product(noise, 'dW')])}"
+
+        def of_x(C: Matrix) -> str:
+            return notation.product(C, "x") or "0"
+
+        lines = [
+            equation("dx", self.A, "B", self.B1) + r"\qquad(t\text{ in s})",
+            equation("dy", self.C2, "D", self.D21),
+            f"w &= {of_x(self.C0)}",
+        ]
+        for i, (c, symbol) in enumerate(mu[:_CHANNELS], 1):
+            lines.append(
+                rf"{symbol} &= \psi_{{{i}}}(\nu_{{{i}}}),\quad \nu_{{{i}}} = {of_x(c.C)},\quad "
+                rf"\beta_{{{i}}} = {notation.number(c.lipschitz)}"
+            )
+        for s, (c, symbol) in enumerate(xi[:_CHANNELS], 1):
+            zeta = rf"\zeta_{{{s}}}"
+            lines.append(
+                rf"\lVert{symbol}\rVert &\le \lVert{zeta}\rVert,\quad {zeta} = {of_x(c.C)}"
+            )
+        return "$$\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}$$"
+
+
+def _matrices(channel: Uncertainty | Nonlinearity) -> str:
+    return ", ".join(f"{name}={notation.array(getattr(channel, name))}" for name in "BCD")
 
 
 def _members(name: str, values: Iterable, kind: type) -> tuple:

@@ -1,14 +1,19 @@
-"""Tables, written once and shown in notebooks, Markdown, CSV and LaTeX."""
+"""Tables, written once and shown in notebooks, HTML, Markdown, CSV and LaTeX."""
 
 import csv
+import html
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from robsmooth import files
+from robsmooth import files, notation
 
 Cell = str | int | float | None
+
+# What is read as a number: it may have an error, a unit or a per cent sign.
+_NUMBER = re.compile(r"[-+−]?(\d[\d.,]*(e[-+]?\d+)?|inf|nan)(\s?[%±µ].*)?")
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,25 @@ class Table:
         lines = [" | ".join(cell.replace("|", r"\|") for cell in row) for row in rows]
         body = "\n".join(f"| {line} |" for line in lines)
         return f"{body}\n\n*{self.caption}*\n"
+
+    def html(self) -> str:
+        """Return the table for HTML; MathJax typesets its mathematics."""
+        rows = self._printed_rows()
+        styles = [
+            f'style="text-align: {"right" if _numeric(column) else "left"}"'
+            for column in zip(*rows, strict=True)
+        ] or [""] * len(self.columns)
+        header = "".join(
+            f'<th scope="col" {style}>{_html(name)}</th>'
+            for name, style in zip(self.columns, styles, strict=True)
+        )
+        body = "\n".join(
+            f"<tr>{''.join(map(self._html_cell, row, styles))}</tr>" for row in self.rows
+        )
+        return (
+            f'<table class="tex2jax_process">\n<caption>{_html(self.caption)}</caption>\n'
+            f"<thead>\n<tr>{header}</tr>\n</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n"
+        )
 
     def latex(self) -> str:
         """Return a LaTeX table, to be used with the booktabs package."""
@@ -77,8 +101,18 @@ class Table:
     def _repr_markdown_(self) -> str:
         return self.markdown()
 
-    def __str__(self) -> str:
+    def _repr_html_(self) -> str:
+        return self.html()
+
+    def __repr__(self) -> str:
         return self.markdown()
+
+    def _html_cell(self, cell: Cell, style: str) -> str:
+        text = _html(self._text(cell))
+        if isinstance(cell, float):
+            mantissa, exponent = notation.scientific(cell, self.digits)
+            text = mantissa if exponent is None else f"{mantissa}×10<sup>{exponent}</sup>"
+        return f"<td {style}>{text}</td>"
 
     def _printed_rows(self) -> list[list[str]]:
         return [[self._text(cell) for cell in row] for row in self.rows]
@@ -87,6 +121,22 @@ class Table:
         if cell is None:
             return ""
         return f"{cell:.{self.digits}g}" if isinstance(cell, float) else str(cell)
+
+
+def _numeric(column: Sequence[str]) -> bool:
+    """Tell whether a column's printed cells are numbers, as far as there are any."""
+    found = [cell for cell in column if cell]
+    return bool(found) and all(_NUMBER.fullmatch(cell) for cell in found)
+
+
+def _html(text: str) -> str:
+    r"""Escape what HTML would misread, and put mathematics between \( and \)."""
+    parts = html.escape(text).split("$")
+    if len(parts) % 2 == 0:  # the last dollar sign is one
+        parts[-2:] = ["$".join(parts[-2:])]
+    for inside in range(1, len(parts), 2):
+        parts[inside] = rf"\({parts[inside]}\)"
+    return "".join(parts)
 
 
 _LATEX = {"±": r"$\pm$", "µ": r"$\mu$", "%": r"\%", "&": r"\&", "#": r"\#", "_": r"\_"}

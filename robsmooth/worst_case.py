@@ -23,13 +23,14 @@ import numpy as np
 from scipy.integrate import trapezoid
 from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
 
-from robsmooth import validation
+from robsmooth import notation, validation
 from robsmooth.analysis import analysis_bound
 from robsmooth.blas import one_thread
 from robsmooth.covariance import closed_loop, error_covariance
 from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import OpenLoop, guarantee, open_loop
+from robsmooth.tables import Table
 from robsmooth.validation import Matrix, frozen
 
 Evaluation = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -81,6 +82,18 @@ class WorstCase:
             proven = f", guarantee={self.guarantee:.5g}, tightness={self.tightness:.3f}"
         return f"WorstCase(mean_square={self.mean_square:.5g}, nominal={self.nominal:.5g}{proven})"
 
+    def _repr_html_(self) -> str:
+        rows = [
+            ("nominal", self.nominal),
+            ("worst constant uncertainty", self.mean_square),
+            ("guarantee, $2V$", self.guarantee),
+            ("worst relative to the guarantee", self.tightness),
+            (r"$\Delta$ of the worst", f"${notation.matrix(self.Delta)}$"),
+        ]
+        rows = [row for row in rows if row[1] is not None]
+        caption = "Mean square errors, in the squared unit of $w$, and the worst uncertainty."
+        return Table(("", "value"), rows, caption, digits=5).html()
+
 
 @dataclass(frozen=True, eq=False)
 class WorstDynamicCase:
@@ -115,6 +128,19 @@ class WorstDynamicCase:
 
     def __repr__(self) -> str:
         return f"WorstDynamicCase(mean_square={self.mean_square:.5g}, constant={self.constant})"
+
+    def _repr_html_(self) -> str:
+        low, high = (notation.number(end, 3) for end in self.frequencies[[0, -1]])
+        rows = [
+            ("none", self.constant.nominal),
+            ("worst constant", self.constant.mean_square),
+            ("worst at every frequency", self.mean_square),
+        ]
+        caption = (
+            f"Mean square errors, in the squared unit of $w$, from {len(self.frequencies)} "
+            f"frequencies between ${low}$ and ${high}$ rad/s."
+        )
+        return Table(("uncertainty", "mean square error"), rows, caption, digits=5).html()
 
 
 @one_thread

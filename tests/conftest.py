@@ -14,6 +14,15 @@ settings.register_profile(
 settings.load_profile("robsmooth")
 
 
+@pytest.fixture
+def terminal(capsys, monkeypatch):
+    """What is written where stderr is a terminal, which shows progress bars."""
+    for name in ("CI", "TQDM_DISABLE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("robsmooth.progress._in_terminal", lambda: True)
+    return capsys
+
+
 @pytest.fixture(autouse=True, scope="session")
 def one_blas_thread():
     """More threads than one make the small problems here five times slower."""

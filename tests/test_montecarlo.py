@@ -359,12 +359,12 @@ def test_result_describes_itself():
         assert part in repr(result)
 
 
-def test_progress_bar_changes_nothing(capsys):
+def test_progress_bar_changes_nothing(terminal):
     arguments = {"runs": 100, "duration": 1e-5}
     silent = monte_carlo(PARAMETERS, kalman_filter(), **arguments)
-    assert capsys.readouterr().err == ""
+    assert terminal.readouterr().err == ""
     shown = monte_carlo(PARAMETERS, kalman_filter(), progress=True, **arguments)
-    assert "100/100" in capsys.readouterr().err
+    assert "100/100" in terminal.readouterr().err
     assert same_numbers(shown) == same_numbers(silent)
 
 

@@ -478,14 +478,14 @@ def test_compiled_functions_give_the_numbers_of_plain_ones(function):
 # --- what a user sees -----------------------------------------------------------------------------
 
 
-def test_result_describes_itself(capsys):
+def test_result_describes_itself(terminal):
     result = simulate(kalman_bucy(scalar_system(soft)), runs=3, duration=5.0, progress=True)
     for part in ("smoothed", "filtered", "3 runs of 5 s", "seed 0", "path-steps"):
         assert part in repr(result)
     assert result.path_steps == 3 * round((result.warm_up + result.duration) / result.step)
     low, high = result.filtered.interval()
     assert low < result.filtered.mean_square < high
-    assert "100%" in capsys.readouterr().err
+    assert "100%" in terminal.readouterr().err
 
 
 def test_single_path_has_no_standard_error():

@@ -1,14 +1,19 @@
 """The notebooks: how they are committed, what each must hold, and that all run, twice alike."""
 
+import inspect
 import json
 import subprocess
 import sys
+from functools import cached_property
 from pathlib import Path
 
 import nbformat
 import pytest
 
+import robsmooth as rs
 from robsmooth.pipeline import parameters
+from tests.site import read_pages
+from tests.test_package import PUBLIC
 
 ROOT = Path(__file__).resolve().parent.parent
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))
@@ -112,6 +117,18 @@ def test_all_notebooks_run_with_the_quick_profile(first_run):
     assert run.stdout.count(": fresh\n") == len(NUMBERED)
 
 
+def test_results_print_as_tables_and_not_as_dumps(first_run):
+    for path in NUMBERED:
+        for cell in cells(first_run / "notebooks" / path.name, "code"):
+            for output in cell.outputs:
+                where = f"{path.stem}, {cell.id}"
+                if output.output_type == "stream":
+                    assert output.name == "stdout", f"{where}: a warning or a progress bar"
+                elif output.data.keys() == {"text/plain"}:
+                    text = output.data["text/plain"]
+                    assert len(text) < 400 and "array(" not in text, where
+
+
 def test_results_are_byte_identical_when_regenerated(first_run, tmp_path):
     run, again = quick_run(tmp_path)
     assert run.returncode == 0, run.stderr
@@ -128,3 +145,83 @@ def test_results_are_byte_identical_when_regenerated(first_run, tmp_path):
     for result in results:
         old, new = (places / result for places in (first_run, again))
         assert old.read_bytes() == new.read_bytes(), f"{result} differs from run to run"
+
+
+# --- the site, from the same run -----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def site(first_run):
+    """The pages of the site, which is built without a warning."""
+    command = [sys.executable, "-m", "robsmooth.cli", "report", "--profile", "quick"]
+    run = subprocess.run(
+        [*command, "--build", first_run.parent],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.stderr == ""
+    assert run.stdout == f"open {first_run}/site/index.html in a browser; it needs no network\n"
+    return read_pages(first_run / "site")
+
+
+def test_the_site_shows_every_notebook_and_loads_files_of_its_own_only(site, first_run):
+    assert site.keys() >= {f"notebooks/{path.stem}.html" for path in NOTEBOOKS}
+    for name, page in site.items():
+        assert page.loaded
+        for address in page.loaded:
+            file, _ = page.target(address)
+            assert file.is_relative_to(first_run.resolve() / "site"), f"{name} loads {address}"
+            assert file.is_file(), f"{name} loads {address}"
+
+
+def test_every_link_of_the_site_leads_somewhere(site):
+    anchors = {page.path: {*page.anchors, ""} for page in site.values()}
+    for name, page in site.items():
+        for address in page.links:
+            if address.startswith("https://"):
+                continue
+            file, anchor = page.target(address)
+            assert file.is_file(), f"{name} leads to {address}"
+            assert anchor in anchors.get(file, {anchor}), f"{name} leads to {address}"
+
+
+def test_every_public_name_and_method_has_one_entry_in_the_api(site):
+    entries = [a for name, page in site.items() if name.startswith("api/") for a in page.anchors]
+    for name, member in PUBLIC.items():
+        entry = f"{'robsmooth' if name in rs.__all__ else member.__module__}.{name}"
+        assert entries.count(entry) == 1, entry
+        for method, value in vars(member).items() if inspect.isclass(member) else ():
+            described = inspect.isroutine(value) or isinstance(value, property | cached_property)
+            if described and not method.startswith("_"):
+                assert entries.count(f"{entry}.{method}") == 1, f"{entry}.{method}"
+
+
+def test_every_result_is_in_the_index_with_what_made_it(site, first_run):
+    index, print_size = site["results.html"], site["print.html"]
+    words = " ".join("".join(index.words).split())
+    linked = {Path(link).name for link in index.links}
+    shown = {Path(image).name for image in print_size.loaded}
+    for path in NOTEBOOKS:
+        about = json.loads((first_run / "figures" / f"{path.stem}.provenance.json").read_text())
+        only = path.stem[:2] if path in NUMBERED else path.stem
+        assert f"make figures ONLY={only} PROFILE=quick" in words
+        assert f"{about['run_time_seconds']:.1f} s, on {about['written'][:10]}" in words
+        files = {Path(file).name for file in about["files"]}
+        assert {file for file in files if not file.endswith((".md", "provenance.json"))} <= linked
+        assert {file for file in files if file.endswith(".png")} <= shown
+        tables = {file.removesuffix(".tex") for file in files if file.endswith(".tex")}
+        assert {f"table-{name.replace('_', '-')}" for name in tables} <= {
+            *site["tables.html"].anchors
+        }
+
+
+def test_what_docstrings_and_verdicts_quote_leads_to_the_equations(site):
+    for name, anchor in (
+        ("api/design.html", "eqbound"),
+        ("api/design.html", "assumption-3"),
+        ("api/systems.html", "eqcsystem"),
+        ("figures/reproduction.html", "eqbound"),
+    ):
+        assert any(link.endswith(f"theory.html#{anchor}") for link in site[name].links)

@@ -388,8 +388,8 @@ def test_memory_is_that_of_a_chunk(tmp_path, name):
     assert np.load(tmp_path / "out.npy", mmap_mode="r").shape == (rows, 2)
 
 
-def test_progress_is_shown_where_asked_for(tmp_path, capsys):
+def test_progress_is_shown_where_asked_for(tmp_path, terminal):
     smoothed(tmp_path, "y.csv", csv_text(record()))
-    assert capsys.readouterr().err == ""
+    assert terminal.readouterr().err == ""
     smoothed(tmp_path, "y.csv", csv_text(record()), progress=True)
-    assert "100%" in capsys.readouterr().err
+    assert "100%" in terminal.readouterr().err

@@ -19,7 +19,6 @@ from functools import partial
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from robsmooth import executors, validation
 from robsmooth.blas import one_thread
@@ -30,6 +29,8 @@ from robsmooth.montecarlo.lanes import threads_of_kernels
 from robsmooth.montecarlo.noise import GENERATOR, LANES
 from robsmooth.montecarlo.protocols import PRECISIONS, PROTOCOLS, Simulation
 from robsmooth.montecarlo.statistics import MeanSquare, Tally
+from robsmooth.progress import progress_bar
+from robsmooth.tables import Table
 
 STEPS_OF_A_GROUP = 400_000_000  # path-steps: about half a second
 BLOCKS_OF_A_GROUP = 256  # at most: bounds the memory
@@ -111,20 +112,38 @@ class MonteCarloResult:
         return result
 
     def __repr__(self) -> str:
-        def text(error: MeanSquare) -> str:
-            return f"{error.mean_square:.6g} +- {error.standard_error:.2g}"
-
-        slips = "no slips"
+        slips = self._slips
         if self.slips:
-            slips = (
-                f"{self.slips} slips in {self.slipped_paths} of {self.runs} paths, without which "
-                f"smoothed {text(self.smoothed_in_lock)}, filtered {text(self.filtered_in_lock)}"
+            slips += (
+                f", without which smoothed {self.smoothed_in_lock}, filtered "
+                f"{self.filtered_in_lock}"
             )
         return (
-            f"MonteCarloResult(smoothed {text(self.smoothed)} rad^2, "
-            f"filtered {text(self.filtered)} rad^2, {slips}; {self.protocol}: {self.runs} runs "
-            f"of {self.duration:.4g} s, step {self.step:.4g} s, seed {self.seed}, "
-            f"{self.precision}; {self.path_steps:.3g} path-steps in {self.wall_time:.2g} s)"
+            f"MonteCarloResult(smoothed {self.smoothed} rad^2, filtered {self.filtered} rad^2, "
+            f"{slips}; {self._setting})"
+        )
+
+    def _repr_html_(self) -> str:
+        errors = {"smoothed": self.smoothed, "filtered": self.filtered}
+        if self.slips:
+            errors["smoothed, paths in lock"] = self.smoothed_in_lock
+            errors["filtered, paths in lock"] = self.filtered_in_lock
+        rows = [(name, error._repr_latex_()) for name, error in errors.items()]
+        caption = f"The nonlinear loop, {self._slips}; {self._setting}."
+        return Table(("estimate", "mean square error (rad²)"), rows, caption).html()
+
+    @property
+    def _slips(self) -> str:
+        if not self.slips:
+            return "no slips"
+        return f"{self.slips} slips in {self.slipped_paths} of {self.runs} paths"
+
+    @property
+    def _setting(self) -> str:
+        return (
+            f"{self.protocol}: {self.runs} runs of {self.duration:.4g} s, step {self.step:.4g} s, "
+            f"seed {self.seed}, {self.precision}; {self.path_steps:.3g} path-steps in "
+            f"{self.wall_time:.2g} s"
         )
 
 
@@ -335,7 +354,14 @@ def _tally(
     simulate = partial(_tallies, simulation, group, parameters)
     calls = _calls(simulation, group, first, client)
     saved = time.perf_counter()
-    with _bar(simulation.runs, tally.all.count, progress) as bar:
+    # what was done before counts for the progress, but not for the rate
+    with progress_bar(
+        total=simulation.runs,
+        initial=tally.all.count,
+        unit="path",
+        unit_scale=True,
+        shown=progress,
+    ) as bar:
         for tallies in executors.in_order(simulate, calls, client):
             for each in tallies:
                 tally.merge(each)
@@ -346,11 +372,6 @@ def _tally(
                 journal.append({"blocks": first, "tally": tally.state()})
                 saved = time.perf_counter()
     return tally
-
-
-def _bar(total: int, before: int, progress: bool) -> tqdm:
-    """Progress bar: what was done before counts for the progress, but not for the rate."""
-    return tqdm(total=total, initial=before, unit="path", unit_scale=True, disable=not progress)
 
 
 def _group(simulation: Simulation) -> int:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from robsmooth import validation
+from robsmooth import notation, validation
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,12 @@ class MeanSquare:
     mean_square: float
     standard_error: float
     variance_reduction: float = 1.0
+
+    def __str__(self) -> str:
+        return f"{self.mean_square:.6g} +- {self.standard_error:.2g}"
+
+    def _repr_latex_(self) -> str:
+        return f"${notation.estimate(self.mean_square, self.standard_error)}$"
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
         """Return the interval that holds the mean with this probability."""

@@ -9,16 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
-from robsmooth import validation
+from robsmooth import notation, validation
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.blas import one_thread
 from robsmooth.estimator import Estimator
 from robsmooth.montecarlo.statistics import MeanSquare, Moments
 from robsmooth.nonlinear.loop import NonlinearLoop, nonlinear_loop
 from robsmooth.nonlinear.walk import Walk
+from robsmooth.progress import progress_bar
 from robsmooth.steps import dividing_step, steps_in, whole_steps
+from robsmooth.tables import Table
 from robsmooth.validation import Matrix, frozen
 
 BLOCK = 512  # paths side by side
@@ -47,6 +48,9 @@ class SimulatedError(MeanSquare):
 
     covariance: Matrix
     covariance_error: Matrix
+
+    def __repr__(self) -> str:
+        return f"SimulatedError({self}, covariance={notation.array(self.covariance)})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,15 +104,26 @@ class SimulationResult:
             frozen(value)
 
     def __repr__(self) -> str:
-        def text(error: MeanSquare) -> str:
-            return f"{error.mean_square:.6g} +- {error.standard_error:.2g}"
-
         return (
-            f"SimulationResult(smoothed {text(self.smoothed)}, filtered {text(self.filtered)}, "
+            f"SimulationResult(smoothed {self.smoothed}, filtered {self.filtered}, {self._setting})"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, error._repr_latex_(), f"${notation.matrix(error.covariance)}$")
+            for name, error in (("smoothed", self.smoothed), ("filtered", self.filtered))
+        ]
+        columns = ("estimate", "mean square error", "covariance")
+        caption = f"The nonlinear loop, in the squared unit of $w$; {self._setting}."
+        return Table(columns, rows, caption).html()
+
+    @property
+    def _setting(self) -> str:
+        return (
             f"constraints used to {self.constraints.max(initial=0.0):.3g}, violated for "
             f"{self.violated.max(initial=0.0):.2%} of the time; {self.runs} runs of "
             f"{self.duration:.4g} s, step {self.step:.4g} s, seed {self.seed}; "
-            f"{self.path_steps:.3g} path-steps in {self.wall_time:.2g} s)"
+            f"{self.path_steps:.3g} path-steps in {self.wall_time:.2g} s"
         )
 
 
@@ -144,6 +159,13 @@ class SamplePaths:
     smoothed: NDArray[np.float64]
     step: float
     delay: float
+
+    def __repr__(self) -> str:
+        paths, steps, l = self.y.shape  # noqa: E741 - the paper's letter
+        return (
+            f"SamplePaths({paths} paths of {steps} steps of {self.step:.4g} s, "
+            f"lag={self.delay:g} s, {l} measurements, {self.w.shape[2]} outputs)"
+        )
 
 
 @one_thread
@@ -220,8 +242,8 @@ def simulate(
     plant = smoother.plant
     m, constraints = plant.system.m, len(plant.M_i)
     errors, checks = Moments(2 * (m * m + 1)), np.zeros((3, constraints))
-    with tqdm(
-        total=runs * plan.all_steps, unit="step", unit_scale=True, disable=not progress
+    with progress_bar(
+        total=runs * plan.all_steps, unit="step", unit_scale=True, shown=progress
     ) as bar:
         for first in range(0, runs, BLOCK):
             paths = range(first, min(first + BLOCK, runs))
@@ -343,7 +365,7 @@ class _Part(NamedTuple):
 
 
 def _recorded(
-    walk: Walk, m: int, plan: _Plan, seed: int, paths: range, bar: tqdm | None = None
+    walk: Walk, m: int, plan: _Plan, seed: int, paths: range, bar=None
 ) -> Iterator[_Part]:
     """Simulate paths of m outputs; leave out what is before time zero."""
     rows = np.cumsum([m, m, m, len(walk.loop.arguments)])
@@ -363,7 +385,7 @@ def _recorded(
 
 
 def _averages(
-    walk: Walk, plant: AugmentedSystem, plan: _Plan, seed: int, paths: range, bar: tqdm
+    walk: Walk, plant: AugmentedSystem, plan: _Plan, seed: int, paths: range, bar
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Simulate paths and return their averages over time.
 

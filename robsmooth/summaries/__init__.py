@@ -6,7 +6,6 @@ from robsmooth.summaries.design import (
     copy_noise,
     covariances,
     designs,
-    parameters,
     sector_ranges,
     sign_readings,
 )
@@ -33,7 +32,6 @@ __all__ = [
     "noise_table",
     "optima",
     "own_systems",
-    "parameters",
     "refusals",
     "routes",
     "routes_table",

@@ -18,22 +18,6 @@ from robsmooth.smoother import RobustSmoother, design_equations, design_smoother
 from robsmooth.tables import Table
 
 
-def parameters(values: HomodyneParameters) -> Table:
-    """Return Table I."""
-    rows = [
-        (r"$\lambda$", f"{values.lam:g}", "rad/s", "decay rate of the phase"),
-        (r"$\kappa$", f"{values.kappa:g}", "rad²/s", "diffusion of the phase"),
-        (r"$\alpha$", f"{values.alpha:g}", "s^-1/2", "amplitude of the beam"),
-        (r"$\beta$", f"{values.beta:g}", "", "slope of the tangent of the sine"),
-        (r"$\gamma$", f"{values.gamma:g}", "", "half width of the sector"),
-    ]
-    caption = (
-        "Table I of the paper, with the units that the equations need; it prints rad/s for kappa "
-        "and 1/s for alpha."
-    )
-    return Table(("symbol", "value", "unit", "what it is"), rows, caption)
-
-
 def sector_ranges(values: HomodyneParameters, variance: float) -> Table:
     """Return how far each reading of the sector holds, and for what share of the time."""
     wide, narrow = values.sector_slope, values.lower_slope

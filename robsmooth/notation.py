@@ -1,0 +1,123 @@
+r"""Numbers and matrices in a few characters, as text and as LaTeX.
+
+What represents an object on a screen is made of these: an array of any size gives a short text.
+"""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+LIMIT = 6  # of more rows, columns or entries than these, the middle ones are left out
+_DIGITS = 4
+_ROUNDING = 1e-16  # of an entry, relative to the geometric mean of its row's and column's largest
+_REAL = 1e-12  # a pole with a smaller imaginary part, relative to its size, is a real one
+
+
+def number(value: float, digits: int = _DIGITS) -> str:
+    r"""Return a number as LaTeX, such as ``5.9\times10^{4}``."""
+    if value == 0.0:
+        return "0"  # without a sign
+    if not math.isfinite(value):
+        return {math.inf: r"\infty", -math.inf: r"-\infty"}.get(value, r"\mathrm{nan}")
+    mantissa, exponent = scientific(value, digits)
+    if exponent is None:
+        return mantissa
+    power = f"10^{{{exponent}}}"
+    if mantissa in ("1", "-1"):
+        return mantissa.replace("1", power)
+    return rf"{mantissa}\times{power}"
+
+
+def scientific(value: float, digits: int = _DIGITS) -> tuple[str, int | None]:
+    """Return mantissa and exponent of a number in print; None where it needs no power of ten."""
+    mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
+    return mantissa, int(exponent) if exponent else None
+
+
+def estimate(mean: float, error: float) -> str:
+    r"""Return a mean and its standard error as LaTeX, to two digits of the error."""
+    if not (math.isfinite(mean) and 0.0 < error < math.inf):
+        return number(mean, 6)
+    size, least = (math.floor(math.log10(abs(x) or error)) for x in (mean, error))
+    return rf"{number(mean, min(max(size - least + 2, 1), 15))} \pm {number(error, 2)}"
+
+
+def vector(values: Iterable[float]) -> str:
+    r"""Return numbers as LaTeX, in parentheses."""
+    values = list(values)
+    entries = [r"\dots" if i is None else number(values[i]) for i in _shown(len(values))]
+    return f"({', '.join(entries)})"
+
+
+def matrix(value: ArrayLike) -> str:
+    r"""Return a matrix as LaTeX, a single entry as a number."""
+    value = np.asarray(value)
+    if not value.size:
+        return r"0_{{{}\times{}}}".format(*value.shape)
+    sizes = np.abs(value)
+    roots = np.sqrt(sizes.max(axis=1, keepdims=True)) * np.sqrt(sizes.max(axis=0))
+    value = np.where(sizes < _ROUNDING * roots, 0.0, value)
+    if value.shape == (1, 1):
+        return number(value[0, 0])
+
+    def entry(i: int | None, j: int | None) -> str:
+        if i is None:
+            return r"\vdots" if j is not None else r"\ddots"
+        return r"\cdots" if j is None else number(value[i, j])
+
+    rows, columns = map(_shown, value.shape)
+    lines = r" \\ ".join(" & ".join(entry(i, j) for j in columns) for i in rows)
+    return rf"\begin{{bmatrix}}{lines}\end{{bmatrix}}"
+
+
+def product(factor: ArrayLike, symbol: str) -> str:
+    r"""Return a matrix times a symbol as LaTeX: empty for zero, the symbol alone for one."""
+    factor = np.asarray(factor)
+    if not factor.any():
+        return ""
+    if factor.shape == (1, 1) and abs(factor[0, 0]) == 1.0:
+        return f"-{symbol}" if factor[0, 0] < 0.0 else symbol
+    return rf"{matrix(factor)}\,{symbol}"
+
+
+def total(terms: Iterable[str]) -> str:
+    """Return the sum of terms, of which the empty ones are zero, as LaTeX."""
+    terms = [term for term in terms if term]
+    return " + ".join(terms).replace("+ -", "- ") or "0"
+
+
+def poles(values: Iterable[complex]) -> str:
+    r"""Return eigenvalues of a real matrix as LaTeX, each conjugate pair once."""
+    texts = []
+    for pole in values:
+        if abs(pole.imag) <= _REAL * abs(pole):
+            texts.append(number(pole.real))
+        elif pole.imag > 0.0:
+            texts.append(rf"{number(pole.real)} \pm {number(pole.imag)}\,i")
+    return r",\ ".join(r"\dots" if i is None else texts[i] for i in _shown(len(texts)))
+
+
+def array(value: ArrayLike) -> str:
+    """Return an array as text: its entries, or where a matrix has many, its shape."""
+    value = np.asarray(value)
+    if value.ndim == 1:
+        entries = ["..." if i is None else f"{value[i]:.5g}" for i in _shown(len(value))]
+        return f"[{', '.join(entries)}]"
+    if value.size > LIMIT:
+        return f"<{' x '.join(map(str, value.shape))}>"
+    return _nested(value.tolist())
+
+
+def _nested(entries: list | float) -> str:
+    if isinstance(entries, list):
+        return f"[{', '.join(map(_nested, entries))}]"
+    return f"{entries:.5g}"
+
+
+def _shown(size: int) -> list[int | None]:
+    """Return which of the entries are shown; None stands for those that are not."""
+    if size <= LIMIT:
+        return list(range(size))
+    return [*range(LIMIT - 2), None, size - 1]
