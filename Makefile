@@ -4,6 +4,7 @@ PYTHON  = python3
 PROFILE = paper
 ONLY    =
 DASK    =
+LAB     =
 
 UV      = .uv/bin/uv
 BIN     = .venv/bin
@@ -22,29 +23,42 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 unexport PYTHONDONTWRITEBYTECODE
 
 .NOTPARALLEL:
-.PHONY: help setup figures lab test bench format lock upgrade clean distclean
+.PHONY: help setup figures lab test test-browser report bench format lock upgrade clean distclean
 
 help:  ## list the targets and variables
 	@echo 'Targets:'
-	@sed -n 's/^\([a-z]*\):.*## /  \1	/p' Makefile | expand -t 14
+	@sed -n 's/^\([a-z-]*\):.*## /  \1	/p' Makefile | expand -t 16
 	@echo 'Variables:'
 	@echo '  PROFILE     paper (default) or quick: the scale of the Monte Carlo and of the sweeps'
 	@echo '  ONLY        notebooks to run, for example ONLY=03 or ONLY=02,sweep (default: all)'
 	@echo '  DASK        a Dask scheduler to compute on, for example DASK=tcp://10.0.0.1:8786'
 	@echo '  PYTHON      the Python, 3.11 or newer, to make .venv with (default: python3)'
+	@echo '  LAB         more options of JupyterLab, for example LAB=--no-browser'
 
 setup: $(ENVIRONMENT)  ## make .venv from the lock, hash-checked (the other targets do it as needed)
 
 figures: $(if $(DASK),$(DEVELOPMENT),$(ENVIRONMENT))  ## run the notebooks that are not fresh; write figures/ and data/
 	@$(BIN)/robsmooth figures --profile '$(PROFILE)' $(if $(ONLY),--only '$(ONLY)') $(if $(DASK),--dask '$(DASK)')
 
-lab: $(ENVIRONMENT)  ## open the notebooks in JupyterLab
-	$(BIN)/jupyter lab --notebook-dir=notebooks
+# Its layout is kept here: in the user's home another project's tabs would be opened. Jupyter refuses
+# root, the only user of many a container, unless told. All else of its security is as it comes:
+# loopback only, and a new token each time.
+lab: $(ENVIRONMENT)  ## open the notebooks in JupyterLab (beside others that run: it takes a free port)
+	@JUPYTERLAB_WORKSPACES_DIR='$(CURDIR)/build/lab' $(BIN)/jupyter lab \
+	  $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB) notebooks
 
 test: $(DEVELOPMENT)  ## lint, format check, and all tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+test-browser: $(DEVELOPMENT)  ## the notebooks and the report in chromium, which apt installs if need be
+	@$(BIN)/python -m tests.browser.chromium
+	$(BIN)/python -m pytest tests/browser
+
+report: $(DEVELOPMENT)  ## all of it to read, as one offline site in build/PROFILE/site
+	@$(BIN)/robsmooth figures --profile '$(PROFILE)'
+	@$(BIN)/robsmooth report --profile '$(PROFILE)'
 
 bench: .venv/bench.stamp  ## measure the speed against NumPy, JAX, C++ and others (four minutes)
 	@$(BIN)/robsmooth bench --write
