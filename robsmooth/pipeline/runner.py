@@ -209,10 +209,11 @@ def _profiles(folder: Path) -> dict:
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
     listed = sorted(profiles.setdefault("notebooks", []))
-    there = sorted(path.stem for path in folder.glob("[0-9][0-9]_*.ipynb"))
-    for name in sorted({*listed} - {*there}):
+    there = {path.stem for path in folder.glob("*.ipynb")}
+    for name in sorted({*listed} - there):
         raise PipelineError(f"notebooks/{name}.ipynb is missing; profiles.toml lists it")
-    for name in sorted({*there} - {*listed}):
+    numbered = {path.stem for path in folder.glob("[0-9][0-9]_*.ipynb")}  # others may be a user's
+    for name in sorted(numbered - {*listed}):
         raise PipelineError(f"notebooks/{name}.ipynb is not listed in profiles.toml")
     for profile in PROFILES:
         for name in profiles.setdefault(profile, {}):

@@ -1,0 +1,154 @@
+"""The explorer: what is drawn when.
+
+An event of a slider says only that something has changed. A little later, when no more events are
+waiting, the newest settings are drawn; none that are stale ever are. The first simulation of each
+order compiles its kernel. So the simulation runs in a thread, for which a drawing waits a little;
+where that is not enough, its panel says so, and all is drawn again when it is there.
+"""
+
+import asyncio
+import base64
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from IPython import get_ipython
+from matplotlib.figure import Figure
+
+from robsmooth.explorer.controls import Controls
+from robsmooth.explorer.model import Snapshot, look, simulate
+from robsmooth.explorer.panels import PREPARING, Panels
+from robsmooth.explorer.settings import Settings
+from robsmooth.explorer.words import code, summary
+from robsmooth.montecarlo import MonteCarloResult
+
+QUIET = 0.004  # s without an event, before the newest settings are drawn
+PATIENCE = 0.5  # s that a drawing waits for its simulation, where it may come later
+
+_thread = ThreadPoolExecutor(1, "robsmooth-simulation")
+
+
+class Explorer:
+    """Panels that show what a design does at some settings, and sliders for these.
+
+    As the value of a notebook's cell it shows itself: with its sliders in a browser, and as an
+    image where a notebook is run without one.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        To begin with, and to go back to; by default the paper's example.
+
+    Attributes
+    ----------
+    controls : Controls or None
+        The sliders, once they have been shown.
+    """
+
+    def __init__(self, settings: Settings | None = None):
+        self.controls: Controls | None = None
+        self._settings = Settings() if settings is None else settings
+        self._panels = Panels()
+        self._timer: asyncio.TimerHandle | None = None
+        self._simulation: Future | None = None
+        self._draw()
+
+    @property
+    def settings(self) -> Settings:
+        """What the sliders say."""
+        return self.controls.settings if self.controls else self._settings
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """What is shown, but for the simulation."""
+        self._finish()
+        return self._snapshot
+
+    @property
+    def simulated(self) -> MonteCarloResult | str:
+        """The simulation that is shown."""
+        self._finish()
+        return self._simulated
+
+    @property
+    def figure(self) -> Figure:
+        """The panels."""
+        self._finish()
+        return self._panels.figure
+
+    @property
+    def code(self) -> str:
+        """Code that finds the numbers on the panels by the public API."""
+        return code(self.settings)
+
+    def show_controls(self) -> Controls:
+        """Return the sliders, which from now on say what is shown."""
+        if self.controls is None:
+            self.controls = Controls(self._settings, self._changed)
+            self._show()
+        return self.controls
+
+    def __repr__(self) -> str:
+        return f"Explorer({self.settings})"
+
+    def _repr_mimebundle_(self, **_) -> Mapping[str, object]:
+        live = {}
+        if somebody_is_there():
+            live = self.show_controls().widget._repr_mimebundle_()
+        else:
+            self._finish()
+        image = base64.b64encode(self._panels.png()).decode()
+        return {**live, "image/png": image, "text/plain": summary(self._snapshot, self._simulated)}
+
+    def _changed(self) -> None:
+        """Have the newest settings drawn: soon, or at once where there is no event loop."""
+        loop = _running_loop()
+        if loop is None:
+            self._draw()
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = loop.call_later(QUIET, self._draw)
+
+    def _draw(self) -> None:
+        loop = _running_loop()
+        self._snapshot, self._simulated = look(self.settings), PREPARING
+        if self._simulation is None or self._simulation.done():
+            self._simulation = _thread.submit(simulate, self._snapshot)
+            try:
+                self._simulated = self._simulation.result(PATIENCE if loop else None)
+            except TimeoutError:
+                self._simulation.add_done_callback(
+                    lambda _: loop.call_soon_threadsafe(self._changed)
+                )
+        self._panels.show(self._snapshot, self._simulated)
+        self._show()
+
+    def _show(self) -> None:
+        if self.controls:
+            words = summary(self._snapshot, self._simulated)
+            self.controls.show(self._panels.png(), words, self.code)
+
+    def _finish(self) -> None:
+        """Wait until the newest settings are drawn, simulation and all."""
+        while self._simulated is PREPARING or self._snapshot.settings != self.settings:
+            self._simulation.result()
+            self._draw()
+
+
+def somebody_is_there() -> bool:
+    """Tell whether a cell is run by a frontend that could show sliders.
+
+    One that could not answer a question of the code's, as those that run notebooks in batches, is
+    none.
+    """
+    kernel = getattr(get_ipython(), "kernel", None)
+    if kernel is None:
+        return False
+    return bool(kernel.get_parent("shell").get("content", {}).get("allow_stdin"))
+
+
+def _running_loop() -> asyncio.AbstractEventLoop | None:
+    try:
+        return asyncio.get_running_loop()
+    except RuntimeError:
+        return None

@@ -1,0 +1,118 @@
+"""The settings of the explorer: what its controls say."""
+
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from typing import NamedTuple
+
+from robsmooth import homodyne, validation
+from robsmooth.homodyne import HomodyneParameters
+from robsmooth.published import DELAY, ORDER, printed
+from robsmooth.smoother import COSTS
+
+DESIGNS = ("robust", "by hand", "classical")
+
+
+class Range(NamedTuple):
+    """The values of a setting in the unit of its slider.
+
+    The defaults are among them: a slider in a browser takes its value to the nearest one.
+    """
+
+    low: float
+    high: float
+    step: float
+    exponent: int = 0  # the slider's unit is 10^exponent of SI
+
+    def si(self, shown: float) -> float:
+        """Return in SI what the slider shows, to the digits that it shows."""
+        return float(Decimal(f"{shown:.4g}").scaleb(self.exponent))
+
+    def shown(self, value: float) -> float:
+        """Return a value in the unit of the slider."""
+        return round(value / 10.0**self.exponent, 12)
+
+
+RANGES = {
+    "lag": Range(0.2, 15.0, 0.1, -6),
+    "order": Range(1, 5, 1),
+    "gamma": Range(0.05, 0.8, 0.01),
+    "noise": Range(0.1, 5.0, 0.1),
+    "lam": Range(1.0, 50.0, 0.02, 3),
+    "kappa": Range(4.0, 250.0, 2.0, 3),
+    "tau": Range(0.2, 10.0, 0.01, -6),
+    "lambda1": Range(0.0, 1.0, 0.0001),
+    "lambda2": Range(0.0, 1.0, 0.0001),
+    "lambda3": Range(0.0, 0.02, 0.0001),
+    "lambda4": Range(0.0, 0.02, 0.0001),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    r"""What the explorer shows; by default the paper's example.
+
+    Attributes
+    ----------
+    lag : float
+        How far back the smoothed estimate looks, s.
+    order : int
+        Of the Pade model of the lag.
+    gamma : float
+        Half width of the sector that the sine is taken to stay in.
+    noise : float
+        Power of the shot noise, relative to the paper's. A beam of amplitude
+        :math:`\alpha/\sqrt{\mathrm{noise}}` has it, and the design knows of it.
+    lam, kappa : float
+        Decay rate of the phase, rad/s, and its diffusion, rad^2/s.
+    cost : {"filtered", "smoothed"}
+        The error that a robust design keeps low.
+    design : {"robust", "by hand", "classical"}
+        The design with the least bound, one with the tau and multipliers given here, or the
+        fixed-lag smoother of the nominal system.
+    tau : float
+        Of a design by hand, rad^2 s; by default what the paper prints.
+    lambda1, lambda2, lambda3, lambda4 : float
+        The multipliers of a design by hand; by default what the paper prints.
+    """
+
+    lag: float = DELAY
+    order: int = ORDER
+    gamma: float = homodyne.PAPER.gamma
+    noise: float = 1.0
+    lam: float = homodyne.PAPER.lam
+    kappa: float = homodyne.PAPER.kappa
+    cost: str = COSTS[0]
+    design: str = DESIGNS[0]
+    tau: float = printed("tau")
+    lambda1: float = printed("lambda_1")
+    lambda2: float = printed("lambda_2")
+    lambda3: float = printed("lambda_3")
+    lambda4: float = printed("lambda_4")
+
+    def __post_init__(self):
+        for name, allowed in RANGES.items():
+            low, high = allowed.si(allowed.low), allowed.si(allowed.high)
+            value = validation.real(name, getattr(self, name), low=low, high=high)
+            object.__setattr__(self, name, value)
+        if not self.order.is_integer():
+            raise ValueError(f"order must be a whole number, got {self.order}")
+        object.__setattr__(self, "order", int(self.order))
+        validation.choice("cost", self.cost, COSTS)
+        validation.choice("design", self.design, DESIGNS)
+
+    @property
+    def multipliers(self) -> tuple[float, ...]:
+        """The four multipliers of a design by hand."""
+        return self.lambda1, self.lambda2, self.lambda3, self.lambda4
+
+    @property
+    def parameters(self) -> HomodyneParameters:
+        """The optical loop."""
+        paper = homodyne.PAPER
+        return replace(
+            paper,
+            lam=self.lam,
+            kappa=self.kappa,
+            alpha=paper.alpha / self.noise**0.5,
+            gamma=self.gamma,
+        )
