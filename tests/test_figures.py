@@ -1,5 +1,6 @@
 """The figures: what they plot, and how they are saved."""
 
+import itertools
 import re
 from dataclasses import replace
 
@@ -16,6 +17,7 @@ from robsmooth.limit import limiting_smoother
 from robsmooth.montecarlo import MeanSquare
 from robsmooth.study import QUANTITIES, Study
 from robsmooth.worst_case import worst_dynamic_case
+from tests import looks
 
 SLOPES = np.linspace(-1.0, 0.0, 11)
 CURVES = {"NGCF": 0.1 - 0.05 * SLOPES, "robust smoother": 0.06 - 0.04 * SLOPES}
@@ -85,14 +87,34 @@ def style():
     plt.close("all")
 
 
-@pytest.mark.parametrize("name", MAKERS)
-def test_a_figure_drawn_twice_is_the_same_bytes(tmp_path, name):
-    for folder in ("one", "two"):
-        figures.save_figure(MAKERS[name](), tmp_path / folder, name)
-    for suffix in figures.FORMATS:
-        first, second = ((tmp_path / f / f"{name}.{suffix}").read_bytes() for f in ("one", "two"))
-        assert first == second
-        assert len(first) > 1000
+@pytest.fixture(scope="module", params=MAKERS)
+def saved(request, tmp_path_factory):
+    """Each figure, drawn and saved twice: the files of both, by suffix."""
+    folders = tmp_path_factory.mktemp("one"), tmp_path_factory.mktemp("two")
+    with mpl.rc_context():
+        mpl.use("Agg")
+        figures.use_style()
+        for folder in folders:
+            figures.save_figure(MAKERS[request.param](), folder, request.param)
+    plt.close("all")
+    return tuple(
+        {suffix: (folder / f"{request.param}.{suffix}").read_bytes() for suffix in figures.FORMATS}
+        for folder in folders
+    )
+
+
+def test_a_figure_drawn_twice_is_the_same_bytes(saved):
+    first, second = saved
+    assert first == second
+    assert min(map(len, first.values())) > 1000
+
+
+def test_text_stays_text_and_a_pdf_has_its_fonts(saved):
+    pdf, svg = saved[0]["pdf"], saved[0]["svg"]
+    assert b"/Type3" not in pdf
+    assert pdf.count(b"/FontFile2") == pdf.count(b"/Type /FontDescriptor") > 0  # TrueType
+    assert b"<text" in svg
+    assert b"DejaVuSans-" not in svg  # the outlines of letters
 
 
 def test_files_hold_no_date_and_no_release(tmp_path):
@@ -103,20 +125,37 @@ def test_files_hold_no_date_and_no_release(tmp_path):
         assert mpl.__version__.encode() not in content
 
 
-def test_pdf_fonts_are_embedded_and_editable(tmp_path):
-    figures.save_figure(MAKERS["fig4"](), tmp_path, "fig4")
-    pdf = (tmp_path / "fig4.pdf").read_bytes()
-    assert b"/Type3" not in pdf
-    assert b"/FontFile2" in pdf  # TrueType
-
-
 @pytest.mark.parametrize("name", MAKERS)
-def test_a_figure_fits_a_column_and_its_text_can_be_read_there(name):
+def test_a_figure_fits_a_column_and_can_be_read_there(name):
     figure = MAKERS[name]()
     assert figure.get_figwidth() <= 3.4
-    figure.canvas.draw()
-    sizes = [text.get_fontsize() for text in figure.findobj(Text) if text.get_text().strip()]
-    assert min(sizes) >= 7
+    assert looks.flaws(figure) == []
+
+
+def test_what_cannot_be_read_is_found():
+    figure, axes = plt.subplots(layout="none")
+    axes.plot([0, 1], [0, 1], color="#d55e00", linestyle="-", label="red")
+    axes.plot([0, 1], [1, 0], color="#809000", linestyle="-", label="green")
+    axes.set_yticks([])
+    axes.legend(loc="center")
+    axes.text(0.2, 0.9, "under")
+    axes.text(0.2, 0.9, "$a_b$", fontsize=7)
+    axes.text(0.25, 0.73, "crossed")
+    axes.text(0.9, 0.5, "far away from here")
+    assert sorted(set(looks.flaws(figure))) == [
+        "'$a_b$' has letters of 4.9 points",
+        "'far away from here' leaves the figure",
+        "'red' and 'green' look alike: in grey",
+        "'red' and 'green' look alike: with deuteranopia",
+        "'red' and 'green' look alike: with protanopia",
+        "'under' and '$a_b$' overlap",
+        "an axis has numbers and no unit: ''",
+        "the line 'green' crosses 'crossed'",
+        "the line 'green' crosses 'green'",
+        "the line 'green' crosses a legend",
+        "the line 'red' crosses 'red'",
+        "the line 'red' crosses a legend",
+    ]
 
 
 @pytest.mark.parametrize("name", MAKERS)
@@ -156,8 +195,36 @@ def test_the_smoothed_path_is_drawn_at_the_time_that_it_is_for():
 
 
 def test_curves_differ_by_more_than_their_colour():
-    styles = [entry["linestyle"] for entry in mpl.rcParams["axes.prop_cycle"]]
-    assert len({str(style) for style in styles}) == len(styles) >= 5
+    cycle = list(mpl.rcParams["axes.prop_cycle"])
+    assert len({str(look["linestyle"]) for look in cycle}) == len(cycle) >= 5
+    first = [look["color"] for look in cycle[:3]]
+    for one, other in itertools.combinations(first, 2):
+        assert list(looks.seen_alike(one, other)) == []
+
+
+def test_what_is_in_several_figures_looks_the_same_in_all():
+    def line(figure, label):
+        for handle, name in zip(*figure.axes[-1].get_legend_handles_labels(), strict=True):
+            if name == label:
+                return getattr(handle, "lines", [handle])[0]
+        raise AssertionError(label)
+
+    for name in ("NGCF", "smoother"):
+        swept = figures.delta_sweep(SLOPES, {"other": SLOPES, name: SLOPES})
+        simulated = MAKERS["monte_carlo"]()
+        assert line(swept, name).get_color() == line(simulated, name).get_color()
+    errors = figures.delay_error(3.1e-6, (2, 1), 4.6e5)
+    assert line(errors, "order 2").get_color() == line(MAKERS["delay"](), "order 2").get_color()
+
+
+def test_names_without_a_look_of_their_own_get_what_is_left():
+    names = ["mine", "smoothed", "yours", "filtered"]
+    found = figures.styles(names, markers=True)
+    assert found[1::2] == figures.styles(["smoothed", "filtered"], markers=True)
+    for key in ("color", "linestyle", "marker"):
+        assert len({str(look[key]) for look in found}) == len(names)
+    many = figures.styles(range(100, 120))
+    assert len(many) == 20
 
 
 def test_the_sector_figure_marks_where_the_sine_leaves_the_sector():

@@ -18,10 +18,11 @@ from robsmooth.figures.paper import (
     routes,
     sector,
 )
-from robsmooth.figures.style import FORMATS, save_figure, use_style
+from robsmooth.figures.style import FORMATS, TRUTH, save_figure, styles, use_style
 
 __all__ = [
     "FORMATS",
+    "TRUTH",
     "all_designs",
     "bound_landscape",
     "delay_error",
@@ -36,6 +37,7 @@ __all__ = [
     "sector",
     "side_by_side",
     "smoother_response",
+    "styles",
     "two_landscapes",
     "use_style",
     "where_smoothing_pays",

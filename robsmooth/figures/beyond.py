@@ -7,15 +7,26 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
 from robsmooth.certificate import scalar_bound
 from robsmooth.comparison import Compared
 from robsmooth.errors import InfeasibleDesignError
+from robsmooth.figures.style import MARK, NOWHERE, styles
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.lag import LagSweep
 from robsmooth.smoother import RobustSmoother, design_smoother
 from robsmooth.study import Study
 from robsmooth.worst_case import WorstDynamicCase
+
+_INFIMUM = {
+    "marker": "o",
+    "color": "C1",
+    "markeredgecolor": "w",
+    "markersize": 7,
+    "linestyle": "none",
+    "clip_on": False,
+}
 
 
 def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
@@ -34,17 +45,19 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     floor = (study.quantities["optimal"] / study.quantities["filtered"])[i]
     lags = 1e6 * np.array(study.lags)
     middle = int(np.argmin(np.abs(np.log(study.noises))))
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(3.4, 4.6), sharex=True)
+    figure, (top, bottom) = plt.subplots(2, 1, figsize=(3.4, 5.4), sharex=True)
 
     levels = np.arange(0, 61, 10)
-    colours = mpl.colormaps["cividis"].with_extremes(under="0.85")
     saved = 100 * (1 - ratio[:, -1])
-    shading = top.contourf(lags, study.noises, saved, levels, extend="min", cmap=colours)
+    shading = top.contourf(lags, study.noises, saved, levels, extend="max")
     top.contour(lags, study.noises, saved, [0], colors="k", linewidths=1.0)
-    best = np.nanargmin(ratio[:, -1], axis=1)
-    top.plot(lags[best], study.noises, "o", color="w", markeredgecolor="k", markersize=4, ls="none")
-    top.plot(1e6 * lag, study.noises[middle], "*", color="C1", markeredgecolor="k", markersize=9)
-    top.set(xscale="log", yscale="log", ylabel="shot noise, relative to the paper's")
+    top.patch.set(label="no gain", **NOWHERE)
+    best = lags[np.nanargmin(ratio[:, -1], axis=1)]
+    points = {"linestyle": "none", "markeredgecolor": "k", "clip_on": False}
+    top.plot(best, study.noises, "o", color="w", label="best lag", **points)
+    star = {"markersize": 9, "label": "the paper's"} | points
+    top.plot(1e6 * lag, study.noises[middle], "*", color="C1", **star)
+    top.set(xscale="log", yscale="log", ylabel="shot noise / the paper's")
     least, most = study.noises[0], study.noises[-1]
     levels = [level for level in (0.1, 0.3, 1, 3, 10) if least <= level <= most]
     top.set_yticks(levels, [f"{level:g}" for level in levels])
@@ -52,18 +65,23 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     top.grid(visible=False)
     figure.colorbar(shading, ax=top, label="saved by smoothing (%)", pad=0.02)
 
-    for order, values in zip(study.orders, ratio[middle], strict=True):
-        bottom.plot(lags, values, label=f"order {order}")
-    bottom.plot(lags, floor[middle, -1], color="0.4", linestyle=":", label="optimum, linear")
+    optimum = floor[middle, -1]
+    bottom.fill_between(lags, 0.0, optimum, color="0.85", lw=0, label="below the linear optimum")
+    for order, look, values in zip(study.orders, styles(study.orders), ratio[middle], strict=True):
+        bottom.plot(lags, values, label=f"order {order}", **look)
     bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
-    bottom.axvline(1e6 * lag, color="C1", linestyle="--", linewidth=0.8)
+    bottom.axvline(1e6 * lag, **MARK)
     bottom.set(
         xlabel="lag (µs)", ylabel="smoothed / filtered error", ylim=(0.4, 1.6), xlim=lags[[0, -1]]
     )
-    bottom.legend(loc="upper left")
     ticks = [tick for tick in (0.3, 1, 3, 10, 30) if lags[0] <= tick <= lags[-1]]
     bottom.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     bottom.minorticks_off()
+    figure.legend(
+        handles=[top.patch, *top.lines, *bottom.get_legend_handles_labels()[0]],
+        loc="outside lower center",
+        ncols=2,
+    )
     return figure
 
 
@@ -79,13 +97,13 @@ def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float], limi
     limit : float
         Of the axis, rad^2; estimators beyond it are said to be so.
     """
-    figure, axes = plt.subplots(figsize=(3.4, 1.0 + 0.34 * len(compared)))
+    figure, axes = plt.subplots(figsize=(3.4, 1.1 + 0.36 * len(compared)))
     rows = range(len(compared) - 1, -1, -1)
     legend = {}
     for row, case in zip(rows, compared.values(), strict=True):
         if case.at[0] > limit:
             text = f"off the scale: {case.at[0]:.2f}"
-            axes.annotate(text, (limit, row), ha="right", va="center", fontsize=7, color="0.3")
+            axes.annotate(text, (limit, row), ha="right", va="center", color="0.3")
             continue
         allowed = case.allowed.mean_square
         axes.plot([min(case.at), allowed], [row, row], "-", color="0.8", linewidth=2.5, zorder=1)
@@ -93,7 +111,7 @@ def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float], limi
             (drawn,) = axes.plot(value, row, marker, color=f"C{number}", markersize=4, ls="none")
             legend[rf"$\Delta_2 = {slopes[number]:g}$"] = drawn
         (legend["worst allowed"],) = axes.plot(allowed, row, "k|", markersize=8, ls="none")
-        (legend["with the sine"],) = axes.plot(case.exact, row, "x", color="C3", ls="none")
+        (legend["with the sine"],) = axes.plot(case.exact, row, "kx", ls="none")
     axes.set(
         yticks=list(rows),
         yticklabels=[textwrap.fill(name, 20) for name in compared],
@@ -119,12 +137,13 @@ def worst_spectra(found: WorstDynamicCase, slope: tuple[int, int]) -> Figure:
     shares = omega * found.spectra / np.pi  # of the mean square error, per logarithm of frequency
     shown = shares[2] > 0.1 * shares[2].max()
     figure, (top, bottom) = plt.subplots(
-        2, 1, figsize=(3.4, 3.2), sharex=True, height_ratios=(2, 1)
+        2, 1, figsize=(3.4, 3.8), sharex=True, height_ratios=(5, 4)
     )
     labels = ("no uncertainty", "worst constant", "worst at each frequency")
     for label, share in zip(labels, shares, strict=True):
         top.semilogx(omega[shown], share[shown], label=label)
     top.set(ylabel="share of the error\nper e-fold (rad$^2$)", ylim=(0, None))
+    top.locator_params(axis="y", nbins=4)
     phase = np.degrees(np.unwrap(np.angle(found.Delta[shown][:, *slope])))
     bottom.semilogx(omega[shown], phase - 360.0 * np.round(phase[0] / 360.0))
     bottom.set(
@@ -132,6 +151,7 @@ def worst_spectra(found: WorstDynamicCase, slope: tuple[int, int]) -> Figure:
         ylabel="phase of the\nworst slope (°)",
         xlim=omega[shown][[0, -1]],
     )
+    bottom.yaxis.set_major_locator(MultipleLocator(360))
     figure.legend(loc="outside lower center", ncols=2)
     return figure
 
@@ -147,23 +167,29 @@ def lag_and_order(sweeps: Mapping[str, LagSweep], lag: float) -> Figure:
         To mark, s.
     """
     figure, panels = plt.subplots(
-        len(sweeps), 2, figsize=(3.4, 0.8 + 1.35 * len(sweeps)), sharex=True, sharey="col"
+        len(sweeps), 2, figsize=(3.4, 1.4 + 1.4 * len(sweeps)), sharex=True, sharey="col"
     )
     for (left, right), (name, sweep) in zip(np.atleast_2d(panels), sweeps.items(), strict=True):
         lags = 1e6 * sweep.lags
-        for order, nominal, worst in zip(sweep.orders, sweep.nominal, sweep.worst, strict=True):
-            left.plot(lags, nominal, label=f"order {order}")
-            right.plot(lags, worst)
-        left.plot(lags, sweep.optimal, color="0.4", linestyle=":", label="exact optimum")
-        left.axhline(sweep.two_sided, color="0.6", linestyle="-", linewidth=0.6)
+        for order, look, nominal, worst in zip(
+            sweep.orders, styles(sweep.orders), sweep.nominal, sweep.worst, strict=True
+        ):
+            left.plot(lags, nominal, label=f"order {order}", **look)
+            right.plot(lags, worst, **look)
+        left.fill_between(lags, 0.0, sweep.optimal, color="0.85", lw=0, label="below the optimum")
+        dots = MARK | {"linestyle": (0, (1, 1)), "color": "0.2"}
+        left.axhline(sweep.two_sided, label="two-sided optimum", **dots)
         for axes in (left, right):
-            axes.axvline(1e6 * lag, color="0.4", linestyle="--", linewidth=0.6)
+            axes.axvline(1e6 * lag, label=f"lag {1e6 * lag:.3g} µs", **MARK)
             axes.set(xscale="log")
-        left.set(ylabel=f"{name}\n(rad$^2$)")
+        left.set(ylabel=name)
+    figure.supylabel(r"mean square error (rad$^2$)")
     first = np.atleast_2d(panels)[0]
     low, high = sweep.two_sided, sweep.filtering
     first[0].set(title="no uncertainty", ylim=(0.9 * low, 1.25 * high))
     first[1].set(title="worst constant", ylim=(1.4 * low, 2.2 * high))
+    for axes in first:
+        axes.locator_params(axis="y", nbins=4)
     every = 1e6 * np.concatenate([sweep.lags for sweep in sweeps.values()])
     ticks = [tick for tick in (0.3, 1, 3, 10, 30) if every.min() <= tick <= every.max()]
     for axes in np.atleast_2d(panels)[-1]:
@@ -171,7 +197,7 @@ def lag_and_order(sweeps: Mapping[str, LagSweep], lag: float) -> Figure:
         axes.minorticks_off()
         axes.set(xlabel="lag (µs)", xlim=(every.min(), every.max()))
     handles, labels = first[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
 
 
@@ -185,7 +211,7 @@ def two_landscapes(designs: Mapping[str, RobustSmoother], points: int = 25) -> F
     points : int
         Along each axis.
     """
-    figure, panels = plt.subplots(1, len(designs), figsize=(3.4, 2.3), sharey=True)
+    figure, panels = plt.subplots(1, len(designs), figsize=(3.4, 2.6), sharey=True)
     fractions = np.geomspace(1e-6, 1e-2, points)
     for axes, (title, best) in zip(panels, designs.items(), strict=True):
         limit = best.limit
@@ -209,14 +235,16 @@ def two_landscapes(designs: Mapping[str, RobustSmoother], points: int = 25) -> F
             norm=mpl.colors.BoundaryNorm(levels, 256),
             extend="max",
         )
-        axes.plot(fractions[0], 1e6 * limit.tau, "<", color="C1", markersize=7, clip_on=False)
-        axes.set(xscale="log", yscale="log", title=title, facecolor="0.85")
+        (infimum,) = axes.plot(fractions[0], 1e6 * limit.tau, label="infimum (at 0)", **_INFIMUM)
+        axes.set(xscale="log", yscale="log", title=title)
+        axes.patch.set(label="no design", **NOWHERE)
         axes.set(xlabel=r"$\lambda_3 = \lambda_4$")
         axes.set_yticks([0.5, 1, 2, 3], ["0.5", "1", "2", "3"])
         axes.minorticks_off()
         axes.grid(visible=False)
     panels[0].set(ylabel=r"$\tau$ (rad$^2\,$µs)")
-    figure.colorbar(shading, ax=panels, label="bound above its infimum (%)", pad=0.02)
+    figure.colorbar(shading, ax=panels, label="bound above its infimum (%)", pad=0.02, format="%g")
+    figure.legend(handles=[infimum, axes.patch], loc="outside lower center", ncols=2)
     return figure
 
 
@@ -236,7 +264,7 @@ def all_designs(
     p = np.linspace(0.2, 0.55, 281)
     tau = 1e-6 * np.geomspace(0.4, 10.0, 200)
     values = scalar_bound(parameters, p[None, :], tau[:, None])
-    figure, axes = plt.subplots(figsize=(3.4, 2.5))
+    figure, axes = plt.subplots(figsize=(3.4, 2.8))
     levels = [0.12, 0.125, 0.13, 0.14, 0.16, 0.2, 0.3, 0.5]
     shading = axes.contourf(
         p,
@@ -246,16 +274,19 @@ def all_designs(
         norm=mpl.colors.BoundaryNorm(levels, 256),
         extend="max",
     )
-    axes.plot(limit.multipliers[1:3].sum(), 1e6 * limit.tau, "o", color="C1", markersize=5)
-    axes.plot(printed[0], 1e6 * printed[1], "x", color="w", markersize=6, markeredgewidth=1.5)
+    axes.plot(limit.multipliers[1:3].sum(), 1e6 * limit.tau, label="infimum", **_INFIMUM)
+    cross = {"markersize": 6, "markeredgecolor": "k", "linestyle": "none"}
+    axes.plot(printed[0], 1e6 * printed[1], "X", color="w", label="printed", **cross)
+    axes.patch.set(label="no design", **NOWHERE)
     axes.set(
         xlabel=r"$p = \lambda_2 + \lambda_3$",
         ylabel=r"$\tau$ (rad$^2\,$µs)",
         yscale="log",
-        facecolor="0.85",
     )
+    axes.locator_params(axis="x", nbins=5)
     axes.set_yticks([0.5, 1, 2, 5, 10], ["0.5", "1", "2", "5", "10"])
     axes.minorticks_off()
     axes.grid(visible=False)
-    figure.colorbar(shading, ax=axes, label="bound $V$ (rad$^2$)", pad=0.02)
+    figure.colorbar(shading, ax=axes, label="bound $V$ (rad$^2$)", pad=0.02, format="%g")
+    figure.legend(handles=[*axes.lines, axes.patch], loc="outside lower center", ncols=3)
     return figure

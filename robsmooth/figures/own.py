@@ -5,6 +5,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from robsmooth.figures.style import NOWHERE, TRUTH, styles
 from robsmooth.nonlinear import SamplePaths
 
 
@@ -23,10 +24,11 @@ def sample_path(paths: SamplePaths, unit: str, scale: float, quantity: str) -> F
     """
     figure, axes = plt.subplots(figsize=(3.4, 2.4))
     time = scale * paths.time
-    axes.plot(time, paths.w[0, :, 0], color="0.2", linewidth=1.0, ls="-", label="true")
-    axes.plot(time, paths.filtered[0, :, 0], color="C1", ls="--", label="filtered")
-    smoothed = paths.smoothed[0, :, 0]
-    axes.plot(time - scale * paths.delay, smoothed, color="C0", ls="-", label="smoothed")
+    filtered, smoothed = styles(["filtered", "smoothed"])
+    axes.plot(time, paths.w[0, :, 0], label="true", **TRUTH)
+    axes.plot(time, paths.filtered[0, :, 0], label="filtered", **filtered)
+    back = time - scale * paths.delay
+    axes.plot(back, paths.smoothed[0, :, 0], label="smoothed", **smoothed)
     axes.set(xlabel=f"time ({unit})", ylabel=quantity, xlim=(0.0, time[-1]))
     figure.legend(loc="outside lower center", ncols=3)
     return figure
@@ -47,14 +49,13 @@ def gap(record: SamplePaths, estimates: NDArray[np.float64], missing: slice) -> 
     around = slice(max(missing.start - 600, 0), missing.stop + 600)
     figure, axes = plt.subplots(figsize=(3.4, 2.2))
     ends = record.time[[missing.start, missing.stop]] - record.step
-    axes.axvspan(*ends, color="0.9", linewidth=0)
-    axes.plot(
-        record.time[around], record.w[0, around, 0], color="0.2", lw=1.0, ls="-", label="true"
-    )
+    (smoothed,) = styles(["smoothed"])
+    axes.axvspan(*ends, label="no measurement", **NOWHERE)
+    axes.plot(record.time[around], record.w[0, around, 0], label="true", **TRUTH)
     times = record.time[around] - record.delay
-    axes.plot(times, estimates[around, 0], color="C0", ls="--", label="smoothed, from the record")
+    axes.plot(times, estimates[around, 0], label="smoothed", **smoothed)
     axes.set(xlabel="time (s)", ylabel="angle (rad)", xlim=record.time[around][[0, -1]])
-    figure.legend(loc="outside lower center", ncols=2)
+    figure.legend(loc="outside lower center", ncols=3)
     return figure
 
 
@@ -73,12 +74,14 @@ def smoother_response(
         The lag, s.
     """
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(3.4, 3.0), sharex=True)
-    top.loglog(omega, np.abs(response), label="smoother")
-    top.axhline(1.0, color="C1", linestyle="--", label="pure delay")
+    (smoother,) = styles(["smoother"])
+    top.loglog(omega, np.ones_like(omega), label="pure delay", **TRUTH)
+    top.loglog(omega, np.abs(response), label="smoother", **smoother)
     top.set(ylabel="magnitude", ylim=(1e-2, 3.0))
     top.legend(loc="lower left")
-    bottom.semilogx(omega, np.degrees(np.unwrap(np.angle(response))))
-    bottom.semilogx(omega, np.degrees(-omega * delay))
+    bottom.semilogx(omega, np.degrees(-omega * delay), **TRUTH)
+    bottom.semilogx(omega, np.degrees(np.unwrap(np.angle(response))), **smoother)
+    bottom.set_yticks(np.arange(-360, 1, 90))
     bottom.set(
         xlabel=r"angular frequency $\omega$ (rad/s)",
         ylabel="phase (°)",

@@ -7,8 +7,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from robsmooth import published
 from robsmooth.delay import pade_delay
 from robsmooth.errors import InfeasibleDesignError
+from robsmooth.figures.style import MARK, styles
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import MeanSquare
 from robsmooth.smoother import RobustSmoother, design_smoother
@@ -24,7 +26,7 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
         Stationary variance of the error, rad^2, for the lower panel.
     """
     figure, (top, bottom) = plt.subplots(
-        2, 1, sharex=True, figsize=(3.4, 3.6), height_ratios=(3, 1)
+        2, 1, sharex=True, figsize=(3.4, 4.2), height_ratios=(3, 1)
     )
     error = np.linspace(-np.pi, np.pi, 721)
     upper, lower = parameters.beta, parameters.lower_slope
@@ -35,7 +37,7 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
         lower * error,
         upper * error,
         color="C0",
-        alpha=0.15,
+        alpha=0.2,
         linewidth=0,
         label=rf"design's sector $[{lower:g},\,{upper:g}]$",
     )
@@ -51,7 +53,7 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
     top.plot(
         error,
         wide * error,
-        color="C2",
+        color="C4",
         linestyle="--",
         linewidth=0.9,
         label=rf"$m=1-2\gamma={wide:.1f}$",
@@ -65,10 +67,8 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
         xytext=(3, 0),
         textcoords="offset points",
         color="C0",
-        fontsize=7,
     )
     top.set(ylim=(-1.75, 1.75), ylabel=r"$y = f(\mu_1) + \beta\mu_1$")
-    top.legend(loc="upper left", borderaxespad=0.3, frameon=True, framealpha=1.0, edgecolor="none")
     density = np.exp(-(error**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
     bottom.fill_between(error, density, color="0.6", linewidth=0)
     bottom.set(
@@ -77,6 +77,7 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
         xlim=(-np.pi, np.pi),
         ylim=(0, None),
     )
+    figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
@@ -96,9 +97,11 @@ def delta_sweep(
     marks : mapping, optional
         From each label to a single point.
     """
-    figure, axes = plt.subplots()
-    for label, values in curves.items():
-        axes.plot(slopes, values, label=label)
+    several = len(curves) > 2  # some of them may lie on one another: then markers take turns
+    figure, axes = plt.subplots(figsize=(3.4, 3.1 if several else 2.6))
+    for number, (label, look) in enumerate(zip(curves, styles(curves, several), strict=True)):
+        turn = (0.2 * number / len(curves), 0.2)
+        axes.plot(slopes, curves[label], label=label, markevery=turn, markerfacecolor="w", **look)
     for label, (slope, value) in (marks or {}).items():
         axes.plot(slope, value, "k*", markersize=7, clip_on=False, linestyle="none", label=label)
     axes.set(
@@ -107,7 +110,11 @@ def delta_sweep(
         xlim=(min(slopes), max(slopes)),
         ylim=(0, None),
     )
-    axes.legend()
+    axes.locator_params(nbins=5)
+    if several:
+        figure.legend(loc="outside lower center", ncols=2)
+    else:
+        axes.legend()
     return figure
 
 
@@ -126,14 +133,14 @@ def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure
     omega = np.geomspace(bandwidth / 10, bandwidth * 100, 400)
     exact = np.exp(-1j * omega * delay)
     figure, axes = plt.subplots()
-    for order in orders:
+    for order, look in zip(orders, styles(orders), strict=True):
         response = pade_delay(delay, order).response(omega)[:, 0, 0]
-        axes.loglog(omega, np.abs(response - exact), label=f"order {order}")
-    axes.axvline(bandwidth, color="0.4", linestyle=":", linewidth=0.9)
+        axes.loglog(omega, np.abs(response - exact), label=f"order {order}", **look)
+    axes.axvline(bandwidth, color="0.4", linestyle=":", linewidth=0.9, label="bandwidth")
     axes.set(
         xlabel=r"angular frequency $\omega$ (rad/s)",
         ylabel=r"$|H(i\omega) - e^{-i\omega\delta}|$",
-        xlim=omega[[0, -1]],
+        xlim=(omega[0], 20 * bandwidth),  # beyond, all are as wrong as can be
         ylim=(1e-12, 4.0),
     )
     axes.legend(loc="lower right")
@@ -156,26 +163,29 @@ def bound_landscape(best: RobustSmoother) -> Figure:
         except InfeasibleDesignError:
             return np.nan
 
-    figure, (left, right) = plt.subplots(1, 2, sharey=True, figsize=(3.4, 2.0))
+    figure, (left, right) = plt.subplots(1, 2, sharey=True, figsize=(3.4, 2.4))
     tau = best.tau * np.linspace(0.6, 2.0, 57)
     left.plot(1e6 * tau, [bound(value, 1e-6) for value in tau])
-    left.plot(1e6 * best.tau, best.bound, "o", color="C1")
-    left.axvline(1.13, color="0.4", linestyle=":", linewidth=0.9)
+    left.plot(1e6 * best.tau, best.bound, "o", color="C1", label="least bound")
+    printed = published.printed("tau")
+    left.axvline(1e6 * printed, color="0.4", linestyle=":", linewidth=0.9, label="printed")
     left.set(xlabel=r"$\tau$ (rad$^2\,$µs)", ylabel="bound $V$ (rad$^2$)")
     small = np.geomspace(1e-6, 2e-3, 60)
     values = np.array([bound(best.tau, value) for value in small])
     right.semilogx(small, values)
-    right.axhline(best.bound_infimum, color="C2", linestyle="-.", linewidth=0.9)
+    right.axhline(best.bound_infimum, color="k", linestyle="-.", linewidth=0.9, label="infimum")
     if np.isnan(values).any():
-        right.axvline(small[np.isfinite(values)].max(), color="C1", linestyle="--", linewidth=0.9)
+        edge = small[np.isfinite(values)].max()
+        right.axvline(edge, color="C1", linestyle="--", linewidth=0.9, label="no design beyond")
     right.set(xlabel=r"$\lambda_3 = \lambda_4$", xlim=small[[0, -1]])
+    figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
 def mean_squares(
     cases: Sequence[str],
     results: Mapping[str, Sequence[MeanSquare]],
-    published: Mapping[str, float],
+    printed: Mapping[str, float],
 ) -> Figure:
     """Draw simulated mean square errors with their intervals against what is printed.
 
@@ -185,36 +195,27 @@ def mean_squares(
         Labels of the variants, one a row.
     results : mapping
         From each quantity, e.g. "NGCF, filtered", to its mean square error in every case.
-    published : mapping
+    printed : mapping
         From the same quantities to the printed value, drawn as a line.
     """
     figure, axes = plt.subplots(figsize=(3.4, 0.9 + 0.36 * len(cases)))
     rows = np.arange(len(cases))[::-1]
-    markers = iter("os^Dv")
-    for index, (label, values) in enumerate(results.items()):
+    looks = styles([label.split(",")[0] for label in results], markers=True)
+    for look, (label, values) in zip(looks, results.items(), strict=True):
         means = np.array([value.mean_square for value in values])
         errors = np.array([value.standard_error for value in values])
-        colour = f"C{index}"
-        axes.errorbar(
-            means,
-            rows,
-            xerr=1.96 * errors,
-            fmt=next(markers),
-            markersize=3,
-            color=colour,
-            label=label,
-        )
-        if label in published:
-            axes.axvline(published[label], color=colour, linestyle="--", linewidth=0.9)
+        points = look | {"linestyle": "none", "markersize": 3}
+        axes.errorbar(means, rows, xerr=1.96 * errors, label=label, **points)
+        if label in printed:
+            axes.axvline(printed[label], color=look["color"], linestyle="--", linewidth=0.9)
             axes.annotate(
-                f"printed {published[label]:g}",
-                (published[label], 1.0),
+                f"printed {printed[label]:g}",
+                (printed[label], 1.0),
                 xycoords=("data", "axes fraction"),
                 xytext=(0, 1),
                 textcoords="offset points",
-                fontsize=7,
-                color=colour,
-                ha="right" if index == 0 else "left",
+                color=look["color"],
+                ha="right" if printed[label] == min(printed.values()) else "left",
                 va="bottom",
             )
     axes.set(
@@ -222,7 +223,7 @@ def mean_squares(
         yticklabels=[textwrap.fill(case, 18) for case in cases],
         xlabel=r"mean square error (rad$^2$)",
         ylim=(-0.6, len(cases) - 0.4),
-        xlim=(0, 1.3 * max(published.values())),
+        xlim=(0, 1.3 * max(printed.values())),
     )
     axes.grid(axis="y", visible=False)
     figure.legend(loc="outside lower center", ncols=2)
@@ -245,21 +246,19 @@ def routes(
     reference : sequence of float
         What to subtract and divide by, rad^2.
     """
-    figure, axes = plt.subplots(figsize=(3.4, 0.9 + 0.28 * len(rows)))
+    figure, axes = plt.subplots(figsize=(3.4, 1.0 + 0.34 * len(rows)))
     height = np.arange(len(rows))[::-1]
-    axes.axvline(0.0, color="0.4", linestyle="-", linewidth=0.8)
-    for index, (label, values) in enumerate(routes.items()):
+    axes.axvline(0.0, **MARK)
+    looks = styles(routes, markers=True)
+    for index, (look, (label, values)) in enumerate(zip(looks, routes.items(), strict=True)):
         value = np.array([value.mean_square for value in values]) / reference
         error = np.array([value.standard_error for value in values]) / reference
         axes.errorbar(
             100 * (value - 1),
             height + 0.2 * (1 - index),
             xerr=196 * error,
-            fmt="os^"[index],
-            markersize=3,
-            color=f"C{index}",
-            linestyle="none",
             label=label,
+            **look | {"linestyle": "none", "markersize": 3},
         )
     axes.set(
         yticks=height,
@@ -268,9 +267,7 @@ def routes(
         ylim=(-0.6, len(rows) - 0.4),
     )
     axes.grid(axis="y", visible=False)
-    figure.legend(
-        loc="outside lower center", ncols=len(routes), handletextpad=0.2, columnspacing=0.8
-    )
+    figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
@@ -291,17 +288,20 @@ def loss_of_lock(
         1/s; zeros are left out.
     """
     figure, (top, bottom) = plt.subplots(
-        2, 1, sharex=True, figsize=(3.4, 3.4), height_ratios=(3, 2)
+        2, 1, sharex=True, figsize=(3.4, 3.8), height_ratios=(3, 2)
     )
-    for (label, values), marker in zip(errors.items(), "os^D", strict=False):
-        top.loglog(factors, values, marker=marker, markersize=3, label=label)
+    looks = styles(errors, markers=True)
+    for number, (look, label) in enumerate(zip(looks, errors, strict=True)):
+        # all but the first lie on one another: each is seen through the next, which is smaller
+        size = {"markersize": max(9 - 2 * number, 3) if number else 3, "markerfacecolor": "none"}
+        top.loglog(factors, errors[label], label=label, **look | size)
     top.set(ylabel=r"filtered error (rad$^2$)")
-    top.legend(loc="upper left")
     rates = np.array(slip_rates, dtype=float)
     rates[rates == 0.0] = np.nan
-    bottom.loglog(factors, rates, "o-", markersize=3, color="C1")
+    bottom.loglog(factors, rates, "o-", markersize=3)
     bottom.set(xlabel="factor on the power of the phase noise", ylabel="cycle slips (1/s)")
     ticks = [factor for factor in (1, 2, 5, 10, 20, 50) if factor <= max(factors)]
     bottom.set_xticks(ticks, [f"{tick}" for tick in ticks])
     bottom.minorticks_off()
+    figure.legend(loc="outside lower center", ncols=2)
     return figure

@@ -1,8 +1,11 @@
 """The style of the figures, and the one way to save one."""
 
+import itertools
+from collections.abc import Iterable
 from importlib.resources import as_file
 from importlib.resources import files as package_files
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -18,11 +21,59 @@ _METADATA = {
     "png": {"Software": None},
 }
 
+_MARKERS = "os^Dvp"
+# What is drawn in several figures looks the same in all of them: its place in the style's cycle.
+_PLACES: dict[str | int, int] = {
+    "filtered": 0,
+    "NGCF": 0,  # solid blue and broken red, as the paper has them
+    "smoothed": 1,
+    "smoother": 1,
+    "robust smoother": 1,
+    "smoother, as printed": 1,
+    "classical smoother": 2,
+    "Kalman-Bucy filter": 3,
+    "cost: smoothed": 4,
+    "cost: filtered": 5,
+    "smoother, corrected": 5,  # the same design
+    **{1: 0, 2: 1, 4: 2, 8: 3, 3: 4},  # orders of the model of a delay
+}
+
+# The truth under its estimates, or an ideal: a band, pale enough not to be taken for one of them.
+TRUTH = {"color": "0.78", "linestyle": "-", "linewidth": 2.5}
+# A place on an axis.
+MARK = {"color": "0.6", "linestyle": "-", "linewidth": 0.8}
+# Where a map has no value. A shade of grey would be that of one of its colours in print.
+NOWHERE = {"facecolor": "w", "edgecolor": "0.55", "hatch": "/////", "linewidth": 0.0}
+
 
 def use_style() -> None:
     """Set matplotlib to the style of all figures."""
     with as_file(package_files("robsmooth") / "robsmooth.mplstyle") as path:
         plt.style.use(path)
+
+
+def styles(names: Iterable[str | int], markers: bool = False) -> list[dict[str, Any]]:
+    """Return how to draw the curves of the given names: the colour and dashes of each.
+
+    Estimators, estimates and orders that are in several figures look the same in all of them; other
+    names get what is left of the cycle.
+
+    Parameters
+    ----------
+    names : iterable of str or int
+        Of estimators or estimates, or orders of the model of a delay.
+    markers : bool
+        Whether each has a marker too.
+    """
+    looks = [
+        look | {"color": mpl.colors.to_hex(look["color"])}
+        for look in mpl.rcParams["axes.prop_cycle"]
+    ]
+    if markers:
+        looks = [look | {"marker": marker} for look, marker in zip(looks, _MARKERS, strict=False)]
+    places = [_PLACES.get(name) for name in names]
+    left = itertools.cycle([place for place in range(len(looks)) if place not in places] or [0])
+    return [looks[next(left) if place is None else place] for place in places]
 
 
 def save_figure(figure: Figure, directory: Path | str, name: str) -> None:
