@@ -213,8 +213,7 @@ def test_experiments_have_a_row_for_what_there_is_not():
 def test_the_figure_fits_a_page_and_nothing_is_in_the_way_of_its_words():
     figure = Explorer().figure
     assert figure.get_figwidth() <= 7.0
-    found = [flaw for flaw in looks.flaws(figure) if "no unit" not in flaw]
-    assert [flaw for flaw in found if "look alike" not in flaw] == []  # of other panels' lines
+    assert looks.flaws(figure) == []
 
 
 def test_a_figure_depends_on_the_settings_alone(panels):
