@@ -1,8 +1,10 @@
-"""What all tests share: reproducible property tests, and one BLAS thread for small matrices."""
+"""What tests share: reproducible property tests, one BLAS thread, and a run of all notebooks."""
 
 import pytest
 from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
+
+from tests.runs import once, quick
 
 settings.register_profile(
     "robsmooth",
@@ -28,3 +30,27 @@ def one_blas_thread():
     """More threads than one make the small problems here five times slower."""
     with threadpool_limits(1):
         yield
+
+
+@pytest.fixture(scope="session")
+def first_run(tmp_path_factory):
+    """Results of all notebooks with the quick profile."""
+
+    def run_notebooks(build):
+        run = quick("figures", build)
+        assert run.returncode == 0, run.stderr
+
+    return once(tmp_path_factory.getbasetemp(), "first", run_notebooks) / "quick"
+
+
+@pytest.fixture(scope="session")
+def site_folder(first_run, tmp_path_factory):
+    """The site of these results, built without a warning."""
+
+    def build_site(_):
+        run = quick("report", first_run.parent)
+        assert run.stderr == ""
+        assert run.stdout == f"open {first_run}/site/index.html in a browser; it needs no network\n"
+
+    once(tmp_path_factory.getbasetemp(), "site", build_site)
+    return first_run / "site"

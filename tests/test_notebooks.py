@@ -12,6 +12,7 @@ import pytest
 
 import robsmooth as rs
 from robsmooth.pipeline import parameters
+from tests.runs import quick
 from tests.site import read_pages
 from tests.test_package import PUBLIC
 
@@ -26,7 +27,6 @@ OF_THE_PAPER = {
 }
 
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-numbered_notebook = pytest.mark.parametrize("path", NUMBERED, ids=lambda path: path.stem)
 
 
 def cells(path, kind):
@@ -77,12 +77,12 @@ def test_a_notebook_stands_on_the_installed_package(path):
     assert "\nclass " not in source
 
 
-@numbered_notebook
+@every_notebook
 def test_a_notebook_can_be_given_its_parameters(path):
     assert parameters.read(path).keys() >= {"output_dir", "data_dir"}
 
 
-@numbered_notebook
+@every_notebook
 def test_a_notebook_has_a_title_and_ends_with_its_checks_and_what_it_was_run_with(path):
     first = nbformat.read(path, as_version=4).cells[0]
     assert first.cell_type == "markdown"
@@ -90,35 +90,19 @@ def test_a_notebook_has_a_title_and_ends_with_its_checks_and_what_it_was_run_wit
     assert headings(path)[-2:] == ["## Checks", "## About"]
 
 
-def quick_run(build):
-    """Run all notebooks from the command line, with the quick profile; give what was written."""
-    command = [sys.executable, "-m", "robsmooth.cli", "figures", "--profile", "quick"]
-    run = subprocess.run(
-        [*command, "--build", build], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    return run, build / "quick"
-
-
-@pytest.fixture(scope="module")
-def first_run(tmp_path_factory):
-    run, places = quick_run(tmp_path_factory.mktemp("first"))
-    assert run.returncode == 0, run.stderr
-    return places
-
-
 def test_all_notebooks_run_with_the_quick_profile(first_run):
     owners = {}
-    for path in NUMBERED:
+    for path in NOTEBOOKS:
         about = json.loads((first_run / "figures" / f"{path.stem}.provenance.json").read_text())
         assert about["profile"] == "quick"
         for file in about["files"]:
             assert owners.setdefault(file, path.stem) == path.stem, f"two notebooks write {file}"
-    run, _ = quick_run(first_run.parent)
-    assert run.stdout.count(": fresh\n") == len(NUMBERED)
+    run = quick("figures", first_run.parent)
+    assert run.stdout.count(": fresh\n") == len(NOTEBOOKS)
 
 
 def test_results_print_as_tables_and_not_as_dumps(first_run):
-    for path in NUMBERED:
+    for path in NOTEBOOKS:
         for cell in cells(first_run / "notebooks" / path.name, "code"):
             for output in cell.outputs:
                 where = f"{path.stem}, {cell.id}"
@@ -129,8 +113,15 @@ def test_results_print_as_tables_and_not_as_dumps(first_run):
                     assert len(text) < 400 and "array(" not in text, where
 
 
+def test_the_explorer_is_an_image_where_nobody_could_move_its_sliders(first_run):
+    executed = first_run / "notebooks" / "explore.ipynb"
+    (output,) = next(cell for cell in cells(executed, "code") if "Explorer(" in cell.source).outputs
+    assert output.data.keys() == {"image/png", "text/plain"}
+    assert "widgets" not in nbformat.read(executed, as_version=4).metadata
+
+
 def test_results_are_byte_identical_when_regenerated(first_run, tmp_path):
-    run, again = quick_run(tmp_path)
+    run = quick("figures", tmp_path)
     assert run.returncode == 0, run.stderr
     results = [
         path.relative_to(first_run)
@@ -143,7 +134,7 @@ def test_results_are_byte_identical_when_regenerated(first_run, tmp_path):
         *(".md", ".csv", ".tex", ".json"),
     }
     for result in results:
-        old, new = (places / result for places in (first_run, again))
+        old, new = (places / result for places in (first_run, tmp_path / "quick"))
         assert old.read_bytes() == new.read_bytes(), f"{result} differs from run to run"
 
 
@@ -151,19 +142,9 @@ def test_results_are_byte_identical_when_regenerated(first_run, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def site(first_run):
-    """The pages of the site, which is built without a warning."""
-    command = [sys.executable, "-m", "robsmooth.cli", "report", "--profile", "quick"]
-    run = subprocess.run(
-        [*command, "--build", first_run.parent],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert run.stderr == ""
-    assert run.stdout == f"open {first_run}/site/index.html in a browser; it needs no network\n"
-    return read_pages(first_run / "site")
+def site(site_folder):
+    """The pages of the site."""
+    return read_pages(site_folder)
 
 
 def test_the_site_shows_every_notebook_and_loads_files_of_its_own_only(site, first_run):
@@ -174,6 +155,14 @@ def test_the_site_shows_every_notebook_and_loads_files_of_its_own_only(site, fir
             file, _ = page.target(address)
             assert file.is_relative_to(first_run.resolve() / "site"), f"{name} loads {address}"
             assert file.is_file(), f"{name} loads {address}"
+
+
+def test_the_site_does_not_say_where_it_was_made(site, first_run):
+    for path in first_run.joinpath("site").rglob("*"):
+        if path.suffix in {".html", ".ipynb", ".json", ".js"}:
+            text = path.read_text(encoding="utf-8")
+            assert str(first_run.parent) not in text, path
+            assert f"{ROOT}/" not in text, path
 
 
 def test_every_link_of_the_site_leads_somewhere(site):
@@ -220,7 +209,7 @@ def test_every_result_is_in_the_index_with_what_made_it(site, first_run):
 def test_what_docstrings_and_verdicts_quote_leads_to_the_equations(site):
     for name, anchor in (
         ("api/design.html", "eqbound"),
-        ("api/design.html", "assumption-3"),
+        ("api/design.html", "assumption-2"),
         ("api/systems.html", "eqcsystem"),
         ("figures/reproduction.html", "eqbound"),
     ):

@@ -1,0 +1,60 @@
+"""The panels of explore.ipynb: one picture, and the controls beside it."""
+
+from playwright.sync_api import Page, expect
+
+# A picture that is replaced while it is looked at is gone: then the next one is taken.
+DIGEST = """async image => {
+    for (let tries = 1; ; tries++) {
+        try {
+            await image.decode();
+            const content = await (await fetch(image.src)).arrayBuffer();
+            return new Uint8Array(await crypto.subtle.digest("SHA-256", content)).join();
+        } catch (error) {
+            if (tries === 10) throw error;
+        }
+    }
+}"""
+WATCH = """image => {
+    let pressed = null;
+    window.delay = null;
+    document.addEventListener("keydown", () => { pressed = performance.now(); }, {once: true});
+    image.onload = () => {
+        if (pressed !== null) window.delay ??= performance.now() - pressed;
+    };
+}"""
+PLACE = """image => {
+    const whole = image.closest(".robsmooth-explorer").getBoundingClientRect();
+    const place = image.getBoundingClientRect();
+    return [place.x - whole.x, place.y - whole.y, place.width, place.height];
+}"""
+
+
+class Panels:
+    """The explorer on a page where its cell has been run."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.image = page.locator("img.robsmooth-panels, .robsmooth-panels img")
+        self.summary = page.locator(".robsmooth-summary")
+        self.code = page.locator(".robsmooth-code textarea")
+        expect(self.image).to_be_visible()
+        expect(self.summary).not_to_contain_text("being prepared")
+        self.scroll()
+
+    def scroll(self) -> None:
+        """Bring all of it into sight."""
+        self.page.locator(".robsmooth-explorer").evaluate("whole => whole.scrollIntoView()")
+
+    def picture(self) -> str:
+        """A digest of the picture's bytes."""
+        return self.image.evaluate(DIGEST)
+
+    def place(self) -> list[float]:
+        """Where in the explorer the picture is, and how large."""
+        return self.image.evaluate(PLACE)
+
+    def press(self, control: str, key: str) -> float:
+        """Press a key on a control, and wait for another picture: it took so many ms."""
+        self.image.evaluate(WATCH)
+        self.page.locator(control).press(key)
+        return self.page.wait_for_function("() => window.delay").json_value()

@@ -1,0 +1,56 @@
+"""The report's pages, opened from the disk with the network cut."""
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser.faults import faults
+
+
+@pytest.fixture
+def report(browser, site_folder):
+    """The folder of the report, made only where there is a browser to read it."""
+    return site_folder
+
+
+@pytest.fixture
+def offline(page: Page, complaints: list[str]) -> Page:
+    """A tab without a network, where asking for anything but files is a complaint."""
+    page.context.set_offline(True)
+    local = ("file:", "data:", "blob:")
+    page.on("request", lambda it: it.url.startswith(local) or complaints.append(it.url))
+    return page
+
+
+def test_every_page_shows_its_mathematics_and_images(report, offline, complaints, screenshot):
+    pages = [path for path in sorted(report.rglob("*.html")) if "_static" not in path.parts]
+    for path in pages:
+        name = path.relative_to(report).with_suffix("").as_posix()
+        offline.goto(path.as_uri())
+        found = faults(offline, "body")
+        screenshot(name.replace("/", "-"), whole="/" not in name)
+        assert found == [], name
+        assert complaints == [], name
+    offline.goto((report / "theory.html").as_uri())
+    expect(offline.locator("mjx-container svg").first).to_be_visible()
+
+
+def test_the_report_can_be_read_and_searched(report, offline, complaints):
+    offline.goto((report / "index.html").as_uri())
+    sidebar = offline.locator(".sidebar-tree")
+    sidebar.get_by_role("link", name="3. Error covariance against uncertainty").click()
+    expect(offline.locator("h1")).to_contain_text("3. Error covariance against uncertainty")
+    search = offline.locator(".sidebar-search")
+    search.fill("delta_sweep")
+    search.press("Enter")
+    found = offline.locator("#search-results li a", has_text="robsmooth.delta_sweep")
+    found.first.click()
+    expect(offline.locator("[id='robsmooth.delta_sweep']")).to_be_in_viewport()
+    assert complaints == []
+
+
+def test_print_sizes_can_be_seen_in_grey(report, offline):
+    offline.goto((report / "print.html").as_uri())
+    figure = offline.locator("figure.print-size img").first
+    expect(figure).to_have_css("filter", "none")
+    offline.locator("#grey").check()
+    expect(figure).to_have_css("filter", "grayscale(1)")
