@@ -173,7 +173,7 @@ def test_every_setting_gives_panels_or_a_sentence(panels, chosen):
     compiled = chosen.order == 2 or isinstance(snapshot.estimator, str)
     simulated = model.simulate(snapshot) if compiled else PREPARING
     panels.show(snapshot, simulated)
-    assert pixels(panels.png()).shape == (585, 910, 4)
+    assert pixels(panels.png()).shape == (585, 910, 3)
     assert words.summary(snapshot, simulated).endswith(".")
     if isinstance(snapshot.estimator, str):
         shown = [text.get_text().replace("\n", " ") for text in panels.figure.findobj(Text)]
@@ -353,7 +353,7 @@ def test_an_explorer_shows_itself_as_an_image_where_nobody_is():
     shown = Explorer()
     bundle = shown._repr_mimebundle_()
     assert set(bundle) == {"image/png", "text/plain"}
-    assert pixels(base64.b64decode(bundle["image/png"])).shape == (585, 910, 4)
+    assert pixels(base64.b64decode(bundle["image/png"])).shape == (585, 910, 3)
     assert bundle["text/plain"] == words.summary(shown.snapshot, shown.simulated)
     assert shown.controls is None
 
