@@ -232,12 +232,12 @@ def test_blocks_of_a_torn_tail_are_simulated_again(path, simulated, damage, kept
     assert simulated == [*range(kept, BLOCKS)]
 
 
-def test_progress_goes_on_from_where_it_was(path, merging, capsys):
+def test_progress_goes_on_from_where_it_was(path, merging, terminal):
     merging.before = {4: interrupt}
     with pytest.raises(KeyboardInterrupt):
         simulate(checkpoint=path, threads=1)
     simulate(checkpoint=path, progress=True)
-    first, *_ = capsys.readouterr().err.strip("\r").split("\r")
+    first, *_ = terminal.readouterr().err.strip("\r").split("\r")
     assert "512/1.33k" in first
 
 
