@@ -277,13 +277,16 @@ def test_reset_is_one_change(drawn):
     assert drawn == [PAPER]
 
 
-def test_only_sliders_that_matter_can_be_moved():
+def test_only_controls_that_matter_are_there():
     controls = Explorer().show_controls()
-    assert controls.inputs["tau"].disabled and not controls.inputs["cost"].disabled
-    controls.inputs["design"].value = "by hand"
-    assert not controls.inputs["tau"].disabled
-    controls.inputs["design"].value = "classical"
-    assert controls.inputs["tau"].disabled and controls.inputs["cost"].disabled
+    *always, by_hand = controls.widget.children[0].children
+    assert controls.inputs["tau"] in by_hand.children
+    shown = {}
+    for design in ("robust", "by hand", "classical"):
+        controls.inputs["design"].value = design
+        shown[design] = (by_hand.layout.display != "none", not controls.inputs["cost"].disabled)
+        assert all(column.layout.display != "none" for column in always)
+    assert shown == {"robust": (False, True), "by hand": (True, True), "classical": (False, False)}
 
 
 def test_without_a_design_the_reason_is_said_and_escaped():

@@ -27,7 +27,7 @@ _WORDS = {  # label and tooltip of each setting
 _BY_HAND = ("tau", "lambda1", "lambda2", "lambda3", "lambda4")
 _COLUMNS = {
     "The smoother": ("lag", "order", "design", "cost"),
-    "The light, and what is not known of it": ("noise", "lam", "kappa", "gamma"),
+    "The light and the uncertainty": ("noise", "lam", "kappa", "gamma"),
     "A design by hand": _BY_HAND,
 }
 _OUTPUTS = ("panels", "summary", "code", "reset", "copy")
@@ -36,6 +36,7 @@ _CHOICES = {
     "cost": {"the filtered error": "filtered", "the smoothed error": "smoothed"},
 }
 _WIDEST = "1000px"  # more would blur the panels
+_HEIGHT = "196px"  # of the longest column, which is not always shown: the panels stay in place
 # A page that was not fetched securely has no clipboard: the text is selected then, for Ctrl+C.
 _COPY = """
 const area = document.querySelector(".%s textarea");
@@ -78,6 +79,7 @@ class Controls:
         self._script = widgets.Output()
         self.reset.on_click(lambda _: self.set(settings))
         self.copy.on_click(lambda _: self._copy_code())
+        self._columns = {title: self._column(title) for title in _COLUMNS}
         self.set(settings)
         for each in self.inputs.values():
             each.observe(self._notify, "value")
@@ -106,8 +108,8 @@ class Controls:
         if self._held:
             return
         settings = self.settings
-        for name in _BY_HAND:
-            self.inputs[name].disabled = settings.design != "by hand"
+        by_hand = settings.design == "by hand"
+        self._columns["A design by hand"].layout.display = "flex" if by_hand else "none"
         self.inputs["cost"].disabled = settings.design == "classical"
         self._changed()
 
@@ -120,20 +122,20 @@ class Controls:
         """The class of these controls alone: a notebook may show several."""
         return f"robsmooth-{self.code.model_id}"
 
+    def _column(self, title: str) -> widgets.Widget:
+        inputs = [self.inputs[name] for name in _COLUMNS[title]]
+        return widgets.VBox(
+            [widgets.HTML(f"<b>{title}</b>"), *inputs],
+            layout={"flex": "1 1 0", "min_width": "16em", "overflow": "hidden"},
+        )
+
     def _arranged(self) -> widgets.Widget:
         named = {**self.inputs, **{name: getattr(self, name) for name in _OUTPUTS}}
         for name, each in named.items():
             each.add_class(f"robsmooth-{name}")
-        columns = [
-            widgets.VBox(
-                [widgets.HTML(f"<b>{title}</b>"), *(self.inputs[name] for name in names)],
-                layout={"flex": "1 1 0", "min_width": "16em", "overflow": "hidden"},
-            )
-            for title, names in _COLUMNS.items()
-        ]
         whole = widgets.VBox(
             [
-                widgets.HBox(columns),
+                widgets.HBox([*self._columns.values()], layout={"min_height": _HEIGHT}),
                 self.summary,
                 self.panels,
                 widgets.HBox([self.reset, self.copy]),
