@@ -14,6 +14,7 @@ from robsmooth.pipeline.parameters import SET_BY_PIPELINE
 from robsmooth.tables import Table
 
 _SAVED = re.compile(r"""save_figure\([^"']*["'](\w+)["']\)""")
+_IMAGE = re.compile(r"!\[(.+?)\]\((\w+)\.png\)")
 _WIDTH = re.compile(r'<svg[^>]*?\swidth="([\d.]+)pt"')
 _POINTS = 72  # to the inch
 _COLUMN = 3.4  # inches
@@ -115,13 +116,15 @@ def runs(root: Path, figures: Path, notebooks: Path, profile: str) -> list[Run]:
     )
     benchmarks = root / "benchmarks"
     names = [path.name for name in ("scaling", "results") for path in benchmarks.glob(f"{name}.*")]
+    images = _IMAGE.findall((benchmarks / "results.md").read_text(encoding="utf-8"))
+    captions = {name: f"{words}." for words, name in images}
     speed = Run(
         title="Speed",
         page="benchmarks/results.md",
         command="make bench",
         parameters={},
         about=_read(benchmarks / "results.json")["about"],
-        results=_results([f"benchmarks/{name}" for name in sorted(names)], figures, {}),
+        results=_results([f"benchmarks/{name}" for name in sorted(names)], figures, captions),
     )
     return [*found, verdicts, speed]
 
