@@ -201,7 +201,7 @@ def _facts(run: Run) -> str:
         ("lock", f"`{(about['lock_sha256'] or 'none')[:12]}`"),
         ("versions", versions),
     )
-    return _markdown(("inputs", ""), rows)
+    return Table(("inputs", ""), rows, "").markdown()
 
 
 def _files(results: Iterable[Result]) -> str:
@@ -215,12 +215,7 @@ def _files(results: Iterable[Result]) -> str:
             if not (result.table and suffix == "md")  # it is on the page of all tables
         ]
         rows.append((f"`{result.stem}`", " ".join(seen), result.caption, " ".join(links)))
-    return _markdown(("result", "", "what it shows", "files"), rows)
-
-
-def _markdown(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    table = Table(columns=columns, rows=tuple(rows), caption="").markdown()
-    return table.removesuffix("\n\n**\n")
+    return Table(("result", "", "what it shows", "files"), rows, "").markdown()
 
 
 def tables(found: Iterable[Run]) -> str:

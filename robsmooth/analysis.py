@@ -36,7 +36,7 @@ from robsmooth.delay import pade_delay
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import OpenLoop, guarantee, open_loop
 from robsmooth.riccati import RiccatiError, solve_riccati
-from robsmooth.tables import Table
+from robsmooth.tables import facts
 from robsmooth.validation import Matrix, frozen
 
 _FLOOR = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
@@ -100,9 +100,8 @@ class AnalysisBound:
             ("guarantee, $2V$", self.guarantee),
             (r"multipliers $\theta$, s (unit of $w$)²", f"${notation.vector(self.multipliers)}$"),
         ]
-        rows = [row for row in rows if row[1] is not None]
         caption = "The worst that the constraints on the uncertainty allow."
-        return Table(("", "value"), rows, caption, digits=5).html()
+        return facts(rows, caption, digits=5).html()
 
 
 @one_thread

@@ -28,7 +28,7 @@ from robsmooth.delay import DelayModel, pade_delay
 from robsmooth.errors import InfeasibleDesignError
 from robsmooth.statespace import Blocks
 from robsmooth.systems import UncertainSystem
-from robsmooth.tables import Table
+from robsmooth.tables import facts
 from robsmooth.validation import Matrix, frozen
 
 if TYPE_CHECKING:
@@ -271,7 +271,7 @@ class AugmentedSystem:
             f"Augmented system: {self.n} states, of which {self.n - self.system.n} model the delay "
             f"of ${notation.number(self.delay)}$ s with order {self.order}."
         )
-        return Table(("", "value"), rows, caption).html()
+        return facts(rows, caption).html()
 
     def _no_columns(self, count: int) -> Matrix:
         return np.zeros((self.system.n, count))

@@ -48,6 +48,12 @@ def scalar_bound(
     return _value(parameters, _Y(parameters, p, tau), _x(parameters, p, J_21), p, tau)
 
 
+def least_tau(parameters: HomodyneParameters, p: float) -> float:
+    """Return the tau below which there is no Y, and so no design, in rad^2 s."""
+    s, c2 = _squares(parameters)
+    return parameters.kappa / (parameters.lam**2 + parameters.kappa * p * (s - c2))
+
+
 def prove_infimum(parameters: HomodyneParameters, target: float, J_21: float = 1.0) -> int:
     """Prove that no design of the example has a bound below a target, by branch and bound.
 
@@ -80,8 +86,7 @@ def prove_infimum(parameters: HomodyneParameters, target: float, J_21: float = 1
             f"gamma={parameters.gamma:g}, beta={parameters.beta:g}"
         )
     # below the first of these there is no Y, for any p
-    least = parameters.kappa / (parameters.lam**2 + parameters.kappa * (s - c2))
-    taus = least * np.concatenate([np.geomspace(1.0, 1e9, 60), [np.inf]])
+    taus = least_tau(parameters, 1.0) * np.concatenate([np.geomspace(1.0, 1e9, 60), [np.inf]])
     ps = np.linspace(0.0, 1.0, 41)
     low = np.stack(np.meshgrid(ps[:-1], taus[:-1]), -1).reshape(-1, 2)
     high = np.stack(np.meshgrid(ps[1:], taus[1:]), -1).reshape(-1, 2)

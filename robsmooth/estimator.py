@@ -19,7 +19,7 @@ from robsmooth import notation, validation
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.discrete import DiscreteSmoother
 from robsmooth.statespace import Blocks
-from robsmooth.tables import Table
+from robsmooth.tables import facts
 from robsmooth.validation import Matrix, frozen
 
 if TYPE_CHECKING:
@@ -151,4 +151,4 @@ class Estimator:
         caption = (
             f"{what}: lag ${notation.number(plant.delay)}$ s, delay model of order {plant.order}."
         )
-        return Table(("", "value"), [*rows, *shared], caption, digits=6).html()
+        return facts([*rows, *shared], caption, digits=6).html()

@@ -110,10 +110,9 @@ class RobustSmoother(Estimator):
         )
 
     def _repr_html_(self) -> str:
-        rows = [(f"bound $V$ on half the {self.cost} error, (unit of $w$)²", self.bound)]
-        if self.bound_infimum is not None:
-            rows.append(("its infimum, which no design attains", self.bound_infimum))
-        rows += [
+        rows = [
+            (f"bound $V$ on half the {self.cost} error, (unit of $w$)²", self.bound),
+            ("its infimum, which no design attains", self.bound_infimum),
             (r"$\tau$, s (unit of $w$)²", self.tau),
             (r"multipliers $\lambda$", f"${notation.vector(self.multipliers)}$"),
             (r"$\rho(YX)/\tau$, below 1", self.spectral_radius / self.tau),

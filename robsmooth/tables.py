@@ -4,7 +4,7 @@ import csv
 import html
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,7 +27,7 @@ class Table:
     rows : sequence of sequences
         Cells: words, numbers, or None for an empty one.
     caption : str
-        What the table shows.
+        What the table shows; empty for none.
     digits : int
         Significant digits of the numbers in print; CSV has twelve.
     """
@@ -42,7 +42,7 @@ class Table:
         rows = [self.columns, ["---"] * len(self.columns), *self._printed_rows()]
         lines = [" | ".join(cell.replace("|", r"\|") for cell in row) for row in rows]
         body = "\n".join(f"| {line} |" for line in lines)
-        return f"{body}\n\n*{self.caption}*\n"
+        return f"{body}\n\n*{self.caption}*\n" if self.caption else f"{body}\n"
 
     def html(self) -> str:
         """Return the table for HTML; MathJax typesets its mathematics."""
@@ -58,8 +58,9 @@ class Table:
         body = "\n".join(
             f"<tr>{''.join(map(self._html_cell, row, styles))}</tr>" for row in self.rows
         )
+        caption = f"<caption>{_html(self.caption)}</caption>\n" if self.caption else ""
         return (
-            f'<table class="tex2jax_process">\n<caption>{_html(self.caption)}</caption>\n'
+            f'<table class="tex2jax_process">\n{caption}'
             f"<thead>\n<tr>{header}</tr>\n</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n"
         )
 
@@ -72,7 +73,7 @@ class Table:
         lines = (
             r"\begin{table}",
             r"\centering",
-            rf"\caption{{{_latex(self.caption)}}}",
+            *([rf"\caption{{{_latex(self.caption)}}}"] if self.caption else []),
             rf"\begin{{tabular}}{{{'l' * len(self.columns)}}}",
             r"\toprule",
             header,
@@ -121,6 +122,12 @@ class Table:
         if cell is None:
             return ""
         return f"{cell:.{self.digits}g}" if isinstance(cell, float) else str(cell)
+
+
+def facts(rows: Iterable[tuple[str, Cell]], caption: str, digits: int = 4) -> Table:
+    """Return a table of values by their names, without those that are None."""
+    known = [(name, value) for name, value in rows if value is not None]
+    return Table(("", "value"), known, caption, digits)
 
 
 def _numeric(column: Sequence[str]) -> bool:

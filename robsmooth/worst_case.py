@@ -30,7 +30,7 @@ from robsmooth.covariance import closed_loop, error_covariance
 from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import OpenLoop, guarantee, open_loop
-from robsmooth.tables import Table
+from robsmooth.tables import Table, facts
 from robsmooth.validation import Matrix, frozen
 
 Evaluation = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -90,9 +90,8 @@ class WorstCase:
             ("worst relative to the guarantee", self.tightness),
             (r"$\Delta$ of the worst", f"${notation.matrix(self.Delta)}$"),
         ]
-        rows = [row for row in rows if row[1] is not None]
         caption = "Mean square errors, in the squared unit of $w$, and the worst uncertainty."
-        return Table(("", "value"), rows, caption, digits=5).html()
+        return facts(rows, caption, digits=5).html()
 
 
 @dataclass(frozen=True, eq=False)

@@ -82,18 +82,27 @@ def assert_within(values, expected, standard_error):
     )
 
 
-def looking_at_nothing(uncertainty):
-    """dx = (-x + xi) dt + dW, |xi| <= uncertainty |x|, and an estimate of zero."""
-    system = UncertainSystem(
+def two_channels(state=0.0, measurement=0.0, C2=1.0, **more):
+    """dx = (-x + xi_1) dt + dW_1, dy = (C2 x + xi_2) dt + dW_2, without nonlinearities of its own.
+
+    The first uncertainty is at most state |x|, the second measurement |x|.
+    """
+    return UncertainSystem(
         A=[[-1.0]],
         B1=[[1.0, 0.0]],
         C0=[[1.0]],
-        C2=[[1.0]],
+        C2=[[C2]],
         D21=[[0.0, 1.0]],
         uncertainties=[
-            Uncertainty(B=[[1.0]], C=[[uncertainty]], D=[[0.0]]),
-            Uncertainty(B=[[0.0]], C=[[0.0]], D=[[1.0]]),
+            Uncertainty(B=[[1.0]], C=[[state]], D=[[0.0]]),
+            Uncertainty(B=[[0.0]], C=[[measurement]], D=[[1.0]]),
         ],
+        **more,
     )
+
+
+def looking_at_nothing(uncertainty):
+    """dx = (-x + xi) dt + dW, |xi| <= uncertainty |x|, and an estimate of zero."""
     zeros = {name: np.zeros((1, 1)) for name in ("B_c", "C_c", "C_a", "C_f")}
-    return Estimator(plant=augment(system, 0.0, 0), A_c=np.array([[-1.0]]), **zeros)
+    plant = augment(two_channels(uncertainty), 0.0, 0)
+    return Estimator(plant=plant, A_c=np.array([[-1.0]]), **zeros)

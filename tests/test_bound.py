@@ -23,6 +23,7 @@ from robsmooth.bound import VANISHING
 from robsmooth.certificate import scalar_bound
 from robsmooth.limit import limiting_smoother
 from robsmooth.smoother import multiplier_level
+from tests.loops import two_channels
 from tests.strategies import feasible_design, plants, random_system, seeds
 
 COSTS = ("filtered", "smoothed")
@@ -206,21 +207,6 @@ def test_search_is_reproducible_and_does_not_depend_on_its_seed(example, best):
     assert other.bound_infimum == pytest.approx(best.bound_infimum, rel=1e-10)
 
 
-def two_channels(c=0.4):
-    """A scalar system with two uncertainties and no nonlinearity."""
-    return UncertainSystem(
-        A=[[-1.0]],
-        B1=[[1.0, 0.0]],
-        C0=[[1.0]],
-        C2=[[1.0]],
-        D21=[[0.0, 1.0]],
-        uncertainties=[
-            Uncertainty([[1.0]], [[c]], [[0.0]]),
-            Uncertainty([[0.0]], [[c]], [[1.0]]),
-        ],
-    )
-
-
 def two_channel_bound(tau, l1, l2, c):
     """V of `two_channels` from its two quadratic equations, solved by hand."""
     q, w = tau * (l1 + l2) * c**2, 1 / l1
@@ -235,7 +221,7 @@ def two_channel_bound(tau, l1, l2, c):
 
 @pytest.mark.parametrize("c", [0.1, 0.45])
 def test_an_attained_minimum_has_no_infimum_and_is_that_of_a_grid(c):
-    design = minimize_bound(augment(two_channels(c), 0.0, 0), starts=2)
+    design = minimize_bound(augment(two_channels(c, c), 0.0, 0), starts=2)
     assert design.bound_infimum is None
     log_tau, l1, l2 = np.meshgrid(
         np.linspace(np.log(0.3), np.log(300), 120),
@@ -372,7 +358,7 @@ def test_multipliers_that_are_zero_at_an_attained_minimum_are_zero():
 
 
 def test_a_measurement_too_uncertain_to_use_is_an_infimum_as_its_multiplier_vanishes():
-    system = two_channels()
+    system = two_channels(0.4, 0.4)
     unusable = Uncertainty([[0.0]], [[5.0]], [[1.0]])
     noisy = replace(system, uncertainties=[system.uncertainties[0], unusable])
     best = minimize_bound(augment(noisy, 0.0, 0))
@@ -381,7 +367,7 @@ def test_a_measurement_too_uncertain_to_use_is_an_infimum_as_its_multiplier_vani
 
 
 def test_feasible_points_are_found_by_way_of_a_smaller_uncertainty(monkeypatch):
-    plant = augment(two_channels(c=0.9), 0.0, 0)
+    plant = augment(two_channels(0.9, 0.9), 0.0, 0)
     best = minimize_bound(plant)
     paths = []
     monkeypatch.setattr(bound_module, "_feasible", lambda face, sample: [])
@@ -401,18 +387,18 @@ def test_feasible_points_are_found_by_way_of_a_smaller_uncertainty(monkeypatch):
 
 
 def test_an_infeasible_problem_is_an_error_that_names_a_condition():
-    plant = augment(two_channels(c=5.0), 0.0, 0)
+    plant = augment(two_channels(5.0, 5.0), 0.0, 0)
     with pytest.raises(InfeasibleDesignError, match="no design was found; the largest") as caught:
         minimize_bound(plant)
     assert caught.value.condition.startswith("Assumption 3")
-    unstable = replace(two_channels(), A=[[1.0]])
+    unstable = replace(two_channels(0.4, 0.4), A=[[1.0]])
     with pytest.raises(InfeasibleDesignError, match="stable"):
         minimize_bound(augment(unstable, 0.0, 0))
 
 
 def test_a_measurement_without_noise_is_named_before_the_search():
     quiet = UncertainSystem(
-        [[-1.0]], [[0.0]], [[1.0]], [[1.0]], [[0.0]], two_channels().uncertainties
+        [[-1.0]], [[0.0]], [[1.0]], [[1.0]], [[0.0]], two_channels(0.4, 0.4).uncertainties
     )
     with pytest.raises(InfeasibleDesignError, match=r"^Assumption 2 fails"):
         minimize_bound(augment(quiet, 0.0, 0))

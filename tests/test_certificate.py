@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robsmooth import InfeasibleDesignError, augment, design_smoother, minimize_bound
-from robsmooth.certificate import prove_infimum, scalar_bound
+from robsmooth.certificate import least_tau, prove_infimum, scalar_bound
 from robsmooth.homodyne import PAPER
 from robsmooth.limit import limiting_smoother
 
@@ -58,6 +58,13 @@ def test_nothing_is_below_the_infimum_of_the_example(J_21):
     assert prove_infimum(PAPER, best.bound_infimum * (1 - 1e-6), J_21) > 1000
     with pytest.raises(ValueError, match="V is"):
         prove_infimum(PAPER, best.bound_infimum * (1 + 1e-4), J_21)
+
+
+@pytest.mark.parametrize("p", [0.1, 0.5])
+def test_designs_begin_at_the_least_tau(p):
+    edge = least_tau(PAPER, p)
+    assert np.isinf(scalar_bound(PAPER, p, edge * (1 - 1e-9)))
+    assert np.isfinite(scalar_bound(PAPER, p, edge * (1 + 1e-9)))
 
 
 def test_a_target_that_designs_are_below_is_not_proven():

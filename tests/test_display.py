@@ -17,6 +17,7 @@ from robsmooth import homodyne, notation
 from robsmooth.reproduction import Verdict, Verdicts
 from robsmooth.riccati import solve_riccati
 from robsmooth.tables import Table
+from tests.loops import two_channels
 from tests.strategies import designs, plants, random_system, seeds
 
 PAPER = homodyne.PAPER
@@ -310,18 +311,7 @@ def test_designs_of_any_size_show_themselves(design):
 
 def test_a_loop_without_a_bound_shows_itself():
     """Infinite errors, no multipliers, no guarantee."""
-    unseen = rs.UncertainSystem(
-        A=[[-1.0]],
-        B1=[[1.0, 0.0]],
-        C0=[[1.0]],
-        C2=[[0.0]],
-        D21=[[0.0, 1.0]],
-        uncertainties=[
-            rs.Uncertainty([[1.0]], [[2.0]], [[0.0]]),
-            rs.Uncertainty([[0.0]], [[0.0]], [[1.0]]),
-        ],
-    )
-    estimator = rs.baselines.kalman_bucy(unseen)
+    estimator = rs.baselines.kalman_bucy(two_channels(2.0, C2=0.0))
     bound, worst = rs.analysis_bound(estimator, "filtered"), rs.worst_case(estimator, "filtered")
     assert math.isinf(bound.mean_square) and math.isinf(worst.mean_square)
     assert "guarantee" not in check_display(bound)["html"]

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 from robsmooth import (
     InfeasibleDesignError,
     Nonlinearity,
-    UncertainSystem,
     Uncertainty,
     augment,
     design_smoother,
@@ -18,6 +17,7 @@ from robsmooth import (
 from robsmooth.covariance import closed_loop
 from robsmooth.limit import limiting_smoother
 from robsmooth.smoother import multiplier_level
+from tests.loops import two_channels
 from tests.strategies import admissible_delta, random_system
 
 COSTS = ("filtered", "smoothed")
@@ -226,18 +226,8 @@ def test_noise_without_bound_that_no_measurement_sees_is_refused(example):
 
 
 def test_a_plant_that_is_not_stable_with_its_own_nonlinearity_has_no_limit():
-    system = UncertainSystem(
-        A=[[-1.0]],
-        B1=[[1.0, 0.0]],
-        C0=[[1.0]],
-        C2=[[1.0]],
-        D21=[[0.0, 1.0]],
-        uncertainties=[
-            Uncertainty([[1.0]], [[0.0]], [[0.0]]),
-            Uncertainty([[0.0]], [[0.0]], [[1.0]]),
-        ],
-        nonlinearities=[Nonlinearity([[1.0]], [[1.1]], [[0.0]], lipschitz=1.0)],
-    )
+    channel = Nonlinearity([[1.0]], [[1.1]], [[0.0]], lipschitz=1.0)
+    system = two_channels(nonlinearities=[channel])
     with pytest.raises(InfeasibleDesignError, match=r"in the limit fails"):
         limiting_smoother(augment(system, 0.0, 0), 100.0, [0.5, 0.5, 0.2, 0.0, 0.0])
 

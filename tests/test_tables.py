@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+from dataclasses import replace
 from html.parser import HTMLParser
 
 from robsmooth.tables import Table
@@ -38,6 +39,13 @@ def test_csv_holds_twelve_digits():
     assert rows[0] == list(TABLE.columns)
     assert float(rows[1][1]) == 0.123456789
     assert rows[2][1] == ""
+
+
+def test_without_a_caption_none_is_written():
+    bare = replace(TABLE, caption="")
+    assert TABLE.markdown() == f"{bare.markdown()}\n*{TABLE.caption}*\n"
+    assert "caption" in TABLE.html() and "caption" in TABLE.latex()
+    assert "caption" not in bare.html() + bare.latex()
 
 
 def test_saving_writes_the_three_formats(tmp_path):

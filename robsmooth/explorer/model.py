@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 
 from robsmooth import baselines
 from robsmooth.augmented import augment
-from robsmooth.certificate import scalar_bound
+from robsmooth.certificate import least_tau, scalar_bound
 from robsmooth.covariance import (
     StatisticalLinearisation,
     closed_loop,
@@ -29,6 +29,7 @@ from robsmooth.estimator import Estimator
 from robsmooth.explorer.settings import Settings
 from robsmooth.exponential import phi_functions
 from robsmooth.homodyne import HomodyneParameters
+from robsmooth.interconnection import open_loop
 from robsmooth.limit import limiting_smoother
 from robsmooth.loop import Loop, homodyne_loop
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
@@ -186,8 +187,7 @@ def robust_arguments(settings: Settings) -> tuple[float, tuple[float, ...]]:
     if settings.design == "by hand":
         return settings.tau, settings.multipliers
     parameters, p = settings.parameters, sum(BEST_MULTIPLIERS[1:3])
-    squares = (2.0 * parameters.alpha) ** 2 * (parameters.beta**2 - parameters.gamma**2)
-    least = parameters.kappa / (parameters.lam**2 + parameters.kappa * p * squares)
+    least = least_tau(parameters, p)
     tau = _best_tau(
         lambda tau: float(scalar_bound(parameters, p, tau)), least, 10.0**_TAU_DECADES * least, 1e-6
     )
@@ -253,9 +253,9 @@ def _filtered(estimator: Estimator) -> NDArray[np.float64]:
 
 
 def _against_the_model(smoother: RobustSmoother) -> NDArray[np.float64]:
-    plant = smoother.plant
-    error = np.hstack([plant.C_a, -smoother.C_c[:1]])[0]
-    deltas = (plant.structured_delta((), [slope]) for slope in ADMISSIBLE)
+    loop = open_loop(smoother, "guaranteed", copy_noise=True)
+    error = (loop.truth - loop.estimate)[0]
+    deltas = (smoother.plant.structured_delta((), [slope]) for slope in ADMISSIBLE)
     covariances = [closed_loop(smoother, Delta).covariance() for Delta in deltas]
     return np.array([error @ P @ error for P in covariances])
 
