@@ -64,14 +64,21 @@ def read_published(path: Path) -> dict:
                 if field not in entry:
                     name = entry.get("id", "without id")
                     raise ValueError(f"{path.name}: [[{section}]] {name} lacks {field!r}")
-    for entry in content["quantity"]:
-        for index, text in each_entry(entry["printed"]):
-            try:
-                float(text)
-            except (TypeError, ValueError):
-                raise ValueError(
-                    f"{path.name}: {entry['id']}{index} must be a number in quotes, got {text!r}"
-                ) from None
+    numbers = [
+        (f"{entry['id']}{index}", text)
+        for entry in content["quantity"]
+        for index, text in each_entry(entry["printed"])
+    ]
+    for statement in content["statement"]:
+        for field in statement.keys() - set(fields["statement"]):
+            numbers.append((f"{field} of {statement['id']}", statement[field]))
+    for name, text in numbers:
+        try:
+            float(text)
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"{path.name}: {name} must be a number in quotes, got {text!r}"
+            ) from None
     return content
 
 
@@ -82,6 +89,20 @@ def printed(name: str) -> float | Matrix:
         raise KeyError(f"the paper prints no {name!r}; it has {', '.join(quantities)}")
     value = np.array(quantities[name], dtype=float)
     return float(value) if value.ndim == 0 else value
+
+
+def stated(name: str, field: str) -> str:
+    """Return a number that a statement is about, with the printed digits.
+
+    Raises
+    ------
+    ValueError
+        Where published.toml lacks it.
+    """
+    for statement in published()["statement"]:
+        if statement["id"] == name and field in statement:
+            return statement[field]
+    raise ValueError(f"published.toml: [[statement]] {name} lacks {field!r}")
 
 
 def printed_multipliers() -> np.ndarray:
@@ -104,6 +125,18 @@ def last_digit(text: str) -> float:
     mantissa, _, exponent = text.lower().partition("e")
     decimals = len(mantissa.partition(".")[2])
     return 10.0 ** (int(exponent or 0) - decimals)
+
+
+def agrees(text: str, low: float, high: float, zero: float = 0.0) -> bool:
+    """Tell whether some value in [low, high] is printed as `text`, rounded or cut off."""
+    number = float(text)
+    if number == 0.0:
+        return low <= zero and high >= -zero
+    if number < 0.0:
+        number, low, high = -number, -high, -low
+    unit = last_digit(text)
+    tiny = 1e-9 * number
+    return high >= number - unit / 2 - tiny and low < number + unit
 
 
 def rounding_box() -> list[tuple[float, np.ndarray]]:

@@ -16,11 +16,11 @@ import numpy as np
 from robsmooth import statements, validation
 from robsmooth.blas import one_thread
 from robsmooth.published import (
+    agrees,
     corrected_smoother,
     data_folder,
     each_entry,
     flipped_design,
-    last_digit,
     paper_plant,
     printed,
     printed_multipliers,
@@ -297,34 +297,22 @@ class _Values:
             ends = self._design_range[name] if kind == "design" else (whole, whole)
             low, high = (np.asarray(end)[index] for end in ends)
             zero = _ZERO * np.abs(whole).max()
-            agrees = _agrees(text, float(low), float(high), zero)
+            same = agrees(text, float(low), float(high), zero)
             value = 0.0 if abs(value) < zero else value  # rounding noise would differ by machine
             number = float(text)
             yield Verdict(
                 **common,
                 value=value,
                 relative_difference=(value - number) / abs(number) if number else None,
-                verdict=self._outcome(kind, agrees),
-                reason="" if agrees else entry["why"],
+                verdict=self._outcome(kind, same),
+                reason="" if same else entry["why"],
             )
 
     @staticmethod
-    def _outcome(kind: str, agrees: bool) -> str:
-        if not agrees:
+    def _outcome(kind: str, same: bool) -> str:
+        if not same:
             return NOT_REPRODUCED
         return WITH_FLIPPED_SIGN if kind == "design" else REPRODUCED
-
-
-def _agrees(text: str, low: float, high: float, zero: float) -> bool:
-    """Tell whether some value in [low, high] is printed as `text`, rounded or cut off."""
-    number = float(text)
-    if number == 0.0:
-        return low <= zero and high >= -zero
-    if number < 0.0:
-        number, low, high = -number, -high, -low
-    unit = last_digit(text)
-    tiny = 1e-9 * number
-    return high >= number - unit / 2 - tiny and low < number + unit
 
 
 def _cut(text: str, length: int = 40) -> str:

@@ -10,6 +10,21 @@ from robsmooth.errors import InfeasibleDesignError
 from robsmooth.smoother import design_smoother
 
 
+def test_the_example_has_the_printed_inputs():
+    names = {"lam": "lambda"}
+    for field, value in vars(homodyne.PAPER).items():
+        assert value == published.printed(names.get(field, field))
+    assert published.printed("delta") == published.DELAY
+    assert published.printed("Pade order") == published.ORDER
+
+
+def test_numbers_of_a_statement_are_in_its_words():
+    (statement,) = (s for s in published.published()["statement"] if "percent" in s)
+    assert f"{published.stated('41%', 'percent')}% larger" in statement["text"]
+    with pytest.raises(ValueError, match="sector lacks 'percent'"):
+        published.stated("sector", "percent")
+
+
 def test_the_paper_coordinates_realise_the_pade_model():
     omega = np.geomspace(1e3, 1e8, 50)
     ours = pade_delay(published.DELAY, published.ORDER).response(omega)
@@ -72,6 +87,11 @@ def test_the_printed_estimator_performs_like_the_recomputed_one():
         (lambda text: "", r"has no \[\[quantity\]\]"),
         (lambda text: text.replace('kind = "model"\n', "", 1), "lacks 'kind'"),
         (lambda text: text.replace('printed = "1162"', 'printed = "many"'), "must be a number"),
+        (lambda text: text.replace('percent = "41"', "percent = 41.5j"), "cannot be read"),
+        (
+            lambda text: text.replace('percent = "41"', 'percent = "most"'),
+            "percent of 41% must be a number in quotes, got 'most'",
+        ),
     ],
 )
 def test_a_corrupt_file_of_published_values_is_one_clear_error(tmp_path, change, message):

@@ -53,8 +53,9 @@ def sign_readings(plant: AugmentedSystem, tau: float, multipliers: Sequence[floa
             continue
         A_c, B_c, C_c, bound = equations.gains(X, Y)
         rows.append((text, A_c[0, 0], B_c[0, 1], C_c[0, 0], C_c[1, 0], bound))
-    A_c, B_c, C_c = (published.printed(name) for name in ("A_c", "B_c", "C_c"))
-    rows.append(("printed", A_c[0, 0], B_c[0, 1], C_c[0, 0], C_c[1, 0], 0.15))
+    names = ("A_c", "B_c", "C_c", "V at the printed tau, lambda")
+    A_c, B_c, C_c, bound = (published.printed(name) for name in names)
+    rows.append(("printed", A_c[0, 0], B_c[0, 1], C_c[0, 0], C_c[1, 0], bound))
     return Table(
         columns=("sign", "$A_c[0,0]$", "$B_c[0,1]$", "$C_c[0,0]$", "$C_c[1,0]$", "$V$"),
         rows=rows,

@@ -195,6 +195,7 @@ def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParamete
         (ngcf, "filtered", published.printed("error covariance, NGCF")),
     )
     runs = published.printed("runs")
+    both = " and ".join(f"{target:g}" for _, _, target in targets)
     rows = []
     for change in _CHANGES:
         factors = [_factor_for(*target, change, values) for target in targets]
@@ -216,9 +217,9 @@ def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParamete
         ),
         rows=rows,
         caption=(
-            "The factor on one number of the loop at which each printed error (0.0605 and 0.1031 "
-            "rad²) is predicted, and what is predicted at the mean of the two factors; in "
-            f"brackets, how far off, in standard errors of a simulation of {runs:.0f} runs."
+            f"The factor on one number of the loop at which each printed error ({both} rad²) is "
+            "predicted, and what is predicted at the mean of the two factors; in brackets, how "
+            f"far off, in standard errors of a simulation of {runs:.0f} runs."
         ),
     )
 
