@@ -68,14 +68,17 @@ def smoothing_improves(parameters: HomodyneParameters, lag: float) -> Finding:
 
 
 def sector(parameters: HomodyneParameters) -> Finding:
-    """Test the remainder against gamma wherever the sine is in the sector [m, 1]."""
+    """Test the remainder against gamma wherever the sine is in the sector [m, 1].
+
+    The printed gamma = (1 - m)/2 gives m.
+    """
     m, gamma, beta = parameters.sector_slope, parameters.gamma, parameters.beta
     error = np.linspace(0.0, np.pi, 5001)[1:]
     error = error[np.sin(error) >= m * error]
     ratio = float(np.abs(parameters.remainder(error) / error).max())
     value = (
-        f"m = {m:.3g}; where the sine is in [m, 1], |f| <= {ratio:.3g} |mu_1|, and gamma is "
-        f"{gamma:g}"
+        f"m = {m:.3g}; where sin(mu_1)/mu_1 is in [m, 1], |f| is up to {ratio:.3g} |mu_1|, and "
+        f"gamma is {gamma:g}"
     )
     if ratio <= gamma * (1.0 + _EQUAL):
         return True, value, ""

@@ -35,6 +35,7 @@ QUANTITIES = (
     "nominal",
     "edge",
     "optimal",
+    "optimal_filtered",
     "filtered",
     "filtered_error",
     "smoothed",
@@ -54,9 +55,10 @@ class Study:
     quantities : dict of str to (gammas, noises, orders, lags) array
         "bound": on the filtered mean square error, twice the cost V (rad^2); "nominal", "edge": the
         linear smoothed mean square error where the sine is its tangent, and at the sector's edge;
-        "optimal": the exact optimum of the tangent's fixed-lag problem; "filtered", "smoothed": the
-        nonlinear mean square errors of paths in lock, and "filtered_error", "smoothed_error" their
-        standard errors; "slip_rate" (1/s). Not a number without a design or a path in lock.
+        "optimal": the exact optimum of the tangent's fixed-lag problem, and "optimal_filtered" that
+        without a lag, the Kalman-Bucy filter's; "filtered", "smoothed": the nonlinear mean square
+        errors of paths in lock, and "filtered_error", "smoothed_error" their standard errors;
+        "slip_rate" (1/s). Not a number without a design or a path in lock.
     failures : dict of (gamma, noise) to str
         Why there is no design.
     """
@@ -77,6 +79,11 @@ class Study:
     def ratio(self) -> NDArray[np.float64]:
         """Smoothed over filtered mean square error in the nonlinear loop."""
         return self.quantities["smoothed"] / self.quantities["filtered"]
+
+    @property
+    def optimal_ratio(self) -> NDArray[np.float64]:
+        """The same of the optimal estimators in the linear loop: one without a lag."""
+        return self.quantities["optimal"] / self.quantities["optimal_filtered"]
 
     def __repr__(self) -> str:
         sizes = " x ".join(f"{len(getattr(self, name + 's'))} {name}s" for name in AXES)
@@ -211,6 +218,7 @@ def _column(
         for name, value in _measure(loop, smoother, runs, seed).items():
             quantities[name][a, b] = value
         quantities["optimal"][a, b] = baselines.optimal_fixed_lag_error(system, lag)[0, 0]
+    quantities["optimal_filtered"][:] = baselines.optimal_fixed_lag_error(system, 0.0)[0, 0]
     return {"quantities": {name: values.tolist() for name, values in quantities.items()}}
 
 

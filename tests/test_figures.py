@@ -10,8 +10,19 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from robsmooth import augment, baselines, diagrams, figures, homodyne, sample_paths
+from robsmooth import (
+    InfeasibleDesignError,
+    augment,
+    baselines,
+    design_smoother,
+    diagrams,
+    figures,
+    homodyne,
+    sample_paths,
+)
+from robsmooth.certificate import scalar_bound
 from robsmooth.comparison import compare
+from robsmooth.figures.maps import shade
 from robsmooth.lag import lag_sweep
 from robsmooth.limit import limiting_smoother
 from robsmooth.montecarlo import MeanSquare
@@ -27,6 +38,7 @@ RESULTS = {
     "NGCF": [MeanSquare(0.09, 0.002), MeanSquare(0.1, 0.002)],
 }
 
+FRACTIONS = np.geomspace(1e-6, 1e-2, 7)  # lambda_3 = lambda_4 of a landscape
 LAGS, NOISES = (0.3e-6, 3e-6, 3.1e-6, 30e-6), (0.1, 1.0, 6.0)
 SHAPE = (1, len(NOISES), 2, len(LAGS))
 ERRORS = dict.fromkeys(QUANTITIES, np.full(SHAPE, 0.04)) | {
@@ -192,6 +204,108 @@ def test_the_smoothed_path_is_drawn_at_the_time_that_it_is_for():
     lines = {line.get_label(): line for line in axes.lines}
     shift = lines["true"].get_xdata() - lines["smoothed"].get_xdata()
     assert np.allclose(shift, 3.1)  # µs
+
+
+def hatched(axes, label):
+    """A function that tells whether a point of the axes is hatched with a label, as it is drawn."""
+    for patch in axes.patches:
+        seen = patch.get_label() == label
+        patch.set(hatch=None, facecolor="#00ff00" if seen else "#ff0000", antialiased=False)
+    for line in axes.lines:
+        line.set_visible(False)
+    axes.figure.canvas.draw()
+    pixels = np.asarray(axes.figure.canvas.buffer_rgba())
+
+    def tell(x, y):
+        place = (axes.transData - axes.transAxes).transform((x, y))
+        place = np.clip(place, 0.03, 0.97)  # on the edge is a line
+        column, row = axes.transAxes.transform(place).astype(int)
+        return tuple(pixels[len(pixels) - 1 - row, column, :3]) == (0, 255, 0)
+
+    return tell
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_map_is_hatched_at_the_points_of_its_grid_without_a_value_and_no_others(seed):
+    rng = np.random.default_rng(seed)
+    x, y = np.geomspace(1.0, 10.0, 7), np.linspace(1.0, 2.0, 5)
+    values = np.where(rng.random((5, 7)) < 0.3, np.nan, rng.uniform(0.0, 9.0, (5, 7)))
+    _, axes = plt.subplots()
+    axes.set(xscale="log")
+    shade(axes, x, y, values, [0.0, 1.0, 4.0], missing="nothing")
+    tell = hatched(axes, "nothing")
+    found = [[tell(a, b) for a in x] for b in y]
+    assert np.array_equal(found, np.isnan(values))
+    assert axes.get_xlim() == (1.0, 10.0) and axes.get_ylim() == (1.0, 2.0)
+    assert axes.patch.get_hatch() is None
+
+
+def test_a_map_with_all_its_values_has_no_hatch():
+    _, axes = plt.subplots()
+    shade(axes, np.arange(3.0), np.arange(2.0), np.ones((2, 3)), [0.0, 2.0], missing="nothing")
+    assert not axes.patches
+
+
+def test_landscapes_are_hatched_where_there_is_no_design_and_nowhere_else():
+    plant = augment(SYSTEM, 3.1e-6, 2)
+    bests = {}
+    for cost, tau in (("filtered", 1.0987e-6), ("smoothed", 0.7023e-6)):
+        limit = limiting_smoother(plant, tau, [1.0, 0.5, 0.0, 0.0], cost)
+        bests[cost] = replace(limit, limit=limit)
+    figure = figures.two_landscapes(bests, points=7)
+    for axes, (cost, best) in zip(figure.axes[:2], bests.items(), strict=True):
+        tell = hatched(axes, "no design")
+
+        def there(tau, fraction, best=best, cost=cost):
+            try:
+                multipliers = [1.0, 0.5 - fraction / 2, fraction, fraction]
+                return design_smoother(best.plant, tau, multipliers, cost).bound > 0.0
+            except InfeasibleDesignError:
+                return False
+
+        for tau in (2.2e-6, 2.5e-6, 3.2e-6, 5e-6):
+            assert there(tau, 1e-6)
+            assert not tell(1e-6, 1e6 * tau)
+        low, high = axes.get_ylim()
+        tried = [there(1e-6 * t, f) for t in np.geomspace(low, high, 7) for f in FRACTIONS]
+        drawn = [tell(f, t) for t in np.geomspace(low, high, 7) for f in FRACTIONS]
+        assert [not each for each in tried] == drawn
+        assert 0 < sum(tried) < len(tried)
+
+
+def test_all_designs_are_hatched_where_the_bound_is_infinite():
+    (axes, _) = MAKERS["all_designs"]().axes
+    tell = hatched(axes, "no design")
+    for p, tau in itertools.product((0.2, 0.3, 0.45, 0.49, 0.51), (0.42, 0.55, 0.7, 2.0, 9.0)):
+        assert tell(p, tau) == np.isinf(scalar_bound(homodyne.PAPER, p, 1e-6 * tau))
+
+
+def test_no_gain_and_no_design_are_told_apart():
+    smoothed = ERRORS["smoothed"].copy()
+    smoothed[:, 0] = np.nan  # at the least noise there is no design
+    errors = ERRORS | {"smoothed": smoothed}
+    figure = figures.where_smoothing_pays(replace(STUDY, quantities=errors), 0.4, 3.1e-6)
+    no_design = hatched(figure.axes[0], "no design or lock")
+    ratio = (smoothed / ERRORS["filtered"])[0, :, -1]
+    points = [(1e6 * lag, noise) for noise in NOISES for lag in LAGS]
+    assert [no_design(*point) for point in points] == list(np.isnan(ratio).ravel())
+    no_gain = hatched(figure.axes[0], "no gain")
+    assert [no_gain(*point) for point in points] == list((ratio > 1).ravel())
+    assert (ratio > 1).any()
+
+
+def test_optimum_of_the_linear_loop_is_relative_to_the_filter_of_the_linear_loop():
+    def drawn(study):
+        axes = figures.where_smoothing_pays(study, 0.4, 3.1e-6).axes[1]
+        (line,) = (line for line in axes.lines if "linear loop" in line.get_label())
+        return line.get_ydata()
+
+    optimal = np.linspace(0.08, 0.04, np.prod(SHAPE)).reshape(SHAPE)
+    errors = ERRORS | {"optimal": optimal, "optimal_filtered": np.full(SHAPE, 0.08)}
+    study = replace(STUDY, quantities=errors)
+    assert np.array_equal(drawn(study), optimal[0, 1, -1] / 0.08)
+    noisier = replace(STUDY, quantities=errors | {"filtered": np.full(SHAPE, 0.2)})
+    assert np.array_equal(drawn(noisier), drawn(study))
 
 
 def test_curves_differ_by_more_than_their_colour():

@@ -46,6 +46,23 @@ def test_entries_are_those_of_the_designs(found):
     assert at["filtered"] == simulated.filtered.mean_square
     assert at["slip_rate"] == 0.0
     assert at["optimal"] == rs.baselines.optimal_fixed_lag_error(system, 3.1e-6)[0, 0]
+    kalman = rs.baselines.kalman_bucy(system)
+    linear = rs.error_covariance(kalman, kalman.plant.structured_delta(), "filtered", False)[0, 0]
+    assert at["optimal_filtered"] == pytest.approx(linear, rel=1e-9)
+
+
+def test_optimal_ratio_begins_at_one_and_falls_as_the_measurement_tells(monkeypatch):
+    # the optimum falls at first as dP/d(lag) = -P R^-1 P, with 1/R = (2 alpha beta)^2
+    monkeypatch.setattr(study_module, "_measure", lambda *_: {})
+    lags = np.array([1e-12, 1e-10, 1e-6])
+    study = parameter_study(PAPER, lags, orders=[1, 2], gammas=[0.3, 0.4], noises=[1.0])
+    ratio, P = study.optimal_ratio, study.quantities["optimal_filtered"][0, 0, 0, 0]
+    assert ratio.shape == (2, 1, 2, 3)
+    assert_array_equal(ratio, np.broadcast_to(ratio[:1, :, :1], ratio.shape))
+    fall = 1.0 - ratio[0, 0, 0]
+    assert fall[0] < 1e-6
+    assert fall[1] == pytest.approx(P * (2 * PAPER.alpha) ** 2 * lags[1], rel=1e-3)
+    assert 0.2 < fall[2] < 0.5
 
 
 def test_search_of_a_column_serves_every_lag_and_order(found):

@@ -3,7 +3,6 @@
 import textwrap
 from collections.abc import Mapping, Sequence
 
-import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,7 +11,8 @@ from matplotlib.ticker import MultipleLocator
 from robsmooth.certificate import scalar_bound
 from robsmooth.comparison import Compared
 from robsmooth.errors import InfeasibleDesignError
-from robsmooth.figures.style import MARK, NOWHERE, styles
+from robsmooth.figures.maps import hatch, shade
+from robsmooth.figures.style import MARK, TRUTH, styles
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.lag import LagSweep
 from robsmooth.smoother import RobustSmoother, design_smoother
@@ -32,6 +32,9 @@ _INFIMUM = {
 def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     """Draw what smoothing saves of the filtered error, over lag and noise, and for each order.
 
+    Both errors of a ratio are of one loop: those of the designs of the loop with its sine, those of
+    the optimal estimators of the linear one.
+
     Parameters
     ----------
     study : Study
@@ -42,31 +45,27 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     """
     i = study.gammas.index(gamma)
     ratio = study.ratio[i]
-    floor = (study.quantities["optimal"] / study.quantities["filtered"])[i]
     lags = 1e6 * np.array(study.lags)
     middle = int(np.argmin(np.abs(np.log(study.noises))))
     figure, (top, bottom) = plt.subplots(2, 1, figsize=(3.4, 5.4), sharex=True)
 
-    levels = np.arange(0, 61, 10)
-    saved = 100 * (1 - ratio[:, -1])
-    shading = top.contourf(lags, study.noises, saved, levels, extend="max")
-    top.contour(lags, study.noises, saved, [0], colors="k", linewidths=1.0)
-    top.patch.set(label="no gain", **NOWHERE)
-    best = lags[np.nanargmin(ratio[:, -1], axis=1)]
+    noises, saved = np.array(study.noises), 100 * (1 - ratio[:, -1])
+    shading = shade(top, lags, noises, saved, np.arange(0, 61, 10), missing="no design or lock")
+    hatch(top, lags, noises, -saved, "no gain", hatch="-----")
+    there = ~np.isnan(saved).all(axis=1)
+    best = lags[np.nanargmax(saved[there], axis=1)]
     points = {"linestyle": "none", "markeredgecolor": "k", "clip_on": False}
-    top.plot(best, study.noises, "o", color="w", label="best lag", **points)
+    top.plot(best, noises[there], "o", color="w", label="best lag", **points)
     star = {"markersize": 9, "label": "the paper's"} | points
-    top.plot(1e6 * lag, study.noises[middle], "*", color="C1", **star)
+    top.plot(1e6 * lag, noises[middle], "*", color="C1", **star)
     top.set(xscale="log", yscale="log", ylabel="shot noise / the paper's")
-    least, most = study.noises[0], study.noises[-1]
-    levels = [level for level in (0.1, 0.3, 1, 3, 10) if least <= level <= most]
-    top.set_yticks(levels, [f"{level:g}" for level in levels])
+    ticks = [tick for tick in (0.1, 0.3, 1, 3, 10) if noises[0] <= tick <= noises[-1]]
+    top.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     top.minorticks_off()
-    top.grid(visible=False)
     figure.colorbar(shading, ax=top, label="saved by smoothing (%)", pad=0.02)
 
-    optimum = floor[middle, -1]
-    bottom.fill_between(lags, 0.0, optimum, color="0.85", lw=0, label="below the linear optimum")
+    best_ratio = study.optimal_ratio[i, middle, -1]
+    bottom.plot(lags, best_ratio, label="both optimal, linear loop", **TRUTH)
     for order, look, values in zip(study.orders, styles(study.orders), ratio[middle], strict=True):
         bottom.plot(lags, values, label=f"order {order}", **look)
     bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
@@ -78,7 +77,7 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     bottom.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     bottom.minorticks_off()
     figure.legend(
-        handles=[top.patch, *top.lines, *bottom.get_legend_handles_labels()[0]],
+        handles=[*top.patches, *top.lines, *bottom.get_legend_handles_labels()[0]],
         loc="outside lower center",
         ncols=2,
     )
@@ -213,9 +212,9 @@ def two_landscapes(designs: Mapping[str, RobustSmoother], points: int = 25) -> F
     """
     figure, panels = plt.subplots(1, len(designs), figsize=(3.4, 2.6), sharey=True)
     fractions = np.geomspace(1e-6, 1e-2, points)
+    best_taus = [best.limit.tau for best in designs.values()]
+    taus = np.geomspace(0.4 * min(best_taus), 5.0 * max(best_taus), points)
     for axes, (title, best) in zip(panels, designs.items(), strict=True):
-        limit = best.limit
-        taus = limit.tau * np.geomspace(0.4, 3.0, points)
 
         def excess(tau: float, fraction: float, best: RobustSmoother = best) -> float:
             multipliers = [1.0, 0.5 - fraction / 2, fraction, fraction]
@@ -227,24 +226,16 @@ def two_landscapes(designs: Mapping[str, RobustSmoother], points: int = 25) -> F
 
         values = np.array([[excess(tau, fraction) for fraction in fractions] for tau in taus])
         levels = [0.0, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0]
-        shading = axes.contourf(
-            fractions,
-            1e6 * taus,
-            values,
-            levels,
-            norm=mpl.colors.BoundaryNorm(levels, 256),
-            extend="max",
-        )
-        (infimum,) = axes.plot(fractions[0], 1e6 * limit.tau, label="infimum (at 0)", **_INFIMUM)
-        axes.set(xscale="log", yscale="log", title=title)
-        axes.patch.set(label="no design", **NOWHERE)
-        axes.set(xlabel=r"$\lambda_3 = \lambda_4$")
-        axes.set_yticks([0.5, 1, 2, 3], ["0.5", "1", "2", "3"])
+        shading = shade(axes, fractions, 1e6 * taus, values, levels, missing="no design")
+        axes.plot(fractions[0], 1e6 * best.limit.tau, label="infimum (at 0)", **_INFIMUM)
+        axes.set(xscale="log", yscale="log", title=title, xlabel=r"$\lambda_3 = \lambda_4$")
+        axes.set_yticks([0.5, 1, 2, 5], ["0.5", "1", "2", "5"])
         axes.minorticks_off()
-        axes.grid(visible=False)
     panels[0].set(ylabel=r"$\tau$ (rad$^2\,$µs)")
     figure.colorbar(shading, ax=panels, label="bound above its infimum (%)", pad=0.02, format="%g")
-    figure.legend(handles=[infimum, axes.patch], loc="outside lower center", ncols=2)
+    drawn = [artist for axes in panels for artist in (*axes.lines, *axes.patches)]
+    handles = {artist.get_label(): artist for artist in drawn}.values()
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
 
 
@@ -266,18 +257,11 @@ def all_designs(
     values = scalar_bound(parameters, p[None, :], tau[:, None])
     figure, axes = plt.subplots(figsize=(3.4, 2.8))
     levels = [0.12, 0.125, 0.13, 0.14, 0.16, 0.2, 0.3, 0.5]
-    shading = axes.contourf(
-        p,
-        1e6 * tau,
-        np.where(np.isfinite(values), values, np.nan),
-        levels,
-        norm=mpl.colors.BoundaryNorm(levels, 256),
-        extend="max",
-    )
+    values[np.isinf(values)] = np.nan
+    shading = shade(axes, p, 1e6 * tau, values, levels, missing="no design")
     axes.plot(limit.multipliers[1:3].sum(), 1e6 * limit.tau, label="infimum", **_INFIMUM)
     cross = {"markersize": 6, "markeredgecolor": "k", "linestyle": "none"}
     axes.plot(printed[0], 1e6 * printed[1], "X", color="w", label="printed", **cross)
-    axes.patch.set(label="no design", **NOWHERE)
     axes.set(
         xlabel=r"$p = \lambda_2 + \lambda_3$",
         ylabel=r"$\tau$ (rad$^2\,$µs)",
@@ -286,7 +270,6 @@ def all_designs(
     axes.locator_params(axis="x", nbins=5)
     axes.set_yticks([0.5, 1, 2, 5, 10], ["0.5", "1", "2", "5", "10"])
     axes.minorticks_off()
-    axes.grid(visible=False)
     figure.colorbar(shading, ax=axes, label="bound $V$ (rad$^2$)", pad=0.02, format="%g")
-    figure.legend(handles=[*axes.lines, axes.patch], loc="outside lower center", ncols=3)
+    figure.legend(handles=[*axes.lines, *axes.patches], loc="outside lower center", ncols=3)
     return figure
