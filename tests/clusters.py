@@ -6,6 +6,7 @@ from contextlib import contextmanager
 import distributed
 
 from robsmooth.executors import connect
+from tests.waiting import PATIENCE
 
 
 def start_cluster(**options):
@@ -26,6 +27,6 @@ def cluster_of_threads(**options):
     options = {"n_workers": 1, "threads_per_worker": 2, "protocol": "tcp"} | options
     with (
         start_cluster(processes=False, **options) as cluster,
-        connect(cluster.scheduler_address) as client,
+        connect(cluster.scheduler_address, timeout=PATIENCE) as client,
     ):
         yield cluster, client

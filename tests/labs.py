@@ -13,6 +13,8 @@ from pathlib import Path
 import psutil
 from jupyter_server.serverapp import list_running_servers
 
+from tests.waiting import PATIENCE
+
 ROOT = Path(__file__).resolve().parent.parent
 STAMPS = [f"--old-file=.venv/{kind}.stamp" for kind in ("run", "dev", "bench")]
 
@@ -36,7 +38,7 @@ class Lab:
         """Status and content of the server's answer, redirections not followed."""
         headers = {"Authorization": f"token {token}"} if token else {}
         body = None if content is None else json.dumps(content)
-        with closing(HTTPConnection("127.0.0.1", self.port, timeout=60)) as connection:
+        with closing(HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE)) as connection:
             connection.request(method, path, body, headers)
             answer = connection.getresponse()
             return answer.status, answer.read()
@@ -92,13 +94,13 @@ def running_lab(home: Path, options: str = "") -> Iterator[Lab]:
         lab = _wait_for_lab(make, home, log)
         yield lab
         lab.request("POST", "/api/shutdown", lab.token)
-        make.wait(60)
+        make.wait(PATIENCE)
     finally:
         _kill(make)
 
 
 def _wait_for_lab(make: psutil.Popen, home: Path, log: Path) -> Lab:
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline and make.poll() is None:
         family = {process.pid for process in make.children(recursive=True)}
         try:
@@ -120,4 +122,4 @@ def _kill(make: psutil.Popen) -> None:
             process.kill()
         except psutil.NoSuchProcess:
             continue
-    psutil.wait_procs(family, timeout=10)
+    psutil.wait_procs(family, timeout=PATIENCE)

@@ -9,8 +9,11 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import closing
+from collections import deque
+from contextlib import closing, contextmanager
+from itertools import repeat
 
+import dask
 import distributed
 import numpy as np
 import pytest
@@ -18,6 +21,7 @@ import pytest
 from robsmooth import executors
 from robsmooth.executors import alone, connect, in_order, worker_threads, workers
 from tests.clusters import cluster_of_threads, start_cluster
+from tests.waiting import PATIENCE, wait_until
 
 # Functions that are sent to a worker are made within tests: they travel by value then, because a
 # worker has no module of tests to import.
@@ -31,8 +35,16 @@ def cluster():
 
 @pytest.fixture
 def client(cluster):
-    with connect(cluster.scheduler_address) as client:
+    with connect(cluster.scheduler_address, timeout=PATIENCE) as client:
         yield client
+
+
+@pytest.fixture
+def patient(monkeypatch):
+    """Time limits of Dask and of `executors` that are longer than any test."""
+    monkeypatch.setattr(executors, "ANSWER_TIME", 2 * PATIENCE)
+    with dask.config.set({"distributed.comm.timeouts.connect": 2 * PATIENCE}):
+        yield
 
 
 @pytest.fixture
@@ -44,13 +56,6 @@ def listener():
 
 def numbers(count):
     return ((number,) for number in range(count))
-
-
-def wait_until(condition, seconds=10):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 # --- here -----------------------------------------------------------------------------------------
@@ -141,19 +146,31 @@ def test_what_the_function_raises_comes_as_itself_after_the_results_before(clien
     assert list(results) == []
 
 
-def test_an_iterator_that_is_closed_early_drops_what_is_on_its_way(cluster, client, tmp_path):
+def test_an_iterator_that_is_closed_early_drops_what_is_on_its_way(
+    cluster, client, tmp_path, request
+):
     def note(number):
         (tmp_path / str(number)).touch()
-        time.sleep(0.2)
+        while number > 0 and not (tmp_path / "go on").exists():
+            time.sleep(0.01)
 
+    def known():
+        return client.run(lambda dask_worker: list(dask_worker.state.tasks)).values()
+
+    request.addfinalizer((tmp_path / "go on").touch)
     with closing(in_order(note, numbers(50), client)) as results:
         next(results)
+        wait_until(lambda: len(os.listdir(tmp_path)) == 3)  # a call for each worker is not done
     wait_until(lambda: not cluster.scheduler.tasks)
-    time.sleep(0.3)  # until the workers know
-    started = len(os.listdir(tmp_path))
-    assert started <= executors.CALLS_PER_THREAD * 2 + executors.CALLS_AHEAD
-    time.sleep(0.5)
-    assert len(os.listdir(tmp_path)) == started
+    # what comes after all that each worker was sent, and is computed after it
+    last = [
+        client.submit(abs, 1, key=f"last-{address}", workers=[address], priority=-1000)
+        for address in cluster.scheduler.workers
+    ]
+    wait_until(lambda: all(any("last" in key for key in keys) for keys in known()))
+    (tmp_path / "go on").touch()
+    client.gather(last)
+    assert len(os.listdir(tmp_path)) == 3 + 1
 
 
 def test_an_error_in_the_loop_over_the_results_drops_what_is_on_its_way(cluster, client):
@@ -188,50 +205,76 @@ def test_a_killed_worker_changes_no_result(client):
     assert [number for number, _ in found] == list(range(40))
 
 
-def test_a_call_that_ends_its_workers_is_one_clear_error():
+def test_a_call_that_ends_its_workers_is_one_clear_error(tmp_path):
+    started, ended = tmp_path / "started", tmp_path / "ended"
+
+    def call():
+        started.touch()
+        wait_until(ended.exists)
+
     def end_worker():
+        wait_until(started.exists)
         address = cluster.workers[0].worker_address
         cluster.sync(cluster.scheduler.remove_worker, address, stimulus_id="test")
 
     with cluster_of_threads() as (cluster, client):
         cluster.scheduler.allowed_failures = 0
-        threading.Timer(0.2, end_worker).start()
+        threading.Thread(target=end_worker).start()
         with pytest.raises(RuntimeError, match=r"the same call was on 1 worker\(s\) that ended"):
-            list(in_order(time.sleep, [(1,)], client))
+            list(in_order(call, [()], client, timeout=PATIENCE))
+        ended.touch()
 
 
-def test_without_a_worker_there_is_an_error_and_one_that_joins_is_used():
+class Clock:
+    """A clock that goes on while somebody sleeps, and only then."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def monotonic(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+def test_without_a_worker_there_is_an_error_and_one_that_joins_is_used(monkeypatch):
     with cluster_of_threads(n_workers=0) as (cluster, client):
-        started = time.monotonic()
         for function in (workers, lambda *a, **k: list(in_order(abs, numbers(1), *a, **k))):
-            with pytest.raises(ConnectionError, match=r"no worker has joined .* for 0.2 s: start"):
-                function(client, timeout=0.2)
-        assert time.monotonic() - started < 5
+            clock = Clock()
+            with (
+                monkeypatch.context() as patch,
+                pytest.raises(ConnectionError, match=r"no worker has joined .* for 12 s: start"),
+            ):
+                patch.setattr(executors, "time", clock)
+                function(client, timeout=12)
+            assert clock.now == pytest.approx(12, abs=0.2)
         cluster.scale(1)
-        assert list(in_order(abs, numbers(3), client)) == [0, 1, 2]
+        assert list(in_order(abs, numbers(3), client, timeout=PATIENCE)) == [0, 1, 2]
         assert workers(client) == 2
 
 
 def test_a_worker_that_joins_raises_the_number_of_calls_on_their_way(monkeypatch):
     monkeypatch.setattr(executors, "LOOK_EVERY", 0.05)
-    most = 0
-
+    before = executors.CALLS_PER_THREAD + executors.CALLS_AHEAD
     with cluster_of_threads(threads_per_worker=1) as (cluster, client):
-        for _ in in_order(time.sleep, [(0.05,)] * 60, client):
-            if most == 0:
-                cluster.scale(3)
-            most = max(most, len(client.futures))
-    assert most > executors.CALLS_PER_THREAD + executors.CALLS_AHEAD
+        results = in_order(time.sleep, repeat((0.01,)), client)
+        with closing(results):
+            for _ in range(10):
+                next(results)
+                assert len(client.futures) <= before
+            cluster.scale(3)
+            wait_until(lambda: next(results) or len(client.futures) > before)
 
 
 def test_workers_that_all_leave_are_missed_after_a_while(monkeypatch):
     monkeypatch.setattr(executors, "LOOK_EVERY", 0.1)
     with cluster_of_threads() as (cluster, client):
-        results = in_order(time.sleep, [(0.05,)] * 200, client, timeout=0.5)
+        results = in_order(time.sleep, repeat((0.05,)), client, timeout=0.5)
         next(results)
         cluster.scale(0)
         with pytest.raises(ConnectionError, match="no worker has joined"):
-            list(results)
+            deque(results, maxlen=0)
 
 
 def test_a_worker_with_other_software_is_refused(client, monkeypatch):
@@ -261,20 +304,27 @@ def test_the_digest_of_the_sources_depends_on_their_names_and_contents(tmp_path)
 # --- what goes wrong with the scheduler -----------------------------------------------------------
 
 
-def test_a_scheduler_that_closes_is_missed_at_once():
+@contextmanager
+def missing_the_scheduler():
+    """Expect the error, and that it comes before any time limit is over."""
+    started = time.monotonic()
+    with pytest.raises(ConnectionError, match="no connection to the Dask scheduler"):
+        yield
+    assert time.monotonic() - started < PATIENCE
+
+
+def test_a_scheduler_that_closes_is_missed_at_once(patient):
     with cluster_of_threads() as (cluster, client):
-        results = in_order(time.sleep, [(0.05,)] * 1000, client)
+        results = in_order(time.sleep, repeat((0.05,)), client, timeout=2 * PATIENCE)
         next(results)
-        threading.Timer(0.3, cluster.close).start()
-        started = time.monotonic()
-        with pytest.raises(ConnectionError, match="no connection to the Dask scheduler"):
-            list(results)
-        assert time.monotonic() - started < 5
+        threading.Thread(target=cluster.close).start()
+        with missing_the_scheduler():
+            deque(results, maxlen=0)
         with pytest.raises(ConnectionError, match="no connection to the Dask scheduler"):
             in_order(abs, [], client)
 
 
-def test_a_worker_without_this_package_and_then_a_scheduler_that_is_killed(tmp_path):
+def test_a_worker_without_this_package_and_then_a_scheduler_that_is_killed(tmp_path, patient):
     def start(*arguments):
         options = ["--no-dashboard", "--host", "127.0.0.1"]
         started.append(
@@ -297,18 +347,16 @@ def test_a_worker_without_this_package_and_then_a_scheduler_that_is_killed(tmp_p
     try:
         start("scheduler", "--port", str(port))
         start("worker", address, "--no-nanny", "--nthreads", "1")
-        with connect(address, timeout=20) as client:
+        with connect(address, timeout=PATIENCE) as client:
             with pytest.raises(RuntimeError, match=r"cannot import robsmooth\.executors: start"):
-                list(in_order(abs, numbers(1), client))
+                list(in_order(abs, numbers(1), client, timeout=PATIENCE))
             sleeps = "import time\ndef _compute(*_): time.sleep(0.05)"
             (package / "executors.py").write_text(sleeps)
-            results = in_order(abs, numbers(1000), client)
+            results = in_order(abs, repeat((1,)), client, timeout=2 * PATIENCE)
             next(results)
             started[0].kill()
-            killed = time.monotonic()
-            with pytest.raises(ConnectionError, match="no connection to the Dask scheduler"):
-                list(results)
-            assert time.monotonic() - killed < 5
+            with missing_the_scheduler():
+                deque(results, maxlen=0)
     finally:
         for process in started:
             process.kill()
@@ -371,12 +419,12 @@ def connection_error(address, timeout=0.5):
     started = time.monotonic()
     with pytest.raises(ConnectionError) as caught, connect(address, timeout=timeout):
         pass
-    assert time.monotonic() - started < timeout + 2
+    assert time.monotonic() - started < PATIENCE
     assert address in str(caught.value)
     return str(caught.value)
 
 
-def test_a_scheduler_that_cannot_be_reached_is_an_error_in_time(listener):
+def test_a_scheduler_that_cannot_be_reached_is_an_error_in_time(listener, patient):
     port = listener.getsockname()[1]
     assert "no Dask scheduler answers" in connection_error(f"tcp://127.0.0.1:{port}"), "mute"
     listener.close()
@@ -385,7 +433,7 @@ def test_a_scheduler_that_cannot_be_reached_is_an_error_in_time(listener):
 
 
 def test_a_worker_is_no_scheduler(cluster):
-    assert "not a scheduler" in connection_error(cluster.workers[0].worker_address)
+    assert "not a scheduler" in connection_error(cluster.workers[0].worker_address, PATIENCE)
 
 
 def test_a_notebook_can_connect_because_its_event_loop_is_left_alone(cluster):

@@ -11,6 +11,7 @@ from contextlib import nullcontext
 import pytest
 
 from robsmooth.journal import CheckpointError, Journal
+from tests.waiting import PATIENCE
 
 IDENTITY = {"seed": 1, "parameters": {"kappa": 0.1, "beta": 1e-300}, "digest": "ab" * 32}
 RECORDS = [{"block": 1, "mean": 0.1 + 0.2}, {"block": 2, "word": "λ\n"}, {"block": 3, "a": [1.0]}]
@@ -38,7 +39,7 @@ def run(source, *arguments, **options):
     """Run a program that finds `Journal` imported."""
     program = "import os, sys\nfrom robsmooth.journal import Journal\n" + textwrap.dedent(source)
     command = [sys.executable, "-c", program, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, **options)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, **options)
 
 
 # --- records --------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import pytest
 from jupyter_client import BlockingKernelClient
 
 from tests.labs import ROOT, running_lab
+from tests.waiting import PATIENCE
 
 
 @pytest.fixture(scope="module")
@@ -69,12 +70,12 @@ def test_kernels_have_the_environment_of_the_project(labs):
         client.load_connection_file(lab.start_kernel("01_uncertainty_modelling.ipynb"))
         client.start_channels()
         try:
-            client.wait_for_ready(timeout=60)
+            client.wait_for_ready(timeout=PATIENCE)
             where = client.execute(
                 "import os, sys, robsmooth",
                 user_expressions={"it": "sys.prefix, os.getcwd(), robsmooth.__file__"},
                 reply=True,
-                timeout=60,
+                timeout=PATIENCE,
             )["content"]["user_expressions"]["it"]["data"]["text/plain"]
         finally:
             client.stop_channels()
@@ -88,4 +89,4 @@ def test_a_lab_ends_with_all_that_it_has_started(tmp_path):
         family = [lab.make, *lab.make.children(recursive=True)]
         assert len(family) >= 3  # make, JupyterLab, the kernel
     assert lab.make.returncode == 0
-    assert not psutil.wait_procs(family, timeout=10)[1]
+    assert not psutil.wait_procs(family, timeout=PATIENCE)[1]

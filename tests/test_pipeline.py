@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import nbformat
@@ -15,7 +14,9 @@ import pytest
 
 from robsmooth import cli
 from robsmooth.pipeline import PipelineError, parameters, run_notebooks, runner
+from robsmooth.pipeline.execution import Execution
 from tests.clusters import cluster_of_threads
+from tests.waiting import PATIENCE, wait_until
 
 FIXTURES = Path(__file__).parent / "notebooks"
 
@@ -263,6 +264,7 @@ def test_a_wrong_option_is_an_error(project, options, message):
 
 
 def test_every_notebook_is_run_and_one_summary_tells_of_the_failures(project, monkeypatch, capsys):
+    monkeypatch.setattr(Execution, "seconds", 0.0)  # a cell is over its limit, no notebook is
     project.add("good", "raises", "exits", "dies", "foreign_kernel", "hanging_cell")
     project.write_profiles('[quick."01_good"]\nruns = 3\n')
     quick = project.root / "build" / "quick"
@@ -271,9 +273,9 @@ def test_every_notebook_is_run_and_one_summary_tells_of_the_failures(project, mo
     monkeypatch.chdir(project.root / "notebooks")
     reports = []
     monkeypatch.setattr(cli, "write_report", lambda *folders: reports.append(folders))
-    limit = ["--time-limit", "20"]
+    command = ["figures", "--profile", "quick", "--only"]
 
-    assert cli.main(["figures", "--profile", "quick", "--only", "02,03,04,06", *limit]) == 1
+    assert cli.main([*command, "02,03,04,06", "--time-limit", "20"]) == 1
     assert (quick / "figures" / "figure.txt").read_text() == "yesterday's"
     assert not (quick / "staging").exists()
     output, summary = capsys.readouterr()
@@ -293,7 +295,7 @@ def test_every_notebook_is_run_and_one_summary_tells_of_the_failures(project, mo
         assert (quick / "notebooks" / f"{name}.ipynb").exists()
     assert reports == []
 
-    assert cli.main(["figures", "--profile", "quick", "--only", "good,foreign"]) == 0
+    assert cli.main([*command, "good,foreign"]) == 0
     output, summary = capsys.readouterr()
     assert "01_good: done" in output
     assert "05_foreign_kernel: done" in output
@@ -374,20 +376,24 @@ def test_all_that_a_result_depends_on_is_in_its_key(project):
     assert project.key() == keys[-1]  # what a notebook does not use does not matter
 
 
-def test_the_time_limit_ends_the_kernel_and_what_it_started(project):
-    (result,) = project.add("slow_cells").run(time_limit=12)
-    assert "the time limit of 12 s for the notebook was reached" in result.failure.text
-    assert result.failure.cell is not None
+def test_the_time_limit_ends_the_kernel_and_what_it_started(project, monkeypatch):
+    over = PATIENCE + 0.1  # as soon as the kernel has started something
+    seconds = property(lambda _: over if len(pids(project)) == 2 else 0.0)
+    monkeypatch.setattr(Execution, "seconds", seconds)
+    (result,) = project.add("hanging_cell").run(time_limit=PATIENCE)
+    assert "the time limit of 600 s for the notebook was reached" in result.failure.text
+    assert result.failure.cell == 3
+    assert result.seconds == over
     assert_ended(project)
 
 
 def test_an_interrupt_ends_everything_and_says_what_is_kept(project):
-    project.add("slow_cells")
+    project.add("hanging_cell")
     command = [sys.executable, "-m", "robsmooth.cli", "figures"]
     process = subprocess.Popen(command, cwd=project.root, stderr=subprocess.PIPE, text=True)
-    wait_for((project.root / "build" / "pids").exists)
+    wait_until(lambda: len(pids(project)) == 2)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=30)
+    _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert "interrupted; notebooks that had finished are kept" in said
     assert_ended(project)
@@ -415,17 +421,15 @@ def test_a_second_run_in_the_same_place_is_refused(project):
         project.run()
 
 
+def pids(project):
+    """Of the kernel of hanging_cell, and of what it has started."""
+    told = project.root / "build" / "pids"
+    return [int(pid) for pid in told.read_text().split()] if told.exists() else []
+
+
 def assert_ended(project):
-    pids = (project.root / "build" / "pids").read_text().split()
-    assert len(pids) == 2
-    wait_for(lambda: not any(psutil.pid_exists(int(pid)) for pid in pids))
-
-
-def wait_for(condition, seconds=30):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    assert len(pids(project)) == 2
+    wait_until(lambda: not any(map(psutil.pid_exists, pids(project))))
 
 
 # --- clusters and checkpoints --------------------------------------------------------------------

@@ -5,6 +5,7 @@ import queue
 import subprocess
 import sys
 import termios
+from contextlib import suppress
 
 import pytest
 from jupyter_client.manager import start_new_kernel
@@ -12,6 +13,7 @@ from jupyter_client.manager import start_new_kernel
 from robsmooth import baselines, homodyne, lag_sweep
 from robsmooth.comparison import compare
 from robsmooth.progress import progress_bar
+from tests.waiting import PATIENCE
 
 SYSTEM = homodyne.PAPER.uncertain_system()
 SWITCHES = ("CI", "TQDM_DISABLE")
@@ -36,8 +38,12 @@ def test_a_bar_is_shown_in_a_terminal():
     termios.tcsetwinsize(theirs, (24, 80))
     subprocess.run([sys.executable, "-c", CODE], stderr=theirs, env=without_switches(), check=True)
     os.close(theirs)
-    assert b"3/3" in os.read(ours, 4096)
+    shown = b""
+    with suppress(OSError):  # at the end, for nobody has the other side open any more
+        while part := os.read(ours, 4096):
+            shown += part
     os.close(ours)
+    assert b"3/3" in shown
 
 
 def test_no_bar_where_stderr_is_no_terminal(capfd, monkeypatch):
@@ -91,7 +97,9 @@ def test_a_comparison_shows_its_estimators(terminal):
 
 @pytest.fixture(scope="module")
 def kernel():
-    manager, client = start_new_kernel(kernel_name="python3", env=without_switches())
+    manager, client = start_new_kernel(
+        startup_timeout=PATIENCE, kernel_name="python3", env=without_switches()
+    )
     yield client
     client.stop_channels()
     manager.shutdown_kernel(now=True)
@@ -110,7 +118,7 @@ def outputs(client, code):
         assert message["msg_type"] != "error", content
 
     try:
-        reply = client.execute_interactive(code, output_hook=collect, timeout=60)
+        reply = client.execute_interactive(code, output_hook=collect, timeout=PATIENCE)
     except queue.Empty:
         pytest.fail("the kernel did not answer")
     assert reply["content"]["status"] == "ok"

@@ -8,9 +8,9 @@ import pytest
 from playwright.sync_api import Browser, Error, Page, expect, sync_playwright
 
 from tests.browser import chromium
+from tests.waiting import PATIENCE
 
 SCREENSHOTS = Path(__file__).resolve().parents[2] / "build" / "browser"
-PATIENCE = 60_000  # ms, on a machine that is busy with other tests
 QUIET = [
     "--disable-background-networking",
     "--disable-component-update",
@@ -29,9 +29,11 @@ def browser():
     except chromium.NoChromium as missing:
         pytest.skip(str(missing))
     root = ["--no-sandbox"] if os.geteuid() == 0 else []  # chromium refuses root otherwise
-    expect.set_options(timeout=PATIENCE)
+    expect.set_options(timeout=1000 * PATIENCE)
     with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=path, args=QUIET + root)
+        running = playwright.chromium.launch(
+            executable_path=path, args=QUIET + root, timeout=1000 * PATIENCE
+        )
         yield running
         running.close()
 
@@ -46,7 +48,7 @@ def complaints() -> list[str]:
 def page(browser: Browser, complaints: list[str]):
     """A tab that no other test has used."""
     with browser.new_context(viewport={"width": 1280, "height": 900}) as context:
-        context.set_default_timeout(PATIENCE)
+        context.set_default_timeout(1000 * PATIENCE)
         page = context.new_page()
         page.on("console", lambda it: it.type == "error" and complaints.append(it.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))

@@ -36,9 +36,9 @@ def start_all(page: Page) -> None:
     page.get_by_role("menuitem", name="Run All Cells", exact=True).click()
 
 
-def wait_until_done(page: Page, time_limit: float) -> None:
+def wait_until_done(page: Page) -> None:
     """Wait until no cell is to be run and the kernel has nothing to do."""
-    page.wait_for_function(DONE, arg=PROMPTS, timeout=1000 * time_limit)
+    page.wait_for_function(DONE, arg=PROMPTS)
     page.wait_for_function(IDLE)
 
 

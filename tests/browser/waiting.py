@@ -5,10 +5,12 @@ from collections.abc import Callable
 
 from playwright.sync_api import Page
 
+from tests.waiting import PATIENCE
 
-def eventually(page: Page, look: Callable, wanted: object, patience: float = 60.0) -> object:
-    """Look until what is wanted is there, or for `patience` seconds; give what was seen last."""
-    deadline = time.monotonic() + patience
+
+def eventually(page: Page, look: Callable, wanted: object) -> object:
+    """Look until what is wanted is there, or patience ends; give what was seen last."""
+    deadline = time.monotonic() + PATIENCE
     while (seen := look()) != wanted and time.monotonic() < deadline:
         page.wait_for_timeout(50)  # lets the page go on
     return seen
