@@ -45,7 +45,10 @@ class Table:
         return f"{body}\n\n*{self.caption}*\n" if self.caption else f"{body}\n"
 
     def html(self) -> str:
-        """Return the table for HTML; MathJax typesets its mathematics."""
+        """Return the table for HTML, in a box that scrolls it where it is wider than the page.
+
+        MathJax typesets its mathematics.
+        """
         rows = self._printed_rows()
         styles = [
             f'style="text-align: {"right" if _numeric(column) else "left"}"'
@@ -60,8 +63,8 @@ class Table:
         )
         caption = f"<caption>{_html(self.caption)}</caption>\n" if self.caption else ""
         return (
-            f'<table class="tex2jax_process">\n{caption}'
-            f"<thead>\n<tr>{header}</tr>\n</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n"
+            f'<div style="overflow-x: auto">\n<table class="tex2jax_process">\n{caption}'
+            f"<thead>\n<tr>{header}</tr>\n</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n</div>\n"
         )
 
     def latex(self) -> str:

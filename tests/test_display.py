@@ -190,6 +190,7 @@ def check_display(shown):
     if hasattr(shown, "_repr_html_"):
         found["html"] = text = shown._repr_html_()
         outline = Outline(text)
+        assert text.startswith('<div style="overflow-x: auto">\n<table '), "it scrolls by itself"
         assert {"caption", "thead", "tbody"} <= set(outline.seen)
         assert outline.seen.count("td") % outline.seen.count("th") == 0
         for formula in re.findall(r"\\\((.*?)\\\)", "".join(outline.words), re.DOTALL):

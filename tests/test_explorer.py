@@ -280,7 +280,7 @@ def test_reset_is_one_change(drawn):
 def test_only_controls_that_matter_are_there():
     controls = Explorer().show_controls()
     *always, by_hand = controls.widget.children[0].children
-    assert controls.inputs["tau"] in by_hand.children
+    assert controls.inputs["tau"] in by_hand.children[1].children
     shown = {}
     for design in ("robust", "by hand", "classical"):
         controls.inputs["design"].value = design

@@ -102,6 +102,12 @@ def test_html_has_the_cells_of_the_table_and_escapes_their_text():
     assert "a_b &amp; 5%" in TABLE.html() and "± 1 &lt; 2" in TABLE.html()
 
 
+def test_html_scrolls_in_a_box_of_its_own():
+    text = TABLE.html()
+    assert text.startswith('<div style="overflow-x: auto">\n<table ')
+    assert text.endswith("</table>\n</div>\n")
+
+
 def test_numbers_are_aligned_right_and_words_left():
     table = Table(
         columns=("name", "float", "count", "share", "mixed", "empty", "infinite"),

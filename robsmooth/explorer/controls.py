@@ -36,7 +36,9 @@ _CHOICES = {
     "cost": {"the filtered error": "filtered", "the smoothed error": "smoothed"},
 }
 _WIDEST = "1000px"  # more would blur the panels
-_HEIGHT = "196px"  # of the longest column, which is not always shown: the panels stay in place
+# The panels stay in place whatever is above them: the longest column is not always shown, and a
+# sentence may take three lines.
+_COLUMNS_HEIGHT, _SUMMARY_HEIGHT = "196px", "4.5em"
 # A page that was not fetched securely has no clipboard: the text is selected then, for Ctrl+C.
 _COPY = """
 const area = document.querySelector(".%s textarea");
@@ -73,9 +75,9 @@ class Controls:
         self.inputs = {name: _input(name) for name in _WORDS}
         self.reset = _button("Reset", "back to the settings at the start")
         self.copy = _button("Copy these settings as code", "to the clipboard")
-        self.panels = widgets.Image(format="png", layout={"width": "100%"})
-        self.summary = widgets.HTML(layout={"min_height": "3em"})
-        self.code = widgets.Textarea(layout={"width": "100%", "height": "26em"})
+        self.panels = widgets.Image(format="png", layout={"width": "auto"})
+        self.summary = widgets.HTML(layout={"min_height": _SUMMARY_HEIGHT})
+        self.code = widgets.Textarea(layout={"width": "auto", "height": "26em"})
         self._script = widgets.Output()
         self.reset.on_click(lambda _: self.set(settings))
         self.copy.on_click(lambda _: self._copy_code())
@@ -123,10 +125,15 @@ class Controls:
         return f"robsmooth-{self.code.model_id}"
 
     def _column(self, title: str) -> widgets.Widget:
-        inputs = [self.inputs[name] for name in _COLUMNS[title]]
+        """Labels, which take the room that they need in any font, and inputs beside them."""
+        cells = []
+        for name in _COLUMNS[title]:
+            label, tooltip = _WORDS[name]
+            cells += [widgets.Label(label, tooltip=tooltip), self.inputs[name]]
+        grid = {"grid_template_columns": "max-content minmax(12em, 1fr)"}
         return widgets.VBox(
-            [widgets.HTML(f"<b>{title}</b>"), *inputs],
-            layout={"flex": "1 1 0", "min_width": "16em", "overflow": "hidden"},
+            [widgets.HTML(f"<b>{title}</b>"), widgets.GridBox(cells, layout=grid)],
+            layout={"flex": "1 1 0", "min_width": "min-content"},
         )
 
     def _arranged(self) -> widgets.Widget:
@@ -135,7 +142,10 @@ class Controls:
             each.add_class(f"robsmooth-{name}")
         whole = widgets.VBox(
             [
-                widgets.HBox([*self._columns.values()], layout={"min_height": _HEIGHT}),
+                widgets.HBox(
+                    [*self._columns.values()],
+                    layout={"flex_flow": "row wrap", "min_height": _COLUMNS_HEIGHT},
+                ),
                 self.summary,
                 self.panels,
                 widgets.HBox([self.reset, self.copy]),
@@ -148,13 +158,7 @@ class Controls:
 
 
 def _input(name: str) -> widgets.Widget:
-    label, tooltip = _WORDS[name]
-    common = {
-        "description": label,
-        "tooltip": tooltip,
-        "style": {"description_width": "8.5em"},
-        "layout": {"width": "98%"},
-    }
+    common = {"tooltip": _WORDS[name][1], "layout": {"width": "auto"}}
     if name in _CHOICES:
         return widgets.Dropdown(options=_CHOICES[name], **common)
     allowed = RANGES[name]

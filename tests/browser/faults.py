@@ -1,34 +1,68 @@
-"""What a page shows wrong: broken images, mathematics that is not typeset, what does not fit."""
+"""What a page shows wrong in any fonts: broken images, raw mathematics, what does not fit."""
+
+from collections.abc import Iterator
 
 from playwright.sync_api import Page
 
 from tests.browser.waiting import eventually
 
-FAULTS = r"""async selector => {
+# Narrow and wide fonts, whatever a machine has: letters that are set closer together or apart.
+# MathJax follows the height of the letters around, and fonts differ in it, too.
+TEXT = "body :not(mjx-container, mjx-container *)"
+FONTS = {
+    "narrow": f"{TEXT} {{ letter-spacing: -0.05em !important; }}",
+    "wide": f"""
+        {TEXT} {{ font-family: monospace, monospace !important; letter-spacing: 0.1em !important; }}
+        mjx-container {{ font-size: 140% !important; }}""",
+    "installed": "",
+}
+USE = """css => {
+    const sheet = document.getElementById("fonts") ?? document.createElement("style");
+    sheet.id = "fonts";
+    sheet.textContent = css;
+    document.head.append(sheet);
+}"""
+
+RAW = r"""async selector => {
     await window.MathJax?.startup?.promise;
+    const texts = document.createTreeWalker(
+        document.querySelector(selector), NodeFilter.SHOW_TEXT
+    );
+    const raw = [];
+    while (texts.nextNode()) {
+        const {data, parentElement} = texts.currentNode;
+        const verbatim = parentElement.closest("pre, code, script, style, textarea, .cm-editor");
+        if (!verbatim && /\\[([]|[$]/.test(data)) raw.push(data);
+    }
+    return raw;
+}"""
+WRONG = """async selector => {
     const root = document.querySelector(selector);
     const all = query => [...root.querySelectorAll(query)];
     const images = all("img");
     await Promise.allSettled(images.map(image => image.decode()));
-    const source = [];
-    const texts = document.createTreeWalker(root, NodeFilter.SHOW_TEXT);
-    while (texts.nextNode()) {
-        const {data, parentElement} = texts.currentNode;
-        const verbatim = parentElement.closest("pre, code, script, style, textarea, .cm-editor");
-        if (!verbatim && /\\[([]|[$]/.test(data)) source.push(data);
-    }
-    const wide = [document.scrollingElement, ...all(".jp-OutputArea-output")];
+    const wide = box => box.scrollWidth > box.clientWidth + 1;
+    const boxes = all(".content, .jp-MarkdownOutput, .jp-OutputArea-output, .widget-box");
+    const shown = all(".content *, .jp-OutputArea-output *");
+    const cuts = box => ["hidden", "clip"].includes(getComputedStyle(box).overflowX);
     return [
-        ...source,
-        ...[
-            ...images.filter(image => !image.naturalWidth),
-            ...all(".math:not(:has(mjx-container)), mjx-merror, [data-mml-node=merror]"),
-            ...wide.filter(box => box.scrollWidth > box.clientWidth + 1),
-        ].map(element => element.outerHTML.slice(0, 200)),
-    ];
+        ...images.filter(image => !image.naturalWidth),
+        ...all(".math:not(:has(mjx-container)), mjx-merror, [data-mml-node=merror]"),
+        ...[document.scrollingElement, ...boxes].filter(wide),
+        // beside the formulas that are seen there are hidden ones for screen readers
+        ...shown.filter(box => wide(box) && cuts(box) && !box.closest("mjx-container")),
+    ].map(element => element.outerHTML.slice(0, 200));
 }"""
 
 
+def in_each_font(page: Page) -> Iterator[str]:
+    """Show the page in narrow fonts, in wide ones, and in those of the machine, by these names."""
+    for name, css in FONTS.items():
+        page.evaluate(USE, css)
+        yield name
+
+
 def faults(page: Page, root: str) -> list[str]:
-    """What is wrong in the element `root` of a page, once it has had time to settle."""
-    return eventually(page, lambda: page.evaluate(FAULTS, root), [], patience=10.0)
+    """What is wrong in the element `root` of a page, once its mathematics is typeset."""
+    raw = eventually(page, lambda: page.evaluate(RAW, root), [])
+    return raw + page.evaluate(WRONG, root)

@@ -3,7 +3,7 @@
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.faults import faults
+from tests.browser.faults import faults, in_each_font
 
 
 @pytest.fixture
@@ -26,9 +26,10 @@ def test_every_page_shows_its_mathematics_and_images(report, offline, complaints
     for path in pages:
         name = path.relative_to(report).with_suffix("").as_posix()
         offline.goto(path.as_uri())
-        found = faults(offline, "body")
-        screenshot(name.replace("/", "-"), whole="/" not in name)
-        assert found == [], name
+        for fonts in in_each_font(offline):
+            found = faults(offline, "body")
+            screenshot(f"{name.replace('/', '-')}-{fonts}", whole="/" not in name)
+            assert found == [], (name, fonts)
         assert complaints == [], name
     offline.goto((report / "theory.html").as_uri())
     expect(offline.locator("mjx-container svg").first).to_be_visible()
