@@ -34,14 +34,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
-from scipy.optimize import brentq
 
-from robsmooth import validation
+from robsmooth import linearisation, validation
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.blas import one_thread
 from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
-from robsmooth.interconnection import matrices
+from robsmooth.interconnection import Reference, argument_weights, matrices
 from robsmooth.lyapunov import check_certainty, covariances
 from robsmooth.validation import Matrix
 
@@ -49,6 +48,7 @@ OUTPUTS = ("smoothed", "filtered")
 _BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once
 _ROUNDING = 1e-12  # of eigenvalues, relative to the largest entry
 _FAR = 1e3  # times the variance at the tangent: no statistical linearisation holds there
+_CONVERGED, _ITERATIONS = 1e-13, 1000  # of the slopes of statistical linearisation
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +70,10 @@ class ClosedLoop:
 
     def covariance(self) -> Matrix:
         """Return the stationary covariance P of X."""
+        return self.covariance_of(np.eye(len(self.A)))
+
+    def covariance_of(self, rows: Matrix) -> Matrix:
+        """Return the stationary covariance of `rows` times X."""
         T = _error_coordinates(self.estimator)
         B = T @ self.B
         found = covariances(T @ self.A @ T, B @ B.T)
@@ -79,7 +83,7 @@ class ClosedLoop:
             _squared(outputs, found.stationary),
             _squared(outputs, found.error),
         )
-        return _squared(T, found.stationary)
+        return _squared(rows @ T, found.stationary)
 
     def error_covariance(self, output: str) -> Matrix:
         """Return the (m, m) stationary covariance of the smoothed or filtered error."""
@@ -91,6 +95,7 @@ def closed_loop(
     Delta: ArrayLike,
     copy_noise: bool = True,
     allow_inadmissible: bool = False,
+    reference: Reference = None,
 ) -> ClosedLoop:
     r"""Close the loop of an estimator and its plant under a constant uncertainty.
 
@@ -107,6 +112,9 @@ def closed_loop(
         Whether the design's fictitious noise drives the copies of the nonlinearities.
     allow_inadmissible : bool
         Whether a Delta with norm above one is let through.
+    reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
+        What is taken off the nonlinearities' arguments, as in `simulate`; the theory's loop has
+        none.
 
     Returns
     -------
@@ -129,7 +137,7 @@ def closed_loop(
     Delta = validation.matrix("Delta", Delta, shape)
     if not allow_inadmissible:
         _check_norm(_norm(plant, Delta))
-    A, B = _loop(estimator, Delta, copy_noise)
+    A, B = _loop(estimator, Delta, copy_noise, reference)
     _check_stability(A)
     return ClosedLoop(A, B, estimator)
 
@@ -160,9 +168,11 @@ def _check_stability(A: Matrix) -> None:
         )
 
 
-def _loop(estimator: Estimator, Delta: Matrix, copy_noise: bool) -> tuple[Matrix, Matrix]:
+def _loop(
+    estimator: Estimator, Delta: Matrix, copy_noise: bool, reference: Reference = None
+) -> tuple[Matrix, Matrix]:
     """Return A and B of (eqclosed), for one Delta or (N, ., .) of them."""
-    A, B, inputs, outputs = matrices(estimator, copy_noise)
+    A, B, inputs, outputs = matrices(estimator, copy_noise, reference)
     return A + inputs @ Delta @ outputs, B
 
 
@@ -204,6 +214,7 @@ def error_covariance(
     output: str = "smoothed",
     copy_noise: bool = True,
     allow_inadmissible: bool = False,
+    reference: Reference = None,
 ) -> Matrix:
     r"""Return the stationary error covariance under a constant uncertainty.
 
@@ -219,6 +230,9 @@ def error_covariance(
         Whether the design's fictitious noise drives the copies, as in the paper's formula.
     allow_inadmissible : bool
         Whether a Delta with norm above one is let through.
+    reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
+        What is taken off the nonlinearities' arguments, as in `simulate`. The paper's formula has
+        no reference.
 
     Returns
     -------
@@ -239,7 +253,8 @@ def error_covariance(
     Section III-A, equation (eqCo).
     """
     output = validation.choice("output", output, OUTPUTS)
-    return closed_loop(smoother, Delta, copy_noise, allow_inadmissible).error_covariance(output)
+    loop = closed_loop(smoother, Delta, copy_noise, allow_inadmissible, reference)
+    return loop.error_covariance(output)
 
 
 @one_thread
@@ -296,29 +311,38 @@ class StatisticalLinearisation:
         The equivalent Delta_2 of the nonlinearity.
     filtered, smoothed : float
         Mean square errors, in the squared unit of w.
+    copy_slope : float
+        The equivalent Delta_2 of the estimator's copy of the nonlinearity.
     """
 
     slope: float
     filtered: float
     smoothed: float
+    copy_slope: float
 
 
 @one_thread
 def statistical_linearisation(
-    smoother: Estimator, equivalent_slope: Callable[[float], float]
+    smoother: Estimator,
+    equivalent_slope: Callable[[float], float],
+    reference: Reference = "system",
 ) -> StatisticalLinearisation:
-    r"""Predict the nonlinear errors: the variance P of the loop's error solves P = P(slope(P)).
+    r"""Predict the errors of the nonlinear loop, from slopes that belong to its own variances.
+
+    The nonlinearity, and the copy of it, are replaced by slopes that depend on the variances of
+    their arguments, which are those of the linear loop with these slopes (`robsmooth.linearisation`
+    iterates). In the homodyne loop the argument is the filtered error, of variance P = P(slope(P)).
 
     Parameters
     ----------
     smoother : Estimator
-        A design for a plant with one output and one nonlinearity, which acts on the filtered error
-        because the estimator runs a copy, or the loop feeds the estimate back. (A Kalman filter in
-        such a loop: ``baselines.kalman_bucy(system, copies=True)``.)
+        A design for a plant with one output and one nonlinearity, of a multiple of it.
     equivalent_slope : callable
-        Maps the variance of the error to the nonlinearity's equivalent Delta_2. For the homodyne
-        loop `HomodyneParameters.equivalent_slope`: the Gaussian mean of the slope of
-        :math:`\sin e` is :math:`e^{-P/2}`.
+        Maps the variance of the argument, in the squared unit of w, to the nonlinearity's
+        equivalent Delta_2. For the homodyne loop `HomodyneParameters.equivalent_slope`: the
+        Gaussian mean of the slope of :math:`\sin e` is :math:`e^{-P/2}`.
+    reference : {"system", "filtered", "smoothed"}, (1, n_c) array or None
+        What is taken off the argument, as in `simulate`.
 
     Returns
     -------
@@ -329,8 +353,8 @@ def statistical_linearisation(
     UnstableLoopError
         Where no self-consistent variance exists: the linearised loop loses lock.
     ValueError, TypeError
-        For another kind of plant, an estimator without a copy, or an `equivalent_slope` that is not
-        callable or does not return a finite number.
+        For another kind of plant or reference, or an `equivalent_slope` that is not callable or
+        does not return a finite number.
     """
     validation.instance("smoother", smoother, Estimator)
     plant = smoother.plant
@@ -339,34 +363,42 @@ def statistical_linearisation(
             "statistical linearisation takes one output and one nonlinearity, got "
             f"m={plant.system.m} and g={plant.system.g}"
         )
-    if not smoother.C_c[1:].any():
+    unit = argument_weights(plant.system, 0)
+    if unit is None or not unit.any():
         raise ValueError(
-            "smoother must run a copy of the nonlinearity, got one that does not; an estimator of "
-            "robsmooth.baselines does with copies=True"
+            "the argument of nonlinearities[0] must be a multiple of the output w, whose units "
+            f"equivalent_slope takes: got C = {plant.system.nonlinearities[0].C[0]} and "
+            f"C0 = {plant.system.C0[0]}"
         )
-
     if not callable(equivalent_slope):
         raise TypeError(f"equivalent_slope must be callable, got {equivalent_slope!r}")
 
-    def slope(variance: float) -> float:
-        return validation.real("equivalent_slope of a variance", equivalent_slope(variance))
+    def slopes(variances: Matrix) -> Matrix:
+        return np.array(
+            [
+                validation.real("equivalent_slope of a variance", equivalent_slope(float(variance)))
+                for variance in variances
+            ]
+        )
 
-    def error(variance: float, output: str) -> float:
-        Delta = plant.structured_delta((), [slope(variance)])
-        loop = closed_loop(smoother, Delta, copy_noise=False, allow_inadmissible=True)
-        return loop.error_covariance(output)[0, 0]
+    def loop(slopes: Matrix) -> ClosedLoop:
+        Delta = plant.structured_delta((), [0.0])
+        Delta[-2:, -2:] = np.diag(slopes)
+        return closed_loop(smoother, Delta, False, allow_inadmissible=True, reference=reference)
 
-    low, linear = 0.0, error(0.0, "filtered")
-    high = linear
-    while error(high, "filtered") > high:
-        low, high = high, 1.25 * high
-        if high > _FAR * linear:
-            raise UnstableLoopError(
-                "no stationary variance: the statistically linear loop diverges"
-            )
-    variance = brentq(
-        lambda P: error(P, "filtered") - P, low, high, xtol=max(1e-15 * high, 1e-300), rtol=1e-13
+    arguments = matrices(smoother, False, reference)[3][-2:] / unit
+
+    def variances(slopes: Matrix) -> Matrix:
+        return np.maximum(np.diag(loop(slopes).covariance_of(arguments)), 0.0)
+
+    start = slopes(np.zeros(2))
+    found = linearisation.equivalent_slopes(
+        start,
+        variances,
+        slopes,
+        tolerance=_CONVERGED,
+        iterations=_ITERATIONS,
+        largest=_FAR * variances(start).max(),
     )
-    return StatisticalLinearisation(
-        float(slope(variance)), float(variance), float(error(variance, "smoothed"))
-    )
+    errors = {name: float(loop(found).error_covariance(name)[0, 0]) for name in OUTPUTS}
+    return StatisticalLinearisation(slope=float(found[0]), copy_slope=float(found[1]), **errors)

@@ -7,8 +7,9 @@ its mean, an estimator
 
     \dot{\hat x} = A\hat x + B_y\,y + B_\mu\,\psi(\tilde\nu - r), \qquad \tilde\nu = C_\nu\hat x,
 
-is linear but for the copies. (The reference `r` is what a detector measures phases from, say; it
-is zero where there is none.) The linear part is taken exactly, whatever `dt`, and the copies' part
+is linear but for the copies. (The reference `r` is what a detector takes off the argument before
+its nonlinearity, the local oscillator's phase, say; it is zero where there is none.) The linear
+part is taken exactly, whatever `dt`, and the copies' part
 by the exponential Runge-Kutta method of second order,
 
 .. math::
@@ -220,8 +221,10 @@ class DiscreteSmoother:
         reference : (N, g) array, optional
             What is known of the nonlinearities' arguments: they act on :math:`\nu - r`, and the
             copies on :math:`\tilde\nu - r`, with `r` held over each interval. In homodyne
-            detection that is :math:`2\alpha\gamma` times the phase of the local oscillator.
-            Zero by default. What belongs to a copy that the estimator does not run is unused.
+            detection that is :math:`2\alpha\gamma` times the phase of the local oscillator. It
+            is what `simulate` has by the same name, and `SamplePaths` beside y; here it is data.
+            Zero by default, whatever reference the nonlinearities have in a simulation. What
+            belongs to a copy that the estimator does not run is unused.
         output : {"smoothed", "filtered"}
             Which estimates to return.
 

@@ -59,7 +59,7 @@ from scipy.linalg import eigh_tridiagonal, matrix_balance, qr, solve_triangular
 from scipy.sparse.linalg import expm_multiply, splu
 from scipy.special import comb
 
-from robsmooth import validation
+from robsmooth import linearisation, validation
 from robsmooth.blas import one_thread
 from robsmooth.errors import UnstableLoopError
 from robsmooth.loop import Loop, check_stationary, homodyne_loop
@@ -74,7 +74,6 @@ AFFORDABLE, LARGEST = 2500, 6000  # unknowns: of the default degree, and at all
 FARTHEST = math.pi / 2  # standard deviation of the argument of a sine in lock, rad
 FORGOTTEN = 30.0  # time constants of the loop's slowest mode after which e^{Lt} is zero
 _NEGLIGIBLE = 1e-15  # of what sin(v) - v does to the state in the loop's fastest time constant
-_ITERATIONS = 200  # of the fixed point of statistical linearisation
 _SELF_CONSISTENT = 1e-9  # of the slopes
 _UNRELIABLE = 1e-4  # of the covariance in white coordinates
 _ILL_CONDITIONED = (
@@ -333,19 +332,21 @@ def _whitened(loop: Loop) -> _Whitened:
 def _white_coordinates(loop: Loop, rate: float) -> tuple[NDArray, NDArray, NDArray, float]:
     """Return the slopes of statistical linearisation, S with P = S S', a left inverse and rounding.
 
-    A fixed point, iterated from slopes of one. Each pass solves for the covariance in the
-    coordinates that were white in the one before: there it is well conditioned, whatever the
-    coordinates of the state. What differs from I in the end is rounding.
+    Each pass solves for the covariance in the coordinates that were white in the one before: there
+    it is well conditioned, whatever the coordinates of the state. What differs from I in the end is
+    rounding.
     """
-    rows, slopes = loop.arguments(), np.ones(2)
+    rows = loop.arguments()
     S, inverse = _balanced_coordinates(loop)
-    for _ in range(_ITERATIONS):
+
+    def variances(slopes: NDArray) -> NDArray:
+        nonlocal S, inverse
         S, inverse, _ = _whiter(loop, slopes, rate, S, inverse)
-        before, slopes = slopes, np.exp(-0.5 * ((rows @ S) ** 2).sum(axis=1))
-        if np.abs(slopes - before).max() < _SELF_CONSISTENT:
-            break
-    else:
-        raise UnstableLoopError("the loop is not in lock: statistical linearisation finds none")
+        return ((rows @ S) ** 2).sum(axis=1)
+
+    slopes = linearisation.equivalent_slopes(
+        np.ones(2), variances, linearisation.of_sine, tolerance=_SELF_CONSISTENT
+    )
     for _ in range(2):
         S, inverse, rounding = _whiter(loop, slopes, rate, S, inverse)
     if rounding > _UNRELIABLE:

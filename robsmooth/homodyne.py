@@ -8,10 +8,13 @@ r"""The example of Section IV: adaptive homodyne estimation of a varying optical
 with the phase of the local oscillator at :math:`\hat\phi + \pi/2`. With :math:`e = \phi-\hat\phi`
 and :math:`\sin e = \beta e + f(e)`, the measurement is
 :math:`\bar y = (I + 2\alpha\beta\hat\phi)/2\alpha\beta`, which is linear in :math:`\phi` but for
-:math:`f(e)/\beta`, with :math:`|f(e)| \le \gamma|e|` as long as the loop stays in the sector.
+:math:`f(e)/\beta`, with :math:`|f(e)| \le \gamma|e|` as long as the loop stays in the sector. The
+nonlinearity is of the error, not of the phase: in the form of Section II the filtered estimate is
+its *reference* (`robsmooth.Nonlinearity`).
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,26 +62,12 @@ class HomodyneParameters:
         One state, the phase; one uncertainty channel with zero output, for the process noise
         (:math:`\Delta_1 = 0`); one nonlinearity
         :math:`\psi(\nu) = 2\alpha f(\nu/2\alpha\gamma)` of :math:`\nu = 2\alpha\gamma\phi`, with
-        Lipschitz constant 1 as far as `lipschitz_range` goes.
+        Lipschitz constant 1 as far as `lipschitz_range` goes. Its reference is the filtered
+        estimate, by which the local oscillator is steered: in a simulation it is
+        :math:`\psi(\nu - 2\alpha\gamma\hat\phi)`.
         """
-        drive = math.sqrt(self.kappa)
-        noise = 1.0 / (2.0 * self.alpha * self.beta)
-        return UncertainSystem(
-            A=[[-self.lam]],
-            B1=[[drive, 0.0]],
-            C0=[[1.0]],
-            C2=[[1.0]],
-            D21=[[0.0, noise]],
-            uncertainties=(Uncertainty(B=[[drive]], C=[[0.0]], D=[[0.0]]),),
-            nonlinearities=(
-                Nonlinearity(
-                    B=[[0.0]],
-                    C=[[2.0 * self.alpha * self.gamma]],
-                    D=[[noise]],
-                    lipschitz=1.0,
-                    function=self.channel,
-                ),
-            ),
+        return homodyne_system(
+            self.lam, self.kappa, self.alpha, self.beta, self.gamma, function=self.channel
         )
 
     def table(self) -> Table:
@@ -166,6 +155,53 @@ class HomodyneParameters:
         """
         gain = validation.positive("gain", gain)
         return replace(self, alpha=gain * self.alpha, beta=self.beta / gain)
+
+
+def homodyne_system(
+    lam: float,
+    kappa: float,
+    alpha: float,
+    beta: float,
+    gamma: float,
+    *,
+    shot_noise: float = 1.0,
+    function: Callable | None = None,
+) -> UncertainSystem:
+    r"""Return the system of `HomodyneParameters.uncertain_system`, for any numbers.
+
+    Parameters
+    ----------
+    lam, kappa, alpha, beta, gamma : float
+        As in `HomodyneParameters`; a phase may be without decay or without noise, too.
+    shot_noise : float
+        Power of the photocurrent's noise: one, as the paper has it.
+    function : callable, optional
+        The nonlinearity.
+
+    Returns
+    -------
+    UncertainSystem
+    """
+    drive = math.sqrt(kappa)
+    gain = 1.0 / (2.0 * alpha * beta)
+    return UncertainSystem(
+        A=[[-lam]],
+        B1=[[drive, 0.0]],
+        C0=[[1.0]],
+        C2=[[1.0]],
+        D21=[[0.0, math.sqrt(shot_noise) * gain]],
+        uncertainties=(Uncertainty(B=[[drive]], C=[[0.0]], D=[[0.0]]),),
+        nonlinearities=(
+            Nonlinearity(
+                B=[[0.0]],
+                C=[[2.0 * alpha * gamma]],
+                D=[[gain]],
+                lipschitz=1.0,
+                function=function,
+                reference="filtered",
+            ),
+        ),
+    )
 
 
 def fraction_inside(error_range: float, variance: float) -> float:

@@ -6,20 +6,29 @@ r"""The loop of plant and estimator with its uncertainty taken out.
     \qquad e(t) = C_w X(t - \delta) - C_s X(t),
 
 with :math:`X = [x_p; \hat x]` as in (eqclosed): :math:`\tilde\xi = \Delta\tilde\zeta` closes
-it. What is asked of the loop under every admissible :math:`\Delta`, and not under one, starts here.
+it. What is asked of the loop under every admissible :math:`\Delta`, and not under one, starts here;
+so do the simulations of the nonlinear loop.
+
+A *reference* `r` is what a detector takes off the arguments of the nonlinearities, and the copies
+off theirs (`robsmooth.Nonlinearity`): :math:`\tilde\zeta = C_\zeta X - r`, with `r` read out of
+the estimator's state.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robsmooth import validation
 from robsmooth.estimator import Estimator
 from robsmooth.smoother import RobustSmoother
+from robsmooth.systems import REFERENCES, UncertainSystem
 from robsmooth.validation import Matrix
 
 OUTPUTS = ("smoothed", "filtered", "guaranteed")
+Reference = str | ArrayLike | None
+_ROUNDING = 1e-9  # of a row, relative: a combination of others to that is one
 
 
 @dataclass(frozen=True)
@@ -91,8 +100,13 @@ class OpenLoop:
         ]
 
 
-def matrices(estimator: Estimator, copy_noise: bool) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """Return drift, noise intensity, inputs and outputs of the loop, as `OpenLoop` has them."""
+def matrices(
+    estimator: Estimator, copy_noise: bool, reference: Reference = None
+) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """Return drift, noise intensity, inputs and outputs of the loop, as `OpenLoop` has them.
+
+    The outputs are less a reference, as `reference_outputs` has it.
+    """
     plant, gain = estimator.plant, estimator.B_c
     noise = plant.D21_bar.copy()
     if not copy_noise:
@@ -102,8 +116,78 @@ def matrices(estimator: Estimator, copy_noise: bool) -> tuple[Matrix, Matrix, Ma
         np.block([[plant.A_p, beside], [gain @ plant.C2_tilde, estimator.A_c]]),
         np.vstack([plant.B_p1, gain @ noise]),
         np.vstack([plant.B1_tilde, gain @ plant.D21_tilde]),
-        np.hstack([plant.C1_tilde, plant.D12_tilde @ estimator.C_c]),
+        np.hstack(
+            [
+                plant.C1_tilde,
+                plant.D12_tilde @ estimator.C_c - reference_outputs(estimator, reference),
+            ]
+        ),
     )
+
+
+def reference_outputs(estimator: Estimator, reference: Reference) -> Matrix:
+    r"""Return the rows that read the reference out of the estimator's state.
+
+    Parameters
+    ----------
+    estimator : Estimator
+    reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
+        Each nonlinearity's own, an estimate of its argument, the rows themselves, or zero.
+
+    Returns
+    -------
+    (h + 2g, n_c) array
+        Of the order of zeta-tilde: zeros, the rows, and the rows again where a copy is run.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For another reference, or the name of an estimate that there is not.
+    """
+    system, n_c = estimator.plant.system, len(estimator.A_c)
+    rows = _reference_rows(estimator, reference)
+    runs = estimator.B_c[:, system.l :].any(axis=0)
+    none = np.zeros((sum(estimator.plant.output_sizes) - 2 * system.g, n_c))
+    return np.vstack([none, rows, rows * runs[:, None]])
+
+
+def _reference_rows(estimator: Estimator, reference: Reference) -> Matrix:
+    """Return the reference as a (g, n_c) matrix."""
+    system, shape = estimator.plant.system, (estimator.plant.system.g, len(estimator.A_c))
+    if reference is None:
+        return np.zeros(shape)
+    if not isinstance(reference, str):
+        return validation.matrix("reference", reference, shape)
+    validation.choice("reference", reference, ("system", *REFERENCES))
+    rows = np.zeros(shape)
+    for i, nonlinearity in enumerate(system.nonlinearities):
+        name = nonlinearity.reference if reference == "system" else reference
+        if name is None:
+            continue
+        weights = argument_weights(system, i)
+        if weights is None:
+            raise ValueError(
+                f"reference must be a matrix of shape {shape} or None: there is no {name} estimate "
+                f"of the argument of nonlinearities[{i}], whose C is no combination of the rows of "
+                "C0; the matrix reads the references out of the estimator's state"
+            )
+        rows[i] = weights @ (estimator.C_f if name == "filtered" else estimator.C_a)
+    return rows
+
+
+def argument_weights(system: UncertainSystem, index: int) -> Matrix | None:
+    """Return the (m,) weights of w in the argument of a nonlinearity, if it is made of w."""
+    C, target = system.C0, system.nonlinearities[index].C[0]
+    # states and outputs may have any units
+    states = np.maximum(np.abs(C).max(axis=0), np.abs(target))
+    states[states == 0.0] = 1.0
+    outputs = np.linalg.norm(C / states, axis=1)
+    outputs[outputs == 0.0] = 1.0
+    scaled, target = C / states / outputs[:, None], target / states
+    weights = np.linalg.lstsq(scaled.T, target, rcond=None)[0]
+    if np.abs(weights @ scaled - target).max() > _ROUNDING * np.abs(target).max():
+        return None
+    return weights / outputs
 
 
 def open_loop(smoother: Estimator, output: str, copy_noise: bool) -> OpenLoop:

@@ -26,6 +26,10 @@ With :math:`u`, :math:`\tilde\nu` and the estimates linear in :math:`\hat x` thi
 
 which is what is simulated: the options of the loop differ in :math:`G`, :math:`r`, :math:`c` and
 :math:`b_c` only.
+
+It is the loop of any nonlinear system (`robsmooth.interconnection`) with the reference
+:math:`2\alpha\gamma u`, and written with sines: :math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) -
+(\beta/\gamma)v`, of which the second part is linear.
 """
 
 import math
@@ -33,14 +37,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_continuous_lyapunov
+from scipy.linalg import block_diag, solve_continuous_lyapunov
 
-from robsmooth import validation
+from robsmooth import linearisation, validation
+from robsmooth.augmented import compact
 from robsmooth.errors import UnstableLoopError
+from robsmooth.estimator import Estimator
+from robsmooth.homodyne import homodyne_system
+from robsmooth.interconnection import matrices
+from robsmooth.systems import REFERENCES, UncertainSystem
 
-OSCILLATORS = ("filtered", "smoothed")
 NONLINEARITIES = ("difference", "literal")
-FIXED_POINT_ITERATIONS = 200
 FIXED_POINT_TOLERANCE = 1e-10
 LARGEST_VARIANCE = 4 * np.pi**2  # rad^2, a turn: such a loop is not locked at all
 
@@ -98,14 +105,9 @@ class Loop:
         self, sine_slope: float = 1.0, copy_slope: float = 1.0
     ) -> NDArray[np.float64]:
         r"""Drift of :math:`(\varphi, \hat x)`, each sine replaced by a slope, 1/s."""
-        measured, copied = sine_slope * self.sine_gain, copy_slope * self.copy_gain
-        drift = np.zeros((1 + self.order, 1 + self.order))
-        drift[0, 0] = -self.phase_decay
-        drift[1:, 0] = measured
-        drift[1:, 1:] = (
-            self.drift - np.outer(measured, self.reference) + np.outer(copied, self.copy)
-        )
-        return drift
+        slopes = np.diag([sine_slope, copy_slope])
+        linear = block_diag(-self.phase_decay, self.drift)
+        return linear + self.gains() @ slopes @ self.arguments()
 
     def gains(self) -> NDArray[np.float64]:
         r"""Columns by which the two sines drive :math:`(\varphi, \hat x)`, 1/s."""
@@ -143,17 +145,14 @@ class Loop:
             Where there is none, because the loop loses lock.
         """
         rows = self.arguments()
-        slopes = np.ones(2)
-        for _ in range(FIXED_POINT_ITERATIONS):
-            variances = np.einsum("ij,jk,ik->i", rows, self.covariance(*slopes), rows)
-            if variances.max() > LARGEST_VARIANCE:
-                break
-            before, slopes = slopes, np.exp(-0.5 * variances)
-            if np.abs(slopes - before).max() < FIXED_POINT_TOLERANCE:
-                return float(slopes[0]), float(slopes[1])
-        raise UnstableLoopError(
-            "statistical linearisation finds no stationary state: the loop loses lock"
+        slopes = linearisation.equivalent_slopes(
+            np.ones(2),
+            lambda slopes: np.einsum("ij,jk,ik->i", rows, self.covariance(*slopes), rows),
+            linearisation.of_sine,
+            tolerance=FIXED_POINT_TOLERANCE,
+            largest=LARGEST_VARIANCE,
         )
+        return float(slopes[0]), float(slopes[1])
 
     def noise_gains(self) -> NDArray[np.float64]:
         r"""Columns by which dV and dW drive :math:`(\varphi, \hat x)`."""
@@ -189,7 +188,7 @@ class Loop:
 
 def check_stationary(eigenvalues: NDArray[np.complexfloating]) -> None:
     """Raise an UnstableLoopError unless a drift with these eigenvalues, 1/s, is stable."""
-    slowest = -eigenvalues.real.max()
+    slowest = 0.0 - eigenvalues.real.max()  # and not minus zero
     if not slowest > 0:
         raise UnstableLoopError(
             "the loop has no stationary state: linearised, its slowest mode has the decay rate "
@@ -212,37 +211,35 @@ def homodyne_loop(
     alpha = _parameter(parameters, "alpha", low=0.0, low_open=True)
     beta = _parameter(parameters, "beta", low=0.0, low_open=True)
     gamma = _parameter(parameters, "gamma", low=0.0, low_open=True)
-    A_c, B_c, C_c, C_f, C_a, delay = _estimator(smoother)
-    validation.choice("oscillator", oscillator, OSCILLATORS)
+    validation.choice("oscillator", oscillator, REFERENCES)
     validation.choice("nonlinearity", nonlinearity, NONLINEARITIES)
     copy = validation.boolean("copy", copy)
     shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
+    system = homodyne_system(lam, kappa, alpha, beta, gamma, shot_noise=shot_noise)
+    estimator = _estimator(smoother, system, copy)
 
-    filtered, smoothed = C_f[0], C_a[0]
-    u = filtered if oscillator == "filtered" else smoothed
+    u = estimator.C_f if oscillator == "filtered" else estimator.C_a
+    scale = 2 * alpha * gamma
     # "literal" takes sin(phi) - beta phi at its word: the nonlinearity is not of the difference.
-    reference = u if nonlinearity == "difference" else np.zeros_like(u)
-    measurement_gain = B_c[:, 0]
-    drift = A_c + np.outer(measurement_gain, reference)
-    if copy and C_c.shape[0] == 2:
-        copy_argument = C_c[1] / (2 * alpha * gamma) - reference
-        copy_gain = 2 * alpha * B_c[:, 1]
-        drift -= beta * np.outer(copy_gain, copy_argument)
-    else:
-        copy_argument = copy_gain = np.zeros_like(u)
+    reference = scale * u if nonlinearity == "difference" else None
+    drift, noise, inputs, outputs = matrices(estimator, copy_noise=False, reference=reference)
+    # of the sine and its copy, behind the channel of an uncertainty that is zero
+    gains, arguments = 2 * alpha * inputs[:, 1:], outputs[1:] / scale
+    linear = drift - beta * gains @ arguments
+    runs_copy = gains[:, 1].any()
     return Loop(
-        phase_decay=lam,
-        phase_diffusion=np.sqrt(kappa),
-        drift=drift,
-        reference=reference,
-        copy=copy_argument,
-        sine_gain=measurement_gain / beta,
-        copy_gain=copy_gain,
-        sine_noise=np.sqrt(shot_noise) / (2 * alpha),
-        filtered=filtered,
-        smoothed=smoothed,
-        oscillator=u,
-        delay=delay,
+        phase_decay=-linear[0, 0],
+        phase_diffusion=noise[0, 0],
+        drift=linear[1:, 1:],
+        reference=-arguments[0, 1:],
+        copy=arguments[1, 1:] * runs_copy,
+        sine_gain=gains[1:, 0],
+        copy_gain=gains[1:, 1],
+        sine_noise=beta * system.D21[0, 1],
+        filtered=estimator.C_f[0],
+        smoothed=estimator.C_a[0],
+        oscillator=u[0],
+        delay=estimator.plant.delay,
     )
 
 
@@ -256,8 +253,8 @@ def _parameter(parameters, name: str, **interval) -> float:
     return validation.real(f"parameters.{name}", value, **interval)
 
 
-def _estimator(smoother) -> tuple:
-    """Checked matrices and delay of an estimator with one measurement and g <= 1.
+def _estimator(smoother, system: UncertainSystem, copy: bool) -> Estimator:
+    """Check what is given as an estimator with one measurement and g <= 1, and make it one.
 
     The filtered estimate is C_f x_hat, or w-hat where the estimator has no such row.
     """
@@ -283,4 +280,14 @@ def _estimator(smoother) -> tuple:
             "(1 row in C_a and C_f, 1 or 2 columns in B_c, and as many rows in C_c), got "
             f"C_a {C_a.shape}, C_f {C_f.shape}, B_c {B_c.shape}, C_c {C_c.shape}"
         )
-    return A_c, B_c, C_c, C_f, C_a, validation.real("smoother.plant.delay", delay, low=0.0)
+    delay = validation.real("smoother.plant.delay", delay, low=0.0)
+    runs = np.array([1.0, float(copy)])[: C_c.shape[0]]
+    missing = 2 - inputs
+    return Estimator(
+        plant=compact(system, delay, order=0),
+        A_c=A_c,
+        B_c=np.pad(B_c * runs, ((0, 0), (0, missing))),
+        C_c=np.pad(C_c * runs[:, None], ((0, missing), (0, 0))),
+        C_f=C_f,
+        C_a=C_a,
+    )

@@ -14,6 +14,7 @@ A file has the names and units of the library's fields, its matrices by rows::
     B = [...]
     lipschitz = 1.0
     function = "sin"
+    reference = "filtered"
 
 Numbers are written so that they are read back bit for bit. A function is named only: nothing in a
 file is ever imported or run, and `load` takes the functions by those names.
@@ -48,7 +49,8 @@ _ABOUT = {
     "system": """\
 # dx = (A x + sum_s B xi_s + sum_i B mu_i) dt + B1 dW,    w = C0 x
 # dy = (C2 x + sum_s D xi_s + sum_i D mu_i) dt + D21 dW
-# uncertainties: xi_s is no larger than C x; nonlinearities: mu_i = function(C x), Lipschitz""",
+# uncertainties: xi_s is no larger than C x; nonlinearities: mu_i = function(C x), Lipschitz;
+# with a reference ("filtered" or "smoothed"), of C x less that estimate of it""",
     "plant": """\
 # The system with a model, of a Pade order, of a delay (s) of w; J_21 is the intensity of the
 # noise that the theory adds to the estimator's copies of the nonlinearities.""",
@@ -162,6 +164,7 @@ def _system_fields(system: UncertainSystem) -> dict:
         fields["nonlinearities"] = [
             {"B": c.B, "C": c.C, "D": c.D, "lipschitz": c.lipschitz}
             | ({} if name is None else {"function": name})
+            | ({} if c.reference is None else {"reference": c.reference})
             for c, name in zip(system.nonlinearities, names, strict=True)
         ]
     return fields
@@ -329,7 +332,7 @@ class _Reader:
             return Uncertainty(**_channel(table, path, n))
 
     def nonlinearity(self, table: object, path: str, n: int) -> Nonlinearity:
-        _check_fields(path, table, ("B", "C", "D", "lipschitz"), ("function",))
+        _check_fields(path, table, ("B", "C", "D", "lipschitz"), ("function", "reference"))
         name = table.get("function")
         if name is not None:
             if not isinstance(name, str):
@@ -337,8 +340,9 @@ class _Reader:
             self.named.add(name)
         lipschitz = _number(f"{path}lipschitz", table["lipschitz"])
         channel = _channel(table, path, n)
+        more = {"function": self.functions.get(name), "reference": table.get("reference")}
         with _within(path):
-            return Nonlinearity(**channel, lipschitz=lipschitz, function=self.functions.get(name))
+            return Nonlinearity(**channel, lipschitz=lipschitz, **more)
 
     def plant(self, table: object, path: str = "") -> AugmentedSystem:
         _check_fields(path, table, ("delay", "order", "system"), ("J_21",))

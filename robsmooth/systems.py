@@ -10,6 +10,11 @@ r"""The class of uncertain nonlinear systems of Section II.
 with :math:`\mu_i = \psi_i(\nu_i)`, each :math:`\psi_i` Lipschitz with constant :math:`\beta_i` and
 zero at zero, and each :math:`\xi_s` bounded by :math:`\zeta_s` in the mean-square sense of the
 paper's integral quadratic constraint.
+
+A detector may be steered by an estimate, as in homodyne detection by the phase of the local
+oscillator. Its nonlinearity then acts on what is left, :math:`\mu_i = \psi_i(\nu_i - r_i)`, with
+the *reference* :math:`r_i` an estimate of :math:`\nu_i`. What the detector takes off, the known
+:math:`r_i`, has been added to the linear part of the measurement again, as in Section IV-A.
 """
 
 import re
@@ -27,6 +32,7 @@ if TYPE_CHECKING:
     import control
 
 _ROUNDING = 1e-12
+REFERENCES = ("filtered", "smoothed")
 _CHANNELS = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
 
 
@@ -86,12 +92,17 @@ class Nonlinearity:
     function : callable, optional
         :math:`\psi_i` itself, vectorised over arrays or compiled by numba, for scalars too. The
         design needs only the Lipschitz constant.
+    reference : {None, "filtered", "smoothed"}
+        The estimate that the detector is steered by: the nonlinearity acts on :math:`\nu_i - r_i`,
+        and the copy on :math:`\tilde\nu_i - r_i`, with :math:`r_i` the filtered or the smoothed
+        estimate of :math:`\nu_i`. None: there is no reference. The loop is simulated so by
+        `simulate`; designs and their guarantees do not use it.
 
     Raises
     ------
     ValueError, TypeError
-        For a matrix that is not 2-D, real and finite, a constant that is not positive, or a
-        function that is not callable, not vectorised or not zero at zero.
+        For a matrix that is not 2-D, real and finite, a constant that is not positive, a function
+        that is not callable, not vectorised or not zero at zero, or another reference.
     """
 
     B: Matrix
@@ -99,6 +110,7 @@ class Nonlinearity:
     D: Matrix
     lipschitz: float
     function: Callable | None = None
+    reference: str | None = None
 
     def __post_init__(self):
         for name in ("B", "C", "D"):
@@ -108,10 +120,13 @@ class Nonlinearity:
         object.__setattr__(self, "lipschitz", lipschitz)
         if self.function is not None:
             _check_function("Nonlinearity function", self.function)
+        if self.reference is not None:
+            validation.choice("Nonlinearity reference", self.reference, REFERENCES)
 
     def __repr__(self) -> str:
         function = getattr(self.function, "__name__", type(self.function).__name__)
         given = "" if self.function is None else f", function={function}"
+        given += "" if self.reference is None else f", reference={self.reference!r}"
         return f"Nonlinearity({_matrices(self)}, lipschitz={self.lipschitz:.5g}{given})"
 
     def _repr_latex_(self) -> str:
@@ -265,6 +280,7 @@ class UncertainSystem:
         sys: "control.StateSpace",
         lipschitz: Sequence[float] = (),
         functions: Sequence[Callable | None] | None = None,
+        references: Sequence[str | None] | None = None,
     ) -> "UncertainSystem":
         """Read a system from a python-control object whose signals are named as `to_statespace`'s.
 
@@ -278,6 +294,8 @@ class UncertainSystem:
             The nonlinearities' constants, which a linear system does not hold.
         functions : (g,) sequence of callables or None, optional
             The nonlinearities themselves.
+        references : (g,) sequence of str or None, optional
+            Their references, as in `Nonlinearity`.
 
         Returns
         -------
@@ -294,11 +312,14 @@ class UncertainSystem:
         mu, nu = blocks.into_state("mu"), blocks.from_state("nu")
         constants = validation.array("lipschitz", lipschitz, ndim=1)
         functions = [None] * len(constants) if functions is None else functions
+        references = [None] * len(constants) if references is None else references
         validation.instance("functions", functions, Sequence)
+        validation.instance("references", references, Sequence)
         for name, given in (
             ("sys's output 'nu'", nu),
             ("lipschitz", constants),
             ("functions", functions),
+            ("references", references),
         ):
             if len(given) != mu.shape[1]:
                 raise ValueError(
@@ -321,7 +342,7 @@ class UncertainSystem:
             ],
             nonlinearities=[
                 Nonlinearity(mu[:, [i]], nu[[i]], blocks.direct("y", "mu")[:, [i]], *of_function)
-                for i, of_function in enumerate(zip(constants, functions, strict=True))
+                for i, of_function in enumerate(zip(constants, functions, references, strict=True))
             ],
         )
 
@@ -432,9 +453,13 @@ class UncertainSystem:
             f"w &= {of_x(self.C0)}",
         ]
         for i, (c, symbol) in enumerate(mu[:_CHANNELS], 1):
+            nu, argument, estimate = rf"\nu_{{{i}}}", rf"\nu_{{{i}}}", ""
+            if c.reference is not None:
+                argument = rf"{nu} - r_{{{i}}}"
+                estimate = rf",\quad r_{{{i}}}\text{{ the {c.reference} estimate of }}{nu}"
             lines.append(
-                rf"{symbol} &= \psi_{{{i}}}(\nu_{{{i}}}),\quad \nu_{{{i}}} = {of_x(c.C)},\quad "
-                rf"\beta_{{{i}}} = {notation.number(c.lipschitz)}"
+                rf"{symbol} &= \psi_{{{i}}}({argument}),\quad {nu} = {of_x(c.C)},\quad "
+                rf"\beta_{{{i}}} = {notation.number(c.lipschitz)}{estimate}"
             )
         for s, (c, symbol) in enumerate(xi[:_CHANNELS], 1):
             zeta = rf"\zeta_{{{s}}}"

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.linalg import block_diag, solve_continuous_lyapunov
+from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 from scipy.optimize import brentq
 
 import robsmooth as rs
@@ -21,9 +21,11 @@ from robsmooth import (
     design_smoother,
     error_covariance,
     homodyne,
+    published,
     statistical_linearisation,
 )
 from robsmooth.covariance import closed_loop
+from robsmooth.loop import homodyne_loop
 from tests.strategies import admissible_delta, designs, feasible_design, random_system, seeds
 
 NEAR_INFIMUM = (1.0987e-6, [1.0, 0.4999, 1e-4, 1e-4])
@@ -332,14 +334,73 @@ def test_statistical_linearisation_is_a_fixed_point(example):
     found = statistical_linearisation(example, homodyne.PAPER.equivalent_slope)
     slope = (math.exp(-found.filtered / 2) - 1) / 0.4
     assert found.slope == pytest.approx(slope, rel=1e-12)
-    Delta = example.plant.structured_delta((), [slope])
+    Delta = np.diag([0.0, slope, found.copy_slope])
     for output in ("filtered", "smoothed"):
-        P = error_covariance(example, Delta, output, copy_noise=False)
-        assert getattr(found, output) == pytest.approx(P[0, 0], rel=1e-9)
+        P = error_covariance(example, Delta, output, copy_noise=False, reference="filtered")
+        assert getattr(found, output) == pytest.approx(P[0, 0], rel=1e-12)
+
+
+@pytest.mark.parametrize("oscillator", ["filtered", "smoothed"])
+@pytest.mark.parametrize("name", ["smoother, as printed", "Kalman-Bucy"])
+def test_statistical_linearisation_is_that_of_the_homodyne_loop(name, oscillator):
+    """With slopes of its own for the detector and the copy."""
+    design = published.designs()[name]
+    found = statistical_linearisation(design, homodyne.PAPER.equivalent_slope, oscillator)
+    loop = homodyne_loop(homodyne.PAPER, design, oscillator=oscillator)
+    slopes = 1.0 + 0.4 * np.array([found.slope, found.copy_slope])
+    assert_allclose(slopes, loop.equivalent_slopes(), rtol=1e-10)
+    P = loop.covariance(*slopes)
+    A = loop.linearised_drift(*slopes)
+    error, later = np.array([1.0, *-loop.filtered]), np.array([0.0, *loop.smoothed])
+    assert found.filtered == pytest.approx(error @ P @ error, rel=1e-10)
+    smoothed = P[0, 0] - 2 * later @ expm(A * loop.delay) @ P[:, 0] + later @ P @ later
+    assert found.smoothed == pytest.approx(smoothed, rel=1e-9)
+
+
+def test_statistical_linearisation_without_a_reference_is_of_the_whole_phase(example):
+    phase = homodyne.PAPER.kappa / (2 * homodyne.PAPER.lam)
+    estimator = baselines.kalman_bucy(homodyne.PAPER.uncertain_system())
+    found = statistical_linearisation(estimator, homodyne.PAPER.equivalent_slope, None)
+    assert found.slope == pytest.approx(homodyne.PAPER.equivalent_slope(phase), rel=1e-12)
+    by_loop = statistical_linearisation(estimator, homodyne.PAPER.equivalent_slope)
+    assert found.filtered > 5 * by_loop.filtered
+
+
+def test_statistical_linearisation_of_a_loop_is_the_same_with_copies_at_the_reference():
+    system = homodyne.PAPER.uncertain_system()
+    plain, copies = (
+        statistical_linearisation(
+            baselines.fixed_lag_smoother(system, 3.1e-6, 2, copies=copies),
+            homodyne.PAPER.equivalent_slope,
+        )
+        for copies in (False, True)
+    )
+    for name in ("slope", "filtered", "smoothed"):
+        assert getattr(plain, name) == pytest.approx(getattr(copies, name), rel=1e-12)
+
+
+@pytest.mark.parametrize("rate", [0.5, 5.0, 50.0])
+def test_statistical_linearisation_of_a_hardening_nonlinearity_is_found(rate):
+    """Its slope rises as the error falls: a plain iteration swings ever further to both sides."""
+    estimator = baselines.kalman_bucy(homodyne.PAPER.uncertain_system())
+
+    def slope(variance):
+        return rate * variance
+
+    found = statistical_linearisation(estimator, slope)
+
+    def error(variance):
+        Delta = estimator.plant.structured_delta((), [slope(variance)])
+        P = error_covariance(
+            estimator, Delta, "filtered", False, allow_inadmissible=True, reference="filtered"
+        )
+        return P[0, 0] - variance
+
+    assert found.filtered == pytest.approx(brentq(error, 0.0, 1.0, xtol=1e-15), rel=1e-9)
 
 
 def test_statistical_linearisation_of_a_constant_slope_is_linear(example):
-    found = statistical_linearisation(example, lambda variance: -0.3)
+    found = statistical_linearisation(example, lambda variance: -0.3, None)
     P = delta_sweep(example, [-0.3], "filtered", copy_noise=False)[0, 0, 0]
     assert found.filtered == pytest.approx(P, rel=1e-9)
     assert found.slope == -0.3
@@ -407,6 +468,18 @@ def test_statistical_linearisation_that_runs_away_is_an_error(example):
 def test_statistical_linearisation_wants_one_output_and_one_nonlinearity(general):
     with pytest.raises(ValueError, match="m=2 and g=2"):
         statistical_linearisation(general, homodyne.PAPER.equivalent_slope)
+    system = homodyne.PAPER.uncertain_system()
+    wide = replace(
+        system,
+        A=-9e3 * np.eye(2),
+        B1=200 * np.eye(2),
+        C0=np.eye(1, 2),
+        C2=np.eye(1, 2),
+        uncertainties=(),
+        nonlinearities=[replace(system.nonlinearities[0], B=np.zeros((2, 1)), C=[[0.0, 900.0]])],
+    )
+    with pytest.raises(ValueError, match=r"must be a multiple of the output w.*got C = \[ *0"):
+        statistical_linearisation(baselines.kalman_bucy(wide), homodyne.PAPER.equivalent_slope)
 
 
 def test_statistical_linearisation_predicts_the_nonlinear_loop():
@@ -461,11 +534,3 @@ def test_errors_are_invariant_to_the_unit_of_time(slope):
             for d in (plain, other)
         ]
         assert_allclose(*pair, rtol=1e-9)
-
-
-def test_statistical_linearisation_refuses_an_estimator_that_the_nonlinearity_bypasses():
-    parameters = rs.homodyne.PAPER
-    with pytest.raises(ValueError, match="smoother must run a copy"):
-        rs.statistical_linearisation(
-            rs.baselines.kalman_bucy(parameters.uncertain_system()), parameters.equivalent_slope
-        )

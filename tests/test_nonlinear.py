@@ -5,6 +5,7 @@ standard errors once in 150 000 times; there are about 70 of them here.
 """
 
 import math
+import warnings
 from dataclasses import replace
 
 import numba
@@ -15,16 +16,19 @@ from hypothesis import strategies as st
 from numpy.polynomial.chebyshev import chebvander
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import quad, quad_vec, solve_ivp
-from scipy.linalg import expm, solve_continuous_lyapunov
+from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 from scipy.signal import cont2discrete
 from scipy.special import erfc
 from scipy.stats import norm
 
+from robsmooth import published
 from robsmooth.augmented import augment, compact
 from robsmooth.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.covariance import error_covariance
 from robsmooth.errors import UnstableLoopError
+from robsmooth.galerkin import stationary_errors
 from robsmooth.homodyne import PAPER
+from robsmooth.loop import homodyne_loop
 from robsmooth.montecarlo import monte_carlo
 from robsmooth.nonlinear import InadmissibleWarning, run, sample_paths, simulate
 from robsmooth.nonlinear.exact import noise_root, responses, stationary_root
@@ -135,6 +139,7 @@ def restored_loop(slope):
         inputs=one,
         noise=one,
         arguments=one,
+        reference=0 * one,
         readout=np.ones((3, 1)),
         delta=np.array([[slope]]),
         functions=(Function([0], [0], lambda _, v: restoring(v), True),),
@@ -176,9 +181,14 @@ def test_stationary_variance_converges_with_the_second_order(slope, bias_of_defa
     assert abs(biases[0]) < bias_of_default
 
 
-def test_equations_are_those_of_the_paper():
+@pytest.mark.parametrize("referenced", [False, True])
+def test_equations_are_those_of_the_paper(referenced):
     """Without noise: against scipy's solver on the system and the estimator as they are written."""
     estimator = curved_estimator()
+    reference = None
+    taken_off = np.zeros((2, len(estimator.A_c)))
+    if referenced:
+        reference = taken_off = 0.5 * np.random.default_rng(1).standard_normal(taken_off.shape)
     system, m, l = estimator.plant.system, 2, 2  # noqa: E741 - the paper's letter
     x_size = system.n
     block = np.array([[0.3, -0.2, 0.4], [0.1, 0.5, -0.3]])
@@ -189,18 +199,19 @@ def test_equations_are_those_of_the_paper():
     def rates(t, state):
         x, x_hat = state[:x_size], state[x_size:-l]
         first, second = system.uncertainties
+        r = taken_off @ x_hat
         inputs = [(first, block @ first.C @ x), (second, xi(t, (second.C @ x)[:, None])[:, 0])]
-        inputs += [(c, c.function(c.C @ x)) for c in system.nonlinearities]
+        inputs += [(c, c.function(c.C @ x - r[i])) for i, c in enumerate(system.nonlinearities)]
         dx = system.A @ x + sum(c.B @ u for c, u in inputs)
         dy = system.C2 @ x + sum(c.D @ u for c, u in inputs)
         copies = [
             c.function(nu)
-            for c, nu in zip(system.nonlinearities, estimator.C_c[m:] @ x_hat, strict=True)
+            for c, nu in zip(system.nonlinearities, estimator.C_c[m:] @ x_hat - r, strict=True)
         ]
         dx_hat = estimator.A_c @ x_hat + estimator.B_c @ [*dy, *copies]
         return np.concatenate([dx, dx_hat, dy])
 
-    loop = nonlinear_loop(estimator, [block, xi])
+    loop = nonlinear_loop(estimator, [block, xi], reference=reference)
     start = np.random.default_rng(0).standard_normal((loop.order, 1))
     start[x_size + 3 :] = 0.0
     exact = solve_ivp(
@@ -282,23 +293,6 @@ def test_guarantee_of_a_design_holds_in_the_nonlinear_loop(uncertainty):
         assert error.mean_square + 4 * error.standard_error < 2 * design.bound
 
 
-def test_homodyne_loop_agrees_with_its_own_kernel():
-    """The detector's sine of the whole phase, as the words of Section IV-E have it."""
-    parameters = replace(PAPER, kappa=4e3)
-    estimator = fixed_lag_smoother(parameters.uncertain_system(), 3.1e-6, 2, copies=True)
-    kernel = monte_carlo(
-        parameters, estimator, nonlinearity="literal", runs=2048, duration=2e-3, step=7.75e-7
-    )
-    assert kernel.slips == 0
-    with pytest.warns(InadmissibleWarning, match=r"nonlinearities\[0\] less its copy for"):
-        result = simulate(estimator, runs=512, duration=2e-3, step=7.75e-7)
-    for name in ("filtered", "smoothed"):
-        here, there = getattr(result, name), getattr(kernel, name)
-        deviation = math.hypot(here.standard_error, there.standard_error)
-        assert deviation < 0.01 * there.mean_square
-        assert_within(here.mean_square, there.mean_square, deviation)
-
-
 def test_statistical_linearisation_predicts_the_errors_of_a_weak_nonlinearity():
     estimator = curved_estimator()
     result = simulate(estimator, runs=1024, duration=250.0)
@@ -337,6 +331,203 @@ def test_uncertainty_is_given_the_time_from_the_start_of_averaging():
     assert max(times) == pytest.approx(2.0)
 
 
+# --- the reference --------------------------------------------------------------------------------
+
+
+def homodyne_estimator(name, parameters=PAPER):
+    if name == "robust":
+        return published.printed_estimator()
+    system = parameters.uncertain_system()
+    return fixed_lag_smoother(system, 3.1e-6, 2, copies=name == "classical with copies")
+
+
+HOMODYNE_ESTIMATORS = ["classical", "classical with copies", "robust"]
+
+
+def test_the_paper_system_is_simulated_with_its_detector():
+    """As it is, without a word on the reference: the classical smoother's 0.0484."""
+    estimator = homodyne_estimator("classical")
+    result = simulate(estimator, runs=512, duration=1e-3, seed=1)
+    expected = stationary_errors(PAPER, estimator)
+    for name in ("filtered", "smoothed"):
+        error = getattr(result, name)
+        assert error.standard_error < 4e-3 * error.mean_square
+        assert_within(error.mean_square, getattr(expected, name), error.standard_error)
+    assert result.smoothed.mean_square == pytest.approx(0.0484, rel=0.02)
+
+
+@pytest.mark.parametrize("name", HOMODYNE_ESTIMATORS)
+@pytest.mark.parametrize("oscillator", ["filtered", "smoothed"])
+def test_homodyne_loop_has_the_errors_of_its_own_kernel(name, oscillator):
+    estimator = homodyne_estimator(name)
+    how = {"runs": 512, "duration": 1e-3, "step": 3.875e-7}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InadmissibleWarning)  # rare excursions of the error
+        result = simulate(estimator, reference=oscillator, seed=2, **how)
+    kernel = monte_carlo(PAPER, estimator, oscillator=oscillator, **how)
+    moments = stationary_errors(PAPER, estimator, oscillator=oscillator)
+    assert kernel.slips == 0
+    for output in ("filtered", "smoothed"):
+        here, there = getattr(result, output), getattr(kernel, output)
+        assert here.standard_error < 4e-3 * here.mean_square
+        deviation = math.hypot(here.standard_error, there.standard_error)
+        assert_within(here.mean_square, there.mean_square, deviation)
+        assert_within(here.mean_square, getattr(moments, output), here.standard_error)
+
+
+@pytest.mark.parametrize("name", ["classical", "classical with copies"])
+def test_without_a_reference_the_sine_is_of_the_whole_phase(name):
+    """As the words of Section IV-E have it, in a loop that is quiet enough to stay in lock."""
+    parameters = replace(PAPER, kappa=4e3)
+    estimator = homodyne_estimator(name, parameters)
+    how = {"duration": 2e-3, "step": 7.75e-7}
+    kernel = monte_carlo(parameters, estimator, nonlinearity="literal", runs=2048, **how)
+    with pytest.warns(InadmissibleWarning, match=r"nonlinearities\[0\] less its copy for"):
+        result = simulate(estimator, reference=None, runs=512, **how)
+    for output in ("filtered", "smoothed"):
+        here, there = getattr(result, output), getattr(kernel, output)
+        deviation = math.hypot(here.standard_error, there.standard_error)
+        assert deviation < 0.02 * there.mean_square
+        assert_within(here.mean_square, there.mean_square, deviation)
+
+
+@pytest.mark.parametrize("name", HOMODYNE_ESTIMATORS)
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"oscillator": "smoothed"}, {"nonlinearity": "literal"}, {"copy": False}],
+    ids=str,
+)
+def test_matrices_are_those_of_the_homodyne_loop(name, options):
+    """The linear loops of any slopes of the sines, which have every matrix in them."""
+    estimator = homodyne_estimator(name)
+    if not options.get("copy", True):
+        estimator = replace(estimator, B_c=estimator.B_c * [1.0, 0.0])
+    reference = options.get("oscillator", "filtered")
+    if options.get("nonlinearity") == "literal":
+        reference = None
+    homodyne = homodyne_loop(PAPER, estimator, **options)
+    general = nonlinear_loop(estimator, reference=reference)
+    N = general.order
+    assert_allclose(general.noise[:N, :2], homodyne.noise_gains(), rtol=1e-14)
+    assert not general.noise[:N, 2:].any()
+    readout = block_diag(1.0, [homodyne.filtered, homodyne.smoothed])
+    assert_array_equal(general.readout, readout)
+    for sine, copy in np.random.default_rng(0).uniform(-1, 1, (3, 2)):
+        slopes = (np.array([sine, copy]) - PAPER.beta) / PAPER.gamma
+        delta = block_diag(0.0, np.diag(slopes))
+        found = general.drift[:N] + general.inputs[:N] @ delta @ general.arguments
+        size = np.abs(homodyne.linearised_drift(sine, copy)).max()
+        assert_allclose(found, homodyne.linearised_drift(sine, copy), rtol=0, atol=1e-12 * size)
+
+
+def two_detectors(references=(None, None)):
+    """Two outputs, each seen by a detector of its own; arguments that are made of both."""
+    system = random_system(np.random.default_rng(5), n=3, m=2, l=2, g=2)
+    weights = np.array([[2.0, 0.0], [0.5, -1.0]])
+    members = [
+        replace(c, C=(weights @ system.C0)[[i]], function=f, reference=references[i])
+        for i, (c, f) in enumerate(
+            zip(system.nonlinearities, (soft, lambda v: 0.5 * np.sin(v)), strict=True)
+        )
+    ]
+    estimator = fixed_lag_smoother(
+        replace(system, nonlinearities=members), delay=0.3, order=2, copies=True
+    )
+    return estimator, weights
+
+
+def test_references_by_name_are_estimates_of_the_arguments():
+    plain, weights = two_detectors()
+    filtered, smoothed = weights @ plain.C_f, weights @ plain.C_a
+    one_each = np.vstack([filtered[0], smoothed[1]])
+    numbers = {"runs": 3, "duration": 4.0}
+
+    def same(estimator, reference, matrix):
+        found = simulate(estimator, reference=reference, **numbers)
+        expected = simulate(plain, reference=matrix, **numbers)
+        for output in ("filtered", "smoothed"):
+            covariances = (getattr(r, output).covariance for r in (found, expected))
+            assert_allclose(*covariances, rtol=1e-9)
+
+    same(plain, "filtered", filtered)
+    same(plain, "smoothed", smoothed)
+    same(plain, "system", None)
+    of_its_own, _ = two_detectors(("filtered", "smoothed"))
+    same(of_its_own, "system", one_each)
+    same(of_its_own, "filtered", filtered)
+    same(of_its_own, None, np.zeros_like(filtered))
+    with pytest.raises(AssertionError):
+        same(of_its_own, "system", filtered)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_of_a_linear_loop_with_references_have_their_covariance(seed):
+    """Two linear nonlinearities, and references that are any rows of the estimator's state."""
+    rng = np.random.default_rng(seed)
+    estimator, _ = two_detectors()
+    slopes = np.array([0.6, -0.5])
+    system = with_functions(estimator.plant.system, *(lambda v, s=s: s * v for s in slopes))
+    # with the plant's own gains for its copies, the error would not depend on the reference
+    gains = estimator.B_c * [1.0, 1.0, -1.0, 2.0]
+    estimator = replace(estimator, plant=compact(system, 0.3, 2), B_c=gains)
+    reference = 0.5 * rng.standard_normal((2, len(estimator.A_c)))
+    Delta = estimator.plant.structured_delta((), slopes)
+    result = simulate(estimator, reference=reference, runs=200, duration=60.0, step=0.15)
+    assert_allclose(result.equivalent_delta, Delta, rtol=1e-9, atol=1e-12)
+    for output in ("filtered", "smoothed"):
+        arguments = (estimator, Delta, output, False)
+        expected = error_covariance(*arguments, reference=reference)
+        error = getattr(result, output)
+        assert_within(error.covariance, expected, error.covariance_error)
+        without = np.trace(error_covariance(*arguments))
+        assert abs(np.trace(expected) - without) > 5 * error.standard_error
+
+
+def test_estimator_run_on_a_record_with_its_reference_gives_the_estimates():
+    """A phase near zero: a detector has many points of lock, and the record may begin far off."""
+    parameters = replace(PAPER, kappa=4e3)
+    estimator = homodyne_estimator("classical with copies", parameters)
+    settled, misfits = slice(300, None), []  # it starts from zero
+    for step in (3.1e-7, 1.55e-7):
+        paths = sample_paths(estimator, reference="smoothed", runs=8, duration=2e-4, step=step)
+        known = zip(paths.y, paths.reference, strict=True)
+        found = [
+            estimator.discretize(step).run(y, reference=r, output="filtered") for y, r in known
+        ]
+        misfits.append(np.std((found - paths.filtered)[:, settled]))
+    assert misfits[0] < 0.01
+    assert misfits[1] / misfits[0] == pytest.approx(0.5, abs=0.3)
+    without = [estimator.discretize(step).run(y, output="filtered") for y in paths.y]
+    assert np.std((without - paths.filtered)[:, settled]) > 5 * misfits[1]
+
+
+def test_record_of_a_loop_without_a_reference_has_zeros():
+    paths = sample_paths(curved_estimator(), runs=2, duration=1.0)
+    assert_array_equal(paths.reference, np.zeros((*paths.y.shape[:2], 2)))
+
+
+@pytest.mark.parametrize(
+    ("reference", "error", "message"),
+    [
+        ("phase", ValueError, "reference must be one of 'system', 'filtered', 'smoothed', got"),
+        (np.zeros((1, 3)), ValueError, r"reference must have shape \(2, 7\), got \(1, 3\)"),
+        (np.full((2, 7), np.nan), ValueError, "reference must be finite"),
+        (1.0, ValueError, "reference must have 2 dimension"),
+        (
+            "filtered",
+            ValueError,
+            r"reference must be a matrix of shape \(2, 7\) or None: there is no filtered estimate "
+            r"of the argument of nonlinearities\[0\], whose C is no combination",
+        ),
+    ],
+    ids=["name", "shape", "nan", "number", "not an output"],
+)
+def test_bad_references_are_refused(reference, error, message):
+    for function in (simulate, sample_paths):
+        with pytest.raises(error, match=message):
+            function(curved_estimator(), reference=reference)
+
+
 # --- the checks of the theory's constraints -------------------------------------------------------
 
 
@@ -354,6 +545,19 @@ def test_time_outside_the_lipschitz_region_is_that_of_a_gaussian():
     expected = quad(lambda v: dead_zone(v) ** 2 * norm.pdf(v, scale=scaled), -9, 9, points=[0])[0]
     assert result.constraints[2] == pytest.approx(expected / 0.5, rel=0.03)
     assert_array_equal(result.constraints[[0, 3]], 0.0)  # no uncertainty, and no copy
+
+
+def test_constraints_are_of_whole_arguments_and_excursions_of_what_is_left():
+    """A detector that is steered away: never outside its slopes, yet beyond the constraint."""
+    system = scalar_system(lambda v: 0.5 * v)
+    estimator = kalman_bucy(system)
+    with pytest.warns(InadmissibleWarning, match=r"nonlinearities\[0\] for 0 of the time \(1\d\."):
+        result = simulate(estimator, reference=-5.0 * estimator.C_f, runs=200)
+    assert not result.violated.any()
+    loop = nonlinear_loop(estimator, reference=-5.0 * estimator.C_f)
+    P = loop.stationary_root @ loop.stationary_root.T
+    left = loop.arguments[-2] @ P @ loop.arguments[-2]
+    assert result.constraints[2] == pytest.approx(0.25 * left / P[0, 0], rel=0.05)
 
 
 def test_constraint_of_a_constant_is_its_square():

@@ -15,9 +15,9 @@ SOURCES = Path(robsmooth.__file__).parent
 ORDER = """
     blas errors files progress notation tables validation steps statespace systems delay augmented
     riccati lyapunov exponential discrete records estimator smoother limit storage entropy barrier
-    bound interconnection covariance analysis worst_case homodyne certificate baselines lag loop
-    journal executors galerkin montecarlo nonlinear study comparison published provenance
-    simulations statements reproduction report figures diagrams summaries
+    bound linearisation interconnection covariance analysis worst_case homodyne certificate
+    baselines lag loop journal executors galerkin montecarlo nonlinear study comparison published
+    provenance simulations statements reproduction report figures diagrams summaries
     explorer
 """.split()  # noqa: SIM905 - one a line would be long
 

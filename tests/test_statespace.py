@@ -46,7 +46,8 @@ def assert_same_system(given, expected):
             for name in names:
                 assert_array_equal(getattr(one, name), getattr(other, name), strict=True)
     for one, other in zip(given.nonlinearities, expected.nonlinearities, strict=True):
-        assert (one.lipschitz, one.function) == (other.lipschitz, other.function)
+        for name in ("lipschitz", "function", "reference"):
+            assert getattr(one, name) == getattr(other, name)
 
 
 def lipschitz(system):
@@ -94,12 +95,13 @@ def test_signals_may_come_in_any_order(system, seed):
     assert_same_system(UncertainSystem.from_statespace(shuffled, lipschitz(system)), system)
 
 
-def test_the_functions_of_the_nonlinearities_are_given_by_hand():
+def test_what_a_linear_system_does_not_hold_is_given_by_hand():
     system = homodyne.PAPER.uncertain_system()
     sys = system.to_statespace()
-    functions = [homodyne.PAPER.channel]
-    assert_same_system(UncertainSystem.from_statespace(sys, [1.0], functions), system)
-    assert UncertainSystem.from_statespace(sys, [1.0]).nonlinearities[0].function is None
+    by_hand = [1.0], [homodyne.PAPER.channel], ["filtered"]
+    assert_same_system(UncertainSystem.from_statespace(sys, *by_hand), system)
+    (bare,) = UncertainSystem.from_statespace(sys, [1.0]).nonlinearities
+    assert (bare.function, bare.reference) == (None, None)
 
 
 def test_channels_without_columns_or_rows_keep_their_places():
@@ -195,6 +197,8 @@ def renamed(old, new):
         (renamed("xi_0[0]", "xi_2[0]"), (), "got xi_2 or zeta_2 without xi_1"),
         (NAMED, (), "lipschitz must have as many entries as sys's input 'mu', 1, got 0"),
         (NAMED, ([1.0], []), "functions must have as many .*, 1, got 0"),
+        (NAMED, ([1.0], None, []), "references must have as many .*, 1, got 0"),
+        (NAMED, ([1.0], None, ["phase"]), "Nonlinearity reference must be one of 'filtered'"),
         (NAMED, ([0.0],), "lipschitz must be finite and in"),
         (NAMED[["w[0]", "y[0]"], :], ([1.0],), "output 'nu' must have as many .*, 1, got 0"),
         (control.ss(-1, 1, 1, 1, inputs="W", outputs="w"), (), "must have an output 'y'"),

@@ -90,6 +90,13 @@ def test_every_finite_float_comes_back_bit_for_bit(folder, entries, lipschitz):
     assert_same(there_and_back(system, folder), system)
 
 
+@pytest.mark.parametrize("reference", [None, "filtered", "smoothed"])
+def test_the_reference_of_a_detector_comes_back(folder, reference):
+    members = [replace(SYSTEM.nonlinearities[0], function=None, reference=reference)]
+    back = there_and_back(replace(SYSTEM, nonlinearities=members), folder)
+    assert back.nonlinearities[0].reference == reference
+
+
 def test_matrices_without_rows_or_columns_come_back(folder):
     channels = (
         Uncertainty(np.zeros((2, 0)), np.ones((1, 2)), np.zeros((1, 0))),
@@ -160,7 +167,8 @@ TOML = """\
 # Of robsmooth: time in seconds, rates in 1/s, matrices by rows.
 # dx = (A x + sum_s B xi_s + sum_i B mu_i) dt + B1 dW,    w = C0 x
 # dy = (C2 x + sum_s D xi_s + sum_i D mu_i) dt + D21 dW
-# uncertainties: xi_s is no larger than C x; nonlinearities: mu_i = function(C x), Lipschitz
+# uncertainties: xi_s is no larger than C x; nonlinearities: mu_i = function(C x), Lipschitz;
+# with a reference ("filtered" or "smoothed"), of C x less that estimate of it
 format = 1
 kind = "system"
 units = "SI"
@@ -361,6 +369,12 @@ def written(folder, content):
         (("uncertainties", 1, "c"), [], r"uncertainties\[1\]\.c is not a field: the nearest is C"),
         (("nonlinearity",), [], "nonlinearity is not a field: the nearest is nonlinearities"),
         (("d12",), [[0]], "d12 is not a field: the nearest is D21"),
+        (
+            ("nonlinearities", 0, "reference"),
+            "phase",
+            r"nonlinearities\[0\]\.reference must be one of 'filtered', 'smoothed', got 'phase'",
+        ),
+        (("nonlinearities", 0, "reference"), 3, r"\[0\]\.reference must be one of .*, got 3"),
         (("nonlinearities", 0, "lipshitz"), 1, r"\[0\]\.lipshitz .* nearest is lipschitz"),
         (("format",), 2, "format must be 1, got 2: another version's file"),
         (("format",), "1", "format must be an integer, got '1'"),

@@ -145,6 +145,14 @@ def test_a_nonlinearity_is_a_vectorised_function_that_is_zero_at_zero(function, 
         Nonlinearity(**NONLINEARITY, function=function)
 
 
+@pytest.mark.parametrize("value", ["phase", "", 0, True, np.eye(1)])
+def test_a_reference_is_the_name_of_an_estimate(value):
+    with raises(ValueError, "Nonlinearity reference must be one of 'filtered', 'smoothed', got"):
+        Nonlinearity(**NONLINEARITY, reference=value)
+    assert Nonlinearity(**NONLINEARITY).reference is None
+    assert "reference='smoothed'" in repr(Nonlinearity(**NONLINEARITY, reference="smoothed"))
+
+
 @numba.njit
 def compiled_for_arrays(nu):
     return nu - nu[0]

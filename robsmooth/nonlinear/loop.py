@@ -4,7 +4,7 @@ With :math:`z = [x; \hat x_p]` and the paper's channels, uncertainties, nonlinea
 
 .. math::
 
-    dz &= [Fz + G\tilde\xi]\,dt + B\,dW, \qquad \tilde\zeta = Lz, \qquad
+    dz &= [Fz + G\tilde\xi]\,dt + B\,dW, \qquad \tilde\zeta = Lz - Rz, \qquad
     \tilde\xi = \Delta\tilde\zeta + \rho(t, \tilde\zeta), \\
     F &= \begin{bmatrix} A & 0\\ B_yC_2 & A_c\end{bmatrix},\quad
     G = \begin{bmatrix} B_{1s} & \bar B_{1i} & 0\\ B_yD_{21,s} & B_y\bar D_{21,i} & B_\mu
@@ -12,14 +12,19 @@ With :math:`z = [x; \hat x_p]` and the paper's channels, uncertainties, nonlinea
     L = \begin{bmatrix} C_{1,s} & 0\\ \bar C_{1,i} & 0\\ 0 & \tilde C_{c,\nu}\end{bmatrix},
 
 where :math:`\tilde B_c = [B_y\ B_\mu]`. Below them are the rows of the measurement y, on which
-nothing depends. :math:`\Delta` holds the constant uncertainties and, for each nonlinearity and each
-copy, the slope that is statistically equivalent to it: the one that leaves least of
-:math:`\psi(\nu) - s\nu` for the Gaussian :math:`\nu` of the linear loop that the slopes make. What
-is left, and uncertainties that are functions, are in :math:`\rho`. Any slopes describe the same
-loop, but the nearer the linear loop, the better the start and the smaller the error of a step.
+nothing depends. In :math:`R` are the references, rows of the estimator's state: a nonlinearity acts
+on :math:`\nu_i - r_i`, and its copy on :math:`\tilde\nu_i - r_i`. The homodyne loop of
+`robsmooth.loop` is this equation with one reference, :math:`2\alpha\gamma` times the phase of the
+local oscillator.
+
+:math:`\Delta` holds the constant uncertainties and, for each nonlinearity and each copy, the slope
+that is statistically equivalent to it in the loop (`robsmooth.linearisation`). What is left, and
+uncertainties that are functions, are in :math:`\rho`. Any slopes describe the same loop, but the
+nearer the linear loop, the better the start and the smaller the error of a step.
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -30,15 +35,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from robsmooth import validation
+from robsmooth import linearisation, validation
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
+from robsmooth.interconnection import Reference, matrices, reference_outputs
 from robsmooth.nonlinear.exact import stationary_root
 from robsmooth.validation import Matrix
 
-_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(32)
-_ITERATIONS = 50  # at most, of the slopes
 _CONVERGED = 1e-6  # of a slope, relative to the Lipschitz constant
 _ROUNDING = 1e-9  # a deviation below this, relative to its terms, is none
 
@@ -65,7 +69,9 @@ class NonlinearLoop:
     drift, inputs, noise : arrays of N + l rows
         F, G and B, and the rows of y below them.
     arguments : (h + 2g, N) array
-        L.
+        L - R.
+    reference : (h + 2g, N) array
+        R.
     readout : (3m, N) array
         Rows of w, of its filtered estimate, and of its smoothed estimate.
     delta : (r + 2g, h + 2g) array
@@ -79,6 +85,7 @@ class NonlinearLoop:
     inputs: Matrix
     noise: Matrix
     arguments: Matrix
+    reference: Matrix
     readout: Matrix
     delta: Matrix
     functions: tuple[Function, ...]
@@ -143,7 +150,10 @@ class NonlinearLoop:
 
 
 def nonlinear_loop(
-    smoother: Estimator, uncertainties: Sequence = (), copy_noise: bool = False
+    smoother: Estimator,
+    uncertainties: Sequence = (),
+    copy_noise: bool = False,
+    reference: Reference = "system",
 ) -> NonlinearLoop:
     """Join a plant and its estimator; see `simulate` for the arguments.
 
@@ -158,25 +168,20 @@ def nonlinear_loop(
     copy_noise = validation.boolean("copy_noise", copy_noise)
     plant, system = smoother.plant, smoother.plant.system
     constants, functions = _uncertainties(plant, uncertainties)
-    functions += _nonlinearities(smoother)
+    drift, noise, inputs, outputs = matrices(smoother, copy_noise, reference)
+    functions += _nonlinearities(smoother, outputs)
 
     n, l, g = system.n, system.l, system.g  # noqa: E741 - the paper's letter
-    gain = smoother.B_c
-    noise = plant.D21_bar.copy()
-    if not copy_noise:
-        noise[l:] = 0.0
+    kept = np.r_[:n, plant.n : len(drift)]  # nothing depends on the model of the delay
+    measured = np.hstack([plant.C2_tilde[:l], np.zeros((l, len(smoother.A_c)))])
+    no_x = np.zeros((len(outputs), n))
     bounds = [c.lipschitz for c in system.nonlinearities]
     loop = NonlinearLoop(
-        drift=np.block(
-            [
-                [system.A, np.zeros((n, plant.n))],
-                [gain[:, :l] @ system.C2, smoother.A_c],
-                [system.C2, np.zeros((l, plant.n))],
-            ]
-        ),
-        inputs=np.vstack([plant.B1_tilde[:n], gain @ plant.D21_tilde, plant.D21_tilde[:l]]),
-        noise=np.vstack([plant.B_p1[:n], gain @ noise, noise[:l]]),
-        arguments=np.hstack([plant.C1_tilde[:, :n], plant.D12_tilde @ smoother.C_c]),
+        drift=np.vstack([drift[kept], measured])[:, kept],
+        inputs=np.vstack([inputs[kept], plant.D21_tilde[:l]]),
+        noise=np.vstack([noise[kept], plant.D21_bar[:l]]),
+        arguments=outputs[:, kept],
+        reference=np.hstack([no_x, reference_outputs(smoother, reference)]),
         readout=block_diag(system.C0, np.vstack([smoother.C_f, smoother.C_a])),
         delta=plant.structured_delta(constants),
         functions=tuple(functions),
@@ -193,8 +198,8 @@ def nonlinear_loop(
 def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
     """Return the loop with the statistically equivalent slopes, as far as they are found.
 
-    They are a fixed point, iterated from slopes of zero; where that leads to a linear loop that is
-    not stable, they are the last ones before.
+    They are iterated from slopes of zero; where that leads to a linear loop that is not stable,
+    they are the last ones before.
     """
     pairs = [
         (part.function, row, column)
@@ -202,29 +207,34 @@ def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
         if part.elementwise
         for row, column in zip(part.inputs, part.outputs, strict=True)
     ]
-    for _ in range(_ITERATIONS):
-        deviations = np.linalg.norm(loop.arguments @ loop.stationary_root, axis=1)
+    functions = [lambda v, part=part: part(0.0, v[None])[0] for part, _, _ in pairs]
+    places = [row for _, row, _ in pairs], [column for _, _, column in pairs]
+
+    def variances(slopes: NDArray) -> NDArray:
+        nonlocal loop
         delta = loop.delta.copy()
-        for function, row, column in pairs:
-            delta[row, column] = _equivalent_slope(function, deviations[column])
-        change = np.abs(delta - loop.delta).max(axis=0, initial=0.0) / loop.lipschitz
+        delta[places] = slopes
         following = replace(loop, delta=delta)
         if not following.slowest_rate > 0.0:
-            break
+            raise UnstableLoopError("the statistically linearised loop is not stable")
         loop = following
-        if (change < _CONVERGED).all():
-            break
+        deviations = np.linalg.norm(loop.arguments[places[1]] @ loop.stationary_root, axis=1)
+        return deviations**2
+
+    def slopes(variances: NDArray) -> NDArray:
+        each = zip(functions, variances, strict=True)
+        return np.array([linearisation.of_function(psi, variance) for psi, variance in each])
+
+    with suppress(UnstableLoopError):
+        found = linearisation.equivalent_slopes(
+            np.zeros(len(pairs)),
+            variances,
+            slopes,
+            tolerance=_CONVERGED,
+            unit=loop.lipschitz[places[1]],
+        )
+        variances(found)
     return loop
-
-
-def _equivalent_slope(function: Callable, deviation: float) -> float:
-    """Return E[psi(nu) nu] / E[nu^2] for Gaussian nu."""
-    if deviation == 0.0:
-        return 0.0
-    with np.errstate(all="ignore"):
-        values = function(0.0, deviation * _NODES[None, :])[0]
-    values = np.where(np.isfinite(values), values, 0.0)  # no path may ever go as far as the nodes
-    return float(_WEIGHTS @ (values * _NODES) / (_WEIGHTS.sum() * deviation))
 
 
 # --- the functions --------------------------------------------------------------------------------
@@ -273,7 +283,7 @@ def _check_uncertainty(
         )
 
 
-def _nonlinearities(smoother: Estimator) -> list[Function]:
+def _nonlinearities(smoother: Estimator, arguments: Matrix) -> list[Function]:
     """Return the functions of the nonlinearities, and of those copies that have any effect."""
     plant, system = smoother.plant, smoother.plant.system
     inputs, outputs = sum(plant.input_sizes), sum(plant.output_sizes)
@@ -284,7 +294,7 @@ def _nonlinearities(smoother: Estimator) -> list[Function]:
                 f"nonlinearities[{i}] has no function: a design does without, but a simulation "
                 "needs Nonlinearity(..., function=psi)"
             )
-        copied = smoother.C_c[system.m + i].any() and smoother.B_c[:, system.l + i].any()
+        copied = arguments[outputs - g + i].any() and smoother.B_c[:, system.l + i].any()
         back = [2 * g - i, g - i] if copied else [2 * g - i]  # rows from the end
         functions.append(
             Function(

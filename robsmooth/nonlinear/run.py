@@ -14,6 +14,7 @@ from robsmooth import notation, validation
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.blas import one_thread
 from robsmooth.estimator import Estimator
+from robsmooth.interconnection import Reference
 from robsmooth.montecarlo.statistics import MeanSquare, Moments
 from robsmooth.nonlinear.loop import NonlinearLoop, nonlinear_loop
 from robsmooth.nonlinear.walk import Walk
@@ -64,13 +65,16 @@ class SimulationResult:
         ``.covariance``, ``.covariance_error``, in the squared unit of w.
     constraints : (k + 3g,) array
         How much of each of the theory's constraints is used, in the order of the multipliers:
-        E[xi' M_i xi] / E[zeta' N_i zeta], at most one where the uncertainty is admissible.
+        E[xi' M_i xi] / E[zeta' N_i zeta], at most one where the uncertainty is admissible. The
+        theory has no reference: in zeta are the nonlinearities' whole arguments.
     violated : (k + 3g,) array
-        The fraction of time for which xi' M_i xi > zeta' N_i zeta. For a nonlinearity that is
-        Lipschitz in a region only, the time that is spent outside.
+        The fraction of time for which xi' M_i xi > zeta' N_i zeta, where in zeta are the arguments
+        less the reference. For a nonlinearity that is Lipschitz in a region only, the time that is
+        spent outside.
     equivalent_delta : (r + 2g, h + 2g) array
         The constant uncertainties, and for the nonlinearities the statistically equivalent slopes
-        of the Gaussian loop that they make: with it `error_covariance` predicts the errors.
+        of the Gaussian loop that they make: with it, and the same reference, `error_covariance`
+        predicts the errors.
     runs : int
         Independent paths.
     path_steps : int
@@ -137,6 +141,9 @@ class SamplePaths:
         The ends of the steps, s.
     y : (paths, N, l) array
         The measured record: the mean of dy/dt over the step that ends at `time`.
+    reference : (paths, N, g) array
+        What was taken off the nonlinearities' arguments: the mean of its values at the ends of the
+        same step, as `DiscreteSmoother.run` takes it beside y. Zero without a reference.
     w : (paths, N, m) array
         The outputs at `time`.
     filtered : (paths, N, m) array
@@ -153,6 +160,7 @@ class SamplePaths:
 
     time: NDArray[np.float64]
     y: NDArray[np.float64]
+    reference: NDArray[np.float64]
     w: NDArray[np.float64]
     filtered: NDArray[np.float64]
     delayed: NDArray[np.float64]
@@ -173,6 +181,7 @@ def simulate(
     smoother: Estimator,
     *,
     uncertainties: Sequence = (),
+    reference: Reference = "system",
     copy_noise: bool = False,
     runs: int = 256,
     duration: float | None = None,
@@ -187,6 +196,12 @@ def simulate(
     while, and are then averaged over time. The scheme is exact for a linear loop with any step, and
     of the second order in the step for the nonlinearities.
 
+    A detector that is steered by an estimate shows its nonlinearity the difference to that, the
+    *reference*: :math:`\mu_i = \psi_i(\nu_i - r_i)` in the system, and
+    :math:`\psi_i(\tilde\nu_i - r_i)` in the copy, with :math:`r_i` a row of the estimator's state.
+    The paper's example has one (`HomodyneParameters.uncertain_system`): its errors are those of
+    `monte_carlo` and `stationary_errors`.
+
     Parameters
     ----------
     smoother : Estimator
@@ -196,6 +211,11 @@ def simulate(
         Constants of norm at most one, as in `AugmentedSystem.structured_delta`, or functions
         ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s, zero where averaging
         begins. Left out: zero.
+    reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
+        By default, each nonlinearity's own (`Nonlinearity`). "filtered" and "smoothed" are
+        that estimate of every argument :math:`\nu_i`, which must be a combination of w. The rows of
+        an array read any other reference out of the estimator's state. None is no reference, not
+        even where a nonlinearity has one of its own.
     copy_noise : bool
         Whether the design's fictitious noise drives the copies; a real loop has none.
     runs : int
@@ -234,7 +254,7 @@ def simulate(
     Section II, equations (eqsystem), (eqIQC1) to (eqIQC4) and (eqcontrol).
     """
     started = time.perf_counter()
-    loop = nonlinear_loop(smoother, uncertainties, copy_noise)
+    loop = nonlinear_loop(smoother, uncertainties, copy_noise, reference)
     runs, seed = _counts(runs, seed)
     progress = validation.boolean("progress", progress)
     plan = _plan(loop, smoother.plant.delay, duration, step, TIME_CONSTANTS)
@@ -275,6 +295,7 @@ def sample_paths(
     smoother: Estimator,
     *,
     uncertainties: Sequence = (),
+    reference: Reference = "system",
     copy_noise: bool = False,
     runs: int = 3,
     duration: float | None = None,
@@ -285,7 +306,7 @@ def sample_paths(
 
     Parameters
     ----------
-    smoother, uncertainties, copy_noise, runs, duration, step, seed
+    smoother, uncertainties, reference, copy_noise, runs, duration, step, seed
         As in `simulate`. The default duration is a fifth of the one there.
 
     Returns
@@ -297,15 +318,15 @@ def sample_paths(
     UnstableLoopError, RuntimeError, ValueError, TypeError
         As in `simulate`.
     """
-    loop = nonlinear_loop(smoother, uncertainties, copy_noise)
+    loop = nonlinear_loop(smoother, uncertainties, copy_noise, reference)
     runs, seed = _counts(runs, seed)
     plan = _plan(loop, smoother.plant.delay, duration, step, TIME_CONSTANTS / 5)
     walk = Walk.of(loop, plan.step, measured=True)
-    parts = list(_recorded(walk, smoother.plant.system.m, plan, seed, range(runs)))
+    parts = list(_recorded(walk, smoother.plant, plan, seed, range(runs)))
     whole = _Part(*(np.concatenate(pieces) for pieces in zip(*parts, strict=True)))
     series = {
         name: frozen(np.moveaxis(getattr(whole, name), 2, 0))
-        for name in ("y", "w", "filtered", "delayed", "smoothed")
+        for name in ("y", "reference", "w", "filtered", "delayed", "smoothed")
     }
     return SamplePaths(time=whole.time, step=plan.step, delay=smoother.plant.delay, **series)
 
@@ -360,22 +381,29 @@ class _Part(NamedTuple):
     filtered: NDArray
     delayed: NDArray
     smoothed: NDArray
-    zeta: NDArray
+    zeta: NDArray  # less the reference, and
+    known: NDArray  # what that is
     y: NDArray
+    reference: NDArray
 
 
 def _recorded(
-    walk: Walk, m: int, plan: _Plan, seed: int, paths: range, bar=None
+    walk: Walk, plant: AugmentedSystem, plan: _Plan, seed: int, paths: range, bar=None
 ) -> Iterator[_Part]:
-    """Simulate paths of m outputs; leave out what is before time zero."""
-    rows = np.cumsum([m, m, m, len(walk.loop.arguments)])
-    past = np.zeros((plan.lag, m, len(paths)))
+    """Simulate paths; leave out what is before time zero."""
+    m, g, arguments = plant.system.m, plant.system.g, len(walk.loop.arguments)
+    rows = np.cumsum([m, m, m, arguments, arguments])
+    of_detectors = slice(arguments - 2 * g, arguments - g)
+    past, last = np.zeros((plan.lag, m, len(paths))), np.zeros((1, g, len(paths)))
     for first, records in walk.records(seed, paths, plan.before, plan.steps):
-        w, filtered, smoothed, zeta, y = np.split(records, rows, axis=1)
-        known = np.concatenate([past, w])
-        past = known[len(w) :]
+        w, filtered, smoothed, zeta, known, y = np.split(records, rows, axis=1)
+        outputs = np.concatenate([past, w])
+        past = outputs[len(w) :]
+        references = np.concatenate([last, known[:, of_detectors]])
+        last = references[-1:]
+        means = (references[1:] + references[:-1]) / 2
         times = walk.step * np.arange(first, first + len(w))
-        parts = (times, w, filtered, known[: len(w)], smoothed, zeta, y)
+        parts = (times, w, filtered, outputs[: len(w)], smoothed, zeta, known, y, means)
         yield _Part(*(part[max(0, 1 - first) :] for part in parts))
         if bar is not None:
             bar.update(len(records) * len(paths))
@@ -399,11 +427,11 @@ def _averages(
     m, samples = plant.system.m, 0
     products = np.zeros((2, m, m, len(paths)))
     checks = np.zeros((3, len(plant.M_i), len(paths)))
-    for part in _recorded(walk, m, plan, seed, paths, bar):
+    for part in _recorded(walk, plant, plan, seed, paths, bar):
         errors = (part.w - part.filtered, part.delayed - part.smoothed)
         products += [np.einsum("tip,tjp->ijp", error, error) for error in errors]
         for k in range(0, len(part.time), CHECK_EVERY):
-            checks += _constraints(walk.loop, plant, part.time[k], part.zeta[k])
+            checks += _constraints(walk.loop, plant, part.time[k], part.zeta[k], part.known[k])
             samples += 1
     products /= plan.steps
     traces = np.einsum("eiip->ep", products)[:, None]
@@ -412,15 +440,21 @@ def _averages(
 
 
 def _constraints(
-    loop: NonlinearLoop, plant: AugmentedSystem, at: float, zeta: NDArray
+    loop: NonlinearLoop, plant: AugmentedSystem, at: float, zeta: NDArray, known: NDArray
 ) -> NDArray[np.float64]:
-    """Return xi' M_i xi, zeta' N_i zeta and whether the former is larger, (3, k + 3g, paths)."""
+    """Return what each constraint has at a time: (3, k + 3g, paths).
+
+    That is xi' M_i xi, zeta' N_i zeta, and whether the former is larger; the reference, `known`, is
+    in the zeta of the second, and not in that of the third.
+    """
     xi = loop.delta @ zeta + loop.remainder(at, zeta)
-    used, allowed = np.empty((2, len(plant.M_i), zeta.shape[1]))
+    whole = zeta + known
+    used, allowed, seen = np.empty((3, len(plant.M_i), zeta.shape[1]))
     for i, (M, N) in enumerate(zip(plant.M_i, plant.N_i, strict=True)):
         used[i] = (xi * (M @ xi)).sum(axis=0)
-        allowed[i] = (zeta * (N @ zeta)).sum(axis=0)
-    return np.array([used, allowed, used > (1 + _ROUNDING) * allowed])
+        allowed[i] = (whole * (N @ whole)).sum(axis=0)
+        seen[i] = (zeta * (N @ zeta)).sum(axis=0)
+    return np.array([used, allowed, used > (1 + _ROUNDING) * seen])
 
 
 def _error(errors: Moments, first: int, m: int) -> SimulatedError:
@@ -446,7 +480,7 @@ def _warn(plant: AugmentedSystem, result: SimulationResult) -> None:
     found = [
         f"{name} for {violated:.2g} of the time ({used:.3g} in the mean)"
         for name, violated, used in zip(names, result.violated, result.constraints, strict=True)
-        if violated > 0.0
+        if violated > 0.0 or used > 1 + _ROUNDING
     ]
     if found:
         warnings.warn(

@@ -46,8 +46,8 @@ class Walk:
     transition, first, second, noise : arrays
         e^{F h}, K_1, K_2, and a lower triangular root of the covariance of eta.
     readout : array
-        Rows that are recorded: w, its two estimates, zeta-tilde and, where `measured`, the means of
-        dy/dt over the step.
+        Rows that are recorded: w, its two estimates, zeta-tilde, the reference in it and, where
+        `measured`, the means of dy/dt over the step.
     """
 
     loop: NonlinearLoop
@@ -64,6 +64,7 @@ class Walk:
         N = loop.order
         size = len(loop.drift) if measured else N
         F = np.hstack([loop.linear_drift[:size], np.zeros((size, size - N))])
+        of_state = np.vstack([loop.readout, loop.arguments, loop.reference])
         transition, first, second = responses(F, loop.inputs[:size], step)
         transition[:, N:] = 0.0  # the integral of y begins anew with each step
         return cls(
@@ -73,7 +74,7 @@ class Walk:
             first=first,
             second=second,
             noise=noise_root(F, loop.noise[:size], step),
-            readout=block_diag(np.vstack([loop.readout, loop.arguments]), np.eye(size - N) / step),
+            readout=block_diag(of_state, np.eye(size - N) / step),
         )
 
     @property

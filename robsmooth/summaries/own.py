@@ -40,7 +40,11 @@ def own_systems(results: Mapping[str, tuple[RobustSmoother, SimulationResult]]) 
     rows = []
     for name, (design, found) in results.items():
         predicted = error_covariance(
-            design, found.equivalent_delta, copy_noise=False, allow_inadmissible=True
+            design,
+            found.equivalent_delta,
+            copy_noise=False,
+            allow_inadmissible=True,
+            reference="system",
         )
         smoothed, filtered = found.smoothed, found.filtered
         rows.append(

@@ -1,0 +1,106 @@
+r"""Statistical linearisation: in the loop, a nonlinearity is as good as a slope.
+
+For a Gaussian argument v, the slope :math:`s = E[\psi(v)v]/E[v^2]` leaves least of
+:math:`\psi(v) - sv`. It depends on the variance of v, which in turn is that of the stationary
+linear loop that the slopes make: both are found together, by iteration.
+
+References
+----------
+A. Gelb and W. E. Vander Velde, "Multiple-Input Describing Functions and Nonlinear System Design",
+McGraw-Hill, 1968, Chapter 7.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robsmooth.errors import UnstableLoopError
+
+_ROUNDING = 1e-9  # a change below this that no longer shrinks is rounding
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(32)
+
+Vector = NDArray[np.float64]
+
+
+def equivalent_slopes(
+    start: Vector,
+    variances: Callable[[Vector], Vector],
+    slopes: Callable[[Vector], Vector],
+    *,
+    tolerance: float,
+    unit: Vector | float = 1.0,
+    largest: float = math.inf,
+    iterations: int = 200,
+) -> Vector:
+    """Return the slopes s = slopes(variances(s)), iterated from `start`.
+
+    Parameters
+    ----------
+    start : (N,) array
+    variances : callable
+        From the slopes to the stationary variances of the nonlinearities' arguments.
+    slopes : callable
+        From the variances to the slopes.
+    tolerance : float
+        The largest change of the last iteration, in the `unit` of the slopes, as far as rounding
+        lets it shrink.
+    unit : float or (N,) array
+    largest : float
+        The variance above which the loop is known to have no stationary state.
+    iterations : int
+        At most. They converge slowly where the loop is about to lose its stationary state.
+
+    Returns
+    -------
+    (N,) array
+
+    Raises
+    ------
+    UnstableLoopError
+        Where there are no such slopes, or the iteration does not settle; and what `variances`
+        raises.
+    """
+    found, change, part, size = start, np.zeros(len(start)), 1.0, math.inf
+    for _ in range(iterations):
+        now = variances(found)
+        if now.max(initial=0.0) > largest:
+            break
+        before, change = change, (slopes(now) - found) / unit
+        part = _part(before, change, part)
+        found = found + part * unit * change
+        size_before, size = size, np.abs(change).max(initial=0.0)
+        if size < tolerance or size_before <= size < _ROUNDING:
+            return found
+    raise UnstableLoopError(
+        "the loop is not in lock: statistical linearisation finds no stationary state, the "
+        "statistically linear loop diverges"
+    )
+
+
+def _part(before: Vector, change: Vector, part: float) -> float:
+    """Return how much of a change to make, after `part` of the one before.
+
+    All of it, unless the slopes swing from side to side: then as far as to the zero of a line.
+    """
+    if not before @ change < 0.0:
+        return 1.0
+    bend = before - change
+    return part * float(before @ bend) / float(bend @ bend)
+
+
+def of_sine(variances: Vector) -> Vector:
+    r"""Return the slopes of sines, :math:`e^{-\sigma^2/2}`."""
+    return np.exp(-0.5 * variances)
+
+
+def of_function(function: Callable[[NDArray], NDArray], variance: float) -> float:
+    """Return the slope of a vectorised function, by quadrature."""
+    if variance == 0.0:
+        return 0.0
+    deviation = math.sqrt(variance)
+    with np.errstate(all="ignore"):
+        values = function(deviation * _NODES)
+    values = np.where(np.isfinite(values), values, 0.0)  # no path may ever go as far as the nodes
+    return float(_WEIGHTS @ (values * _NODES) / (_WEIGHTS.sum() * deviation))
