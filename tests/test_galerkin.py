@@ -14,6 +14,7 @@ from scipy.sparse.linalg import expm_multiply
 from scipy.special import ive
 
 from robsmooth import UnstableLoopError, error_covariance, published
+from robsmooth.baselines import fixed_lag_smoother
 from robsmooth.covariance import statistical_linearisation
 from robsmooth.galerkin import LARGEST, StationaryErrors, stationary_errors
 from robsmooth.homodyne import PAPER
@@ -458,6 +459,17 @@ def test_copy_that_is_off_is_no_copy():
         errors(PAPER, design, 6, copy=False), errors(PAPER, without, 6), rtol=1e-12, atol=0.0
     )
     assert abs(errors(PAPER, design, 6)[0] / errors(PAPER, without, 6)[0] - 1) > 1e-9
+
+
+@pytest.mark.parametrize("lam", [10.0, 1e3, PAPER.lam])
+def test_estimator_without_a_copy_is_in_lock_however_far_the_phase_wanders(lam):
+    parameters = replace(PAPER, lam=lam)
+    system = parameters.uncertain_system()
+    without, at_the_reference = (
+        errors(parameters, fixed_lag_smoother(system, DELAY, 2, copies=copies), 6)
+        for copies in (False, True)
+    )
+    assert_allclose(without, at_the_reference, rtol=1e-9)
 
 
 def random_loop(rng, n):
