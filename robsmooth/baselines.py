@@ -14,7 +14,7 @@ exact optimal errors          what no fixed-lag or two-sided linear smoother can
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from robsmooth import validation
 from robsmooth.augmented import AugmentedSystem, augment, check_noise, compact
@@ -180,8 +180,8 @@ def optimal_fixed_lag_error(system: UncertainSystem, lag: float) -> Matrix:
         lag = validation.real("lag", lag, low=0.0)
     P, gain = _kalman(system, pade_delay(0.0, 0, system.m))
     A_f = system.A - gain @ system.C2
-    R = cho_factor(system.D21 @ system.D21.T)
-    rate = system.C2.T @ cho_solve(R, system.C2)
+    noise = np.linalg.cholesky(system.D21 @ system.D21.T)
+    rate = solve_triangular(noise, system.C2, lower=True).T  # a root of C2' R^-1 C2
     found = covariances(A_f.T, rate, 0.0 if two_sided else lag)
     information = found.stationary if two_sided else found.grown
     root = square_root(P)
@@ -235,7 +235,7 @@ def _kalman(system: UncertainSystem, model: DelayModel) -> tuple[Matrix, Matrix]
     states = len(model.F)
     drift = np.block([[A - gain @ C, np.zeros((system.n, states))], [model.G @ system.C0, model.F]])
     noise = np.vstack([B - gain @ D, np.zeros((states, system.q))])
-    found, x = covariances(drift, noise @ noise.T), slice(system.n)
+    found, x = covariances(drift, noise), slice(system.n)
     check_certainty("the filter's error", found.stationary[x, x], found.error[x, x])
     P = found.stationary[:, x]
     cross = np.vstack([cross, np.zeros((states, system.l))])

@@ -76,7 +76,7 @@ class ClosedLoop:
         """Return the stationary covariance of `rows` times X."""
         T = _error_coordinates(self.estimator)
         B = T @ self.B
-        found = covariances(T @ self.A @ T, B @ B.T)
+        found = covariances(T @ self.A @ T, B)
         outputs = block_diag(self.estimator.plant.C_p0, self.estimator.C_f) @ T
         check_certainty(
             "the covariance of the closed loop",
@@ -191,7 +191,7 @@ def _error_covariance(estimator: Estimator, A: Matrix, B: Matrix, output: str) -
     truth = np.hstack([plant.C_p0, np.zeros_like(estimate)]) @ T
     estimate = np.hstack([np.zeros_like(plant.C_p0), estimate]) @ T
     B = T @ B
-    found = covariances(T @ A @ T, B @ B.T, plant.delay if output == "smoothed" else 0.0)
+    found = covariances(T @ A @ T, B, plant.delay if output == "smoothed" else 0.0)
     E, error = found.transition, found.error
     past = truth - estimate @ E
     result = _squared(past, found.stationary) + _squared(estimate, found.grown)

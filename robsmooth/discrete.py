@@ -51,7 +51,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth import validation
 from robsmooth.blas import one_thread
-from robsmooth.exponential import phi_functions
+from robsmooth.exponential import responses
 from robsmooth.systems import Nonlinearity
 from robsmooth.validation import Matrix
 
@@ -346,14 +346,10 @@ class _Model:
     def steps(self, dt: float, missing: NDArray[np.bool_]) -> _Steps:
         """Return the matrices of a step with these channels missing."""
         gain = self.B_y * missing
-        phi_0, phi_1, phi_2 = phi_functions((self.A + gain @ self.C_2) * dt)
-        B_mu = self.B_mu + gain @ self.D
-        matrices = (
-            phi_0,
-            phi_1 @ (self.B_y * ~missing) * dt,
-            phi_1 @ B_mu * dt,
-            phi_2 @ B_mu * dt,
-        )
+        inputs = np.hstack([self.B_y * ~missing, self.B_mu + gain @ self.D])
+        transition, held, ramp = responses(self.A + gain @ self.C_2, inputs, dt)
+        l = len(missing)  # noqa: E741 - the paper's letter
+        matrices = (transition, held[:, :l], held[:, l:], ramp[:, l:])
         return _Steps(*(np.ascontiguousarray(matrix.T)[None] for matrix in matrices))
 
 

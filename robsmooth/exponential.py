@@ -1,4 +1,13 @@
-"""The exponential of a matrix and its phi functions, what a linear system does in a step."""
+r"""The exponential of a matrix and its phi functions, what a linear system does in a step.
+
+For :math:`dz = (Az + Bu)\,dt`, with `u` linear in time from :math:`u_0` to :math:`u_1`,
+
+.. math::
+
+    z(h) = e^{Ah}z(0) + K_1u_0 + K_2(u_1 - u_0), \qquad
+    K_1 = \int_0^h e^{As}\,ds\,B = h\varphi_1(Ah)B, \qquad
+    K_2 = \frac1h\int_0^h\!\!\int_0^s e^{Ar}\,dr\,ds\,B = h\varphi_2(Ah)B .
+"""
 
 import numpy as np
 from scipy.linalg import expm, matrix_balance
@@ -8,13 +17,19 @@ from robsmooth.validation import Matrix
 _RESIDUAL_TOLERANCE = 1e-10
 
 
+def responses(A: Matrix, B: Matrix, step: float) -> tuple[Matrix, Matrix, Matrix]:
+    """Return e^{A step}, K_1 and K_2."""
+    phi_0, phi_1, phi_2 = phi_functions(step * A)
+    return phi_0, step * phi_1 @ B, step * phi_2 @ B
+
+
 def phi_functions(A: Matrix) -> tuple[Matrix, Matrix, Matrix]:
     r"""Return :math:`\varphi_0 = e^A` and :math:`\varphi_{j+1} = A^{-1}(\varphi_j - 1/j!)`, j < 2.
 
     They are blocks of one exponential, which needs no inverse of A.
     """
     n = len(A)
-    balanced, scale = balance(A)
+    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
     block = np.eye(3 * n, k=n)
     block[:n, :n] = balanced
     with np.errstate(all="ignore"):  # an overflow leaves a residual that is not a number
@@ -28,9 +43,3 @@ def phi_functions(A: Matrix) -> tuple[Matrix, Matrix, Matrix]:
             "long for an unstable estimator"
         )
     return tuple(scale[:, None] * phi / scale)
-
-
-def balance(A: Matrix) -> tuple[Matrix, np.ndarray]:
-    """Return T^-1 A T and the diagonal of T, powers of two that even out the sizes of states."""
-    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    return balanced, scale

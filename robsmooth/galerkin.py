@@ -63,6 +63,7 @@ from robsmooth import linearisation, validation
 from robsmooth.blas import one_thread
 from robsmooth.errors import UnstableLoopError
 from robsmooth.loop import Loop, check_stationary, homodyne_loop
+from robsmooth.lyapunov import stationary_root
 from robsmooth.tables import Table
 
 TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
@@ -80,7 +81,6 @@ _ILL_CONDITIONED = (
     "the covariance of the linearised loop is lost in rounding: its rates, or the scales of the "
     "estimator's states, are too far apart"
 )
-_DOUBLINGS = 64  # of a sum: rates may differ by sixteen orders of magnitude
 _DEGENERATE = 1e-10  # of a standard deviation, relative: the direction does not move
 _RESIDUAL_TOLERANCE = 1e-10
 _ROUNDING = 1e-16  # of the entries of a matrix, relative to the largest
@@ -384,7 +384,10 @@ def _whiter(
     drift = loop.linearised_drift(*slopes) / rate
     check_stationary(rate * np.linalg.eigvals(drift))
     noise = inverse @ loop.noise_gains() / math.sqrt(rate)
-    factor = _covariance_factor(inverse @ drift @ S, noise)
+    try:
+        factor = stationary_root(inverse @ drift @ S, noise)
+    except UnstableLoopError:  # the eigenvalues are stable
+        raise ArithmeticError(_ILL_CONDITIONED) from None
     deviations = np.linalg.norm(factor, axis=1)
     deviations[deviations == 0.0] = 1.0
     triangle, order = qr((factor / deviations[:, None]).T, mode="r", pivoting=True)
@@ -397,26 +400,6 @@ def _whiter(
         solve_triangular(triangle[:rank, :rank].T, moving, lower=True),
         np.abs(factor @ factor.T - np.eye(len(factor))).max(initial=0.0),
     )
-
-
-def _covariance_factor(drift: NDArray, noise: NDArray) -> NDArray:
-    """Return F with P = F F' for A P + P A' + B B' = 0, by doubling the sum of Smith's method.
-
-    The factor itself tells small deviations from none, down to rounding; P only their squares.
-    """
-    identity = np.eye(len(drift))
-    power = np.linalg.solve(identity - drift, identity + drift)
-    factor = math.sqrt(2.0) * np.linalg.solve(identity - drift, noise)
-    for _ in range(_DOUBLINGS):
-        with np.errstate(over="ignore", invalid="ignore"):
-            more = power @ factor
-            power = power @ power
-        if not np.isfinite(more).all():
-            break
-        if (np.abs(more).max(axis=1) <= _ROUNDING * np.abs(factor).max(axis=1)).all():
-            return factor
-        factor = np.linalg.qr(np.hstack([factor, more]).T, mode="r").T
-    raise ArithmeticError(_ILL_CONDITIONED)
 
 
 # --- one degree -----------------------------------------------------------------------------------

@@ -37,7 +37,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, solve_continuous_lyapunov
+from scipy.linalg import block_diag
 
 from robsmooth import linearisation, validation
 from robsmooth.augmented import compact
@@ -45,6 +45,7 @@ from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.homodyne import homodyne_system
 from robsmooth.interconnection import matrices
+from robsmooth.lyapunov import covariances
 from robsmooth.systems import REFERENCES, UncertainSystem
 
 NONLINEARITIES = ("difference", "literal")
@@ -126,12 +127,8 @@ class Loop:
             Where that linear loop has no stationary state.
         """
         drift = self.linearised_drift(sine_slope, copy_slope)
-        eigenvalues = np.linalg.eigvals(drift)
-        check_stationary(eigenvalues)
-        # In units of the fastest time constant: the result does not depend on the unit of time.
-        scale = np.abs(eigenvalues).max()
-        P = solve_continuous_lyapunov(drift / scale, -self.noise_covariance() / scale)
-        return (P + P.T) / 2
+        check_stationary(np.linalg.eigvals(drift))
+        return covariances(drift, self.noise_gains()).stationary
 
     def equivalent_slopes(self) -> tuple[float, float]:
         r"""Return the slopes of statistical linearisation, each :math:`e^{-\sigma^2/2}`.
@@ -159,11 +156,6 @@ class Loop:
         gains = np.zeros((1 + self.order, 2))
         gains[0, 0], gains[1:, 1] = self.phase_diffusion, self.noise_gain
         return gains
-
-    def noise_covariance(self) -> NDArray[np.float64]:
-        r"""Covariance rate of the noise that drives :math:`(\varphi, \hat x)`."""
-        gains = self.noise_gains()
-        return gains @ gains.T
 
     def rates(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> tuple[float, float]:
         """Slowest decay rate and largest eigenvalue magnitude of the linearised estimator, 1/s.

@@ -1,21 +1,30 @@
-r"""Covariances of linear stochastic systems, by doubling the time that they run.
+r"""Covariances of linear stochastic systems, and their roots, by doubling the time that they run.
 
-For :math:`dx = A x\,dt + dN` with noise of intensity `Q`, started at zero, the covariance `W` and
-the transition matrix `E` after a time `t` give those after twice the time,
+For :math:`dx = A x\,dt + B\,dW`, started at zero, the covariance :math:`W = RR'` and the transition
+matrix `E` after a time `t` give those after twice the time,
 
-.. math:: W(2t) = W(t) + E(t)\,W(t)\,E(t)', \qquad E(2t) = E(t)^2,
+.. math::
 
-and `W` tends to the stationary covariance, which solves :math:`AP + PA' + Q = 0`. A short first
-step, by Taylor's series, starts it. This is Smith's squared method with an exact transition matrix.
-Two things make it fit for systems whose variances and time constants lie decades apart:
+    W(2t) = W(t) + E(t)\,W(t)\,E(t)', \qquad R(2t) = [R(t)\;\; E(t)R(t)], \qquad E(2t) = E(t)^2,
 
-- Only sums of products are formed, and of covariances that cannot be negative. So no digit depends
-  on the units of the states, and a small variance keeps its digits beside a large one.
+and `W` tends to the stationary covariance, which solves :math:`AP + PA' + BB' = 0`. A short first
+step, by Taylor's series, starts it; QR factorisations keep the roots small. This is Smith's squared
+method with an exact transition matrix. Three things make it fit for systems whose variances and
+time constants lie decades apart, and for spans of any length:
+
+- Roots are computed, of covariances that cannot be negative. So no digit depends on the units of
+  the states, and a small variance keeps its digits beside a large one.
 - The doubling is done on :math:`F = E - I`, as :math:`F(2t) = 2F + F^2`: a slow mode is not
   rounded off against one.
+- Nothing grows where the system is stable. Van Loan's block exponential, the common way to the
+  noise of a step, has :math:`e^{-At}` in it, which overflows.
 """
 
+import itertools
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dgebal
@@ -27,6 +36,7 @@ ERROR_TOLERANCE = 1e-6
 _FIRST_STEP = 1 / 4  # times the norm of A
 _TERMS = 15  # of a series in steps of that size, to all digits
 _ROUGH_TERMS = 4  # to three
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_TERMS)  # exact for the square of the series
 _DOUBLINGS = 60  # further apart than 2^60 no time constants are
 _FORGOTTEN = 1e-6  # the share of a state, below which a doubling leaves nothing of it
 _SETTLED = 1e-12  # the share of a variance that the last increment may be: the next, its square
@@ -34,7 +44,7 @@ _SETTLED = 1e-12  # the share of a variance that the last increment may be: the 
 
 @dataclass(frozen=True, eq=False)
 class Covariances:
-    """Of the state of dx = A x dt + dN.
+    """Of the state of dx = A x dt + B dW.
 
     Attributes
     ----------
@@ -54,15 +64,15 @@ class Covariances:
     error: Matrix
 
 
-def covariances(A: Matrix, Q: Matrix, span: float = 0.0) -> Covariances:
-    """Return the stationary covariance of dx = A x dt + dN, and its build-up over a span of time.
+def covariances(A: Matrix, B: Matrix, span: float = 0.0) -> Covariances:
+    """Return the stationary covariance of dx = A x dt + B dW, and its build-up over a span of time.
 
     Parameters
     ----------
     A : (..., n, n) array
         Drifts, 1/s, asymptotically stable.
-    Q : (..., n, n) array
-        Noise intensities, symmetric and not negative.
+    B : (..., n, q) array
+        Gains of the noise; those of all drifts where there is only one.
     span : float
         In seconds, at least zero, the same for all.
 
@@ -79,34 +89,41 @@ def covariances(A: Matrix, Q: Matrix, span: float = 0.0) -> Covariances:
     ----------
     R. A. Smith, "Matrix equation XA + BX = C", SIAM J. Appl. Math. 16(1), 1968.
     """
-    speed = _norm(A)
-    if span > 0.0:  # how often the first step, no longer than the span, is doubled to give the span
-        doublings = int(np.ceil(np.log2(span * speed / _FIRST_STEP)))
-        first = span * 2.0 ** -max(doublings, 0)
-    else:
-        doublings, first = 0, 2.0 ** np.floor(np.log2(_FIRST_STEP / speed))
-    identity = np.eye(A.shape[-1])
-    F, W = _first_step(A * first, Q * first)
-    grown, transition = np.zeros_like(W), np.broadcast_to(identity, W.shape)
-    transitions = []
-    with np.errstate(over="ignore", invalid="ignore"):  # where it is not stable
-        for count in range(abs(doublings) + _DOUBLINGS):
-            E = identity + F
-            transitions.append(E)
-            if span > 0.0 and count == max(doublings, 0):
-                grown, transition = W, E
-            increment = E @ W @ _transposed(E)
-            W = W + increment
-            F = 2.0 * F + F @ F
-            if count >= doublings and _has_settled(W, increment, E):
-                break
-        else:
-            raise UnstableLoopError(
-                "the stationary covariance does not exist: to rounding, the system is not stable"
-            )
-    P = _symmetric(W)
-    error = _refinement(A, Q, P, first, transitions)
-    return Covariances(P, _symmetric(grown), transition, error)
+    found = _settled(A, B, span)
+    P = _squared(found.root)
+    error = _refinement(A, _squared(B), P, found.first, found.transitions)
+    return Covariances(P, _squared(found.grown), found.transition, error)
+
+
+def stationary_root(A: Matrix, B: Matrix) -> Matrix:
+    """Return the root of the stationary covariance, as `noise_root` has it, of a stable system.
+
+    Raises
+    ------
+    UnstableLoopError
+        As in `covariances`.
+    """
+    return _with_signs(_settled(A, B, 0.0).root)
+
+
+def noise_root(A: Matrix, B: Matrix, span: float) -> Matrix:
+    r"""Return the root of :math:`W = \int_0^t e^{As}BB'e^{A's}\,ds`, the noise over a span of time.
+
+    Parameters
+    ----------
+    A, B
+        As for `covariances`, but that A need not be stable.
+    span : float
+        t, in seconds, above zero.
+
+    Returns
+    -------
+    (..., n, n) array
+        R with W = R R', lower triangular and with no negative entry on its diagonal.
+    """
+    first, doublings = _first_step(A, span)
+    steps = itertools.islice(_doubled(A, B, first), max(doublings, 0), None)
+    return _with_signs(next(steps)[0])
 
 
 def check_certainty(what: str, P: Matrix, error: Matrix) -> None:
@@ -134,43 +151,126 @@ def square_root(P: Matrix) -> Matrix:
     return units[:, None] * directions * np.sqrt(np.maximum(weights, 0.0))
 
 
+# --- the doubling ---------------------------------------------------------------------------------
+
+
+class _Settled(NamedTuple):
+    """What the doubling has led to, and the transitions on the way."""
+
+    root: Matrix  # of P
+    grown: Matrix  # a root of W after the span
+    transition: Matrix
+    first: float  # step
+    transitions: list[Matrix]
+
+
+def _settled(A: Matrix, B: Matrix, span: float) -> _Settled:
+    """Double until nothing changes, and the span is reached."""
+    first, doublings = _first_step(A, span)
+    grown, transition = np.zeros_like(A), np.broadcast_to(np.eye(A.shape[-1]), A.shape)
+    transitions = []
+    with np.errstate(over="ignore", invalid="ignore"):  # where it is not stable
+        steps = itertools.islice(_doubled(A, B, first), abs(doublings) + _DOUBLINGS)
+        for count, (R, E, moved) in enumerate(steps):
+            transitions.append(E)
+            if span > 0.0 and count == max(doublings, 0):
+                grown, transition = R, E
+            if count >= doublings and _has_settled(R, moved, E):
+                return _Settled(_compressed(R, moved), grown, transition, first, transitions)
+    raise UnstableLoopError(
+        "the stationary covariance does not exist: to rounding, the system is not stable"
+    )
+
+
+def _first_step(A: Matrix, span: float) -> tuple[float, int]:
+    """Return the first step, and how often it is doubled to give the span.
+
+    That may be negative: the span is the first step, and shorter than need be.
+    """
+    speed = _norm(A) or 1.0
+    if span > 0.0:
+        doublings = math.ceil(math.log2(span * speed / _FIRST_STEP))
+        return span * 2.0 ** -max(doublings, 0), doublings
+    return 2.0 ** math.floor(math.log2(_FIRST_STEP / speed)), 0
+
+
 def _norm(A: Matrix) -> float:
     """Return a norm of the largest of all A, in units of the states in which it is small."""
-    largest = np.abs(A).reshape(-1, *A.shape[-2:]).max(axis=0)
+    if not A.size:
+        return 0.0
+    largest = np.abs(A).max(axis=tuple(range(A.ndim - 2)))
     return float(np.linalg.norm(dgebal(largest, scale=1)[0], 1))
 
 
-def _first_step(A: Matrix, Q: Matrix) -> tuple[Matrix, Matrix]:
-    """Return E - I and W after a unit of time, in which little happens, by their series."""
+def _doubled(A: Matrix, B: Matrix, first: float) -> Iterator[tuple[Matrix, Matrix, Matrix]]:
+    """Yield R, E and E R after the first step, after twice that, and so on."""
+    F, R = _after(first * A, math.sqrt(first) * B)
+    identity = np.eye(A.shape[-1])
+    while True:
+        E = identity + F
+        moved = E @ R
+        yield R, E, moved
+        R = _compressed(R, moved)
+        F = 2.0 * F + F @ F
+
+
+def _after(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]:
+    """Return E - I and R after a unit of time, in which little happens, by the series of e^{At}.
+
+    W is the integral of its square, by a quadrature that is exact for it.
+    """
     term, F = A, A
-    for order in range(2, _TERMS + 1):
-        term = A @ term / order
+    moved = [np.broadcast_to(B, (*A.shape[:-1], B.shape[-1]))]
+    for order in range(1, _TERMS):
+        moved.append(A @ moved[-1] / order)
+        term = A @ term / (1 + order)
         F = F + term
-    return F, _growth(A, Q, _TERMS)
+    powers = ((1.0 + _NODES) / 2.0)[:, None] ** np.arange(_TERMS)
+    parts = np.tensordot(powers * np.sqrt(_WEIGHTS / 2.0)[:, None], np.array(moved), axes=1)
+    return F, _compressed(*parts)
 
 
-def _growth(A: Matrix, Q: Matrix, terms: int) -> Matrix:
-    """Return W after a unit of time, by so many terms of its series."""
+def _compressed(*parts: Matrix) -> Matrix:
+    """Return a lower triangular R, (..., n, n), with R R' the sum of the parts' own."""
+    stacked = np.concatenate(parts, axis=-1)
+    R = _transposed(np.linalg.qr(_transposed(stacked), mode="r"))
+    missing = R.shape[-2] - R.shape[-1]
+    return np.pad(R, [(0, 0)] * (R.ndim - 1) + [(0, missing)]) if missing else R
+
+
+def _with_signs(R: Matrix) -> Matrix:
+    """Return the root of the same covariance that has no negative entry on its diagonal."""
+    return R * np.where(_diagonal(R) < 0.0, -1.0, 1.0)[..., None, :]
+
+
+def _has_settled(R: Matrix, moved: Matrix, E: Matrix) -> bool:
+    forgotten = (np.abs(_diagonal(E)) <= _FORGOTTEN).all()  # also by what no noise drives
+    variances, increments = ((root**2).sum(axis=-1) for root in (R, moved))
+    return forgotten and (increments <= _SETTLED * variances).all()
+
+
+def _refinement(A: Matrix, Q: Matrix, P: Matrix, first: float, transitions: list[Matrix]) -> Matrix:
+    """Return what one step of refinement would add to P: the solution for its residual."""
+    half = A @ P
+    change = _growth(A * first, (half + _transposed(half) + Q) * first)
+    for E in transitions:
+        change = change + E @ change @ _transposed(E)
+    return change
+
+
+def _growth(A: Matrix, Q: Matrix) -> Matrix:
+    """Return W after a unit of time, in which little happens, roughly."""
     term, W = Q, Q
-    for order in range(2, terms + 1):
+    for order in range(2, _ROUGH_TERMS + 1):
         half = A @ term / order
         term = half + _transposed(half)
         W = W + term
     return W
 
 
-def _has_settled(W: Matrix, increment: Matrix, E: Matrix) -> bool:
-    forgotten = (np.abs(_diagonal(E)) <= _FORGOTTEN).all()  # also by what no noise drives
-    return forgotten and (_diagonal(increment) <= _SETTLED * _diagonal(W)).all()
-
-
-def _refinement(A: Matrix, Q: Matrix, P: Matrix, first: float, transitions: list[Matrix]) -> Matrix:
-    """Return what one step of refinement would add to P: the solution for its residual."""
-    half = A @ P
-    change = _growth(A * first, (half + _transposed(half) + Q) * first, _ROUGH_TERMS)
-    for E in transitions:
-        change = change + E @ change @ _transposed(E)
-    return change
+def _squared(root: Matrix) -> Matrix:
+    W = root @ _transposed(root)
+    return (W + _transposed(W)) / 2
 
 
 def _diagonal(P: Matrix) -> np.ndarray:
@@ -179,7 +279,3 @@ def _diagonal(P: Matrix) -> np.ndarray:
 
 def _transposed(matrix: Matrix) -> Matrix:
     return matrix.swapaxes(-1, -2)
-
-
-def _symmetric(P: Matrix) -> Matrix:
-    return (P + _transposed(P)) / 2

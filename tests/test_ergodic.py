@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_simpson, quad_vec, simpson
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.stats import binom
 
 from robsmooth import homodyne, published, statistical_linearisation
@@ -61,17 +61,32 @@ def parts(scheme, n):
 def test_linear_part_of_a_step_is_exact(estimator, step):
     loop = homodyne_loop(PARAMETERS, estimator)
     slopes = control_slopes(loop)
-    drift, Q = loop.linearised_drift(*slopes), loop.noise_covariance()
+    drift, B = loop.linearised_drift(*slopes), loop.noise_gains()
     scheme = SplittingStep.of(loop, step, slopes)
     transition, root = parts(scheme, loop.order)
     assert_allclose(transition, expm(drift * step), rtol=1e-10, atol=1e-12)
-    expected = integrated_noise(drift, Q, step)
+    expected = integrated_noise(drift, B @ B.T, step)
     size = np.sqrt(np.diag(expected))
     assert_allclose(
         root @ root.T / np.outer(size, size), expected / np.outer(size, size), atol=1e-8
     )
     P = scheme.start @ scheme.start.T  # stationary: a step does not change it
     assert_allclose(transition @ P @ transition.T + root @ root.T, P, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("estimator", [kalman_filter(), printed_smoother()], ids=["1", "3"])
+@pytest.mark.parametrize("step", [1e-5, 5e-4, 1e-3, 1.0])
+def test_noise_of_a_long_step_leaves_the_stationary_covariance(estimator, step):
+    loop = homodyne_loop(PARAMETERS, estimator)
+    drift, B = loop.linearised_drift(), loop.noise_gains()
+    transition, root = parts(SplittingStep.of(loop, step, (1.0, 1.0)), loop.order)
+    P = solve_continuous_lyapunov(drift, -B @ B.T)
+    size = np.sqrt(np.diag(P))
+    expected = P - expm(drift * step) @ P @ expm(drift * step).T
+    assert_allclose(
+        root @ root.T / np.outer(size, size), expected / np.outer(size, size), atol=1e-9
+    )
+    assert_allclose(transition, expm(drift * step), rtol=1e-9, atol=1e-12)
 
 
 def plain_splitting(loop, given, draws):

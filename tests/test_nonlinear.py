@@ -11,12 +11,10 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.polynomial.chebyshev import chebvander
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.integrate import quad, quad_vec, solve_ivp
-from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
+from scipy.integrate import quad, solve_ivp
+from scipy.linalg import block_diag
 from scipy.signal import cont2discrete
 from scipy.special import erfc
 from scipy.stats import norm
@@ -31,7 +29,6 @@ from robsmooth.homodyne import PAPER
 from robsmooth.loop import homodyne_loop
 from robsmooth.montecarlo import monte_carlo
 from robsmooth.nonlinear import InadmissibleWarning, run, sample_paths, simulate
-from robsmooth.nonlinear.exact import noise_root, responses, stationary_root
 from robsmooth.nonlinear.loop import Function, NonlinearLoop, nonlinear_loop
 from robsmooth.nonlinear.walk import Walk
 from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
@@ -40,8 +37,6 @@ from tests.strategies import (
     admissible_delta,
     feasible_design,
     random_system,
-    seeds,
-    stable_matrix,
 )
 
 
@@ -77,51 +72,6 @@ def curved_estimator(delay=0.3, order=2, seed=3):
     system = random_system(np.random.default_rng(seed), n=3, m=2, l=2, g=2)
     system = with_functions(system, soft, lambda v: 0.5 * np.sin(v))
     return fixed_lag_smoother(system, delay, order, copies=True)
-
-
-# --- exact steps ----------------------------------------------------------------------------------
-
-
-@settings(max_examples=15)
-@given(seeds, st.integers(1, 5), st.floats(1e-3, 10.0))
-def test_steps_of_a_linear_system_are_exact(seed, n, step):
-    rng = np.random.default_rng(seed)
-    F, G, B = stable_matrix(rng, n), rng.standard_normal((n, 2)), rng.standard_normal((n, 2))
-    transition, first, second = responses(F, G, step)
-    assert_allclose(transition, expm(F * step), rtol=0, atol=1e-12)
-    held, _ = quad_vec(lambda s: expm(F * s) @ G, 0.0, step)
-    ramp, _ = quad_vec(lambda s: (1 - s / step) * expm(F * s) @ G, 0.0, step)
-    assert_allclose(first, held, rtol=1e-8, atol=1e-10)
-    assert_allclose(second, ramp, rtol=1e-8, atol=1e-10)
-    P = solve_continuous_lyapunov(F, -B @ B.T)
-    root = noise_root(F, B, step)
-    assert_array_equal(root, np.tril(root))
-    expected = P - transition @ P @ transition.T
-    assert_allclose(root @ root.T, expected, rtol=0, atol=1e-12 * np.abs(P).max())
-    root = stationary_root(F, B)
-    assert_allclose(root @ root.T, P, rtol=0, atol=1e-11 * np.abs(P).max())
-
-
-@given(seeds)
-@settings(max_examples=10)
-def test_roots_keep_their_digits_in_any_units(seed):
-    rng = np.random.default_rng(seed)
-    F, B = stable_matrix(rng, 3), rng.standard_normal((3, 2))
-    F[2] = [0.0, 0.0, -1.0]  # a state that nothing drives but the noise
-    scale = np.exp2([40.0, -30.0, 3.0])
-    other, B_other = scale[:, None] * F / scale, scale[:, None] * B
-    for root in (lambda F, B: noise_root(F, B, 0.7), stationary_root):
-        expected = root(F, B)
-        found = root(other, B_other) / scale[:, None]
-        size = np.linalg.norm(expected, axis=1)[:, None]
-        assert_allclose(found / size, expected / size, rtol=0, atol=1e-11)
-
-
-def test_step_of_a_stiff_system_is_exact():
-    F, B = np.array([[-1e9, 0.0], [1.0, -1.0]]), np.array([[1.0, 0.0], [0.0, 1.0]])
-    root = noise_root(F, B, 0.5)
-    assert root[0] @ root[0] == pytest.approx(0.5e-9, rel=1e-12)
-    assert root[1] @ root[1] == pytest.approx(-math.expm1(-1.0) / 2, rel=1e-7)  # eps * stiffness
 
 
 # --- the scheme -----------------------------------------------------------------------------------

@@ -27,11 +27,12 @@ from robsmooth.covariance import (
 from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.explorer.settings import Settings
-from robsmooth.exponential import phi_functions
+from robsmooth.exponential import responses
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.interconnection import open_loop
 from robsmooth.limit import limiting_smoother
 from robsmooth.loop import Loop, homodyne_loop
+from robsmooth.lyapunov import noise_root
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
 from robsmooth.smoother import RobustSmoother
 
@@ -274,10 +275,11 @@ def _path(loop: Loop) -> Path:
     The linear part of the estimator is exact; the sines are held over a step.
     """
     drive, noise = _normals()
-    transition, hold, _ = phi_functions(loop.drift * STEP)
-    measured, copied = hold @ loop.sine_gain * STEP, hold @ loop.copy_gain * STEP
+    transition, held, _ = responses(loop.drift, loop.gains()[1:], STEP)
+    measured, copied = held.T
     decay = math.exp(-loop.phase_decay * STEP)
-    spread = loop.phase_diffusion * math.sqrt((1.0 - decay**2) / (2.0 * loop.phase_decay))
+    phase_noise = np.array([[loop.phase_diffusion]])
+    spread = noise_root(np.array([[-loop.phase_decay]]), phase_noise, STEP)[0, 0]
     phase, state = 0.0, np.zeros(loop.order)
     phases, states = np.empty(len(drive)), np.empty((len(drive), loop.order))
     for k, (kick, shot) in enumerate(zip(drive, loop.sine_noise / STEP**0.5 * noise, strict=True)):

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from robsmooth.errors import UnstableLoopError
+from robsmooth.exponential import responses
 from robsmooth.loop import Loop
-from robsmooth.lyapunov import square_root
+from robsmooth.lyapunov import noise_root, square_root
 from robsmooth.montecarlo import splitting
 
 
@@ -88,9 +89,10 @@ class SplittingStep:
             Where the loop with these slopes has no stationary state.
         """
         drift, P = loop.linearised_drift(*slopes), loop.covariance(*slopes)
-        transition = expm(drift * step)
+        transition, push, _ = responses(drift, -slopes[0] * loop.gains()[:, :1], step)
+        noise = noise_root(drift, loop.noise_gains(), step)
         root = np.zeros((1 + loop.order, splitting.draws(loop.order)))
-        root[:, : 1 + loop.order] = square_root(_noise_over(step, drift, loop.noise_covariance()))
+        root[:, : 1 + loop.order] = square_root(noise @ noise.T)
         gains = step * loop.gains()[1:].T
         arguments = np.vstack([loop.reference, loop.copy])
         products = arguments @ gains.T
@@ -103,7 +105,7 @@ class SplittingStep:
             np.array(slopes),
             products,
             np.array([np.pi / 2]),
-            -slopes[0] * _response(step, drift, loop.sine_gain)[1:],
+            push[1:],
         ]
         filtered, smoothed = control_mean_squares(loop, drift, P)
         return cls(
@@ -137,21 +139,3 @@ def control_mean_squares(loop: Loop, drift: NDArray, P: NDArray) -> tuple[float,
 
 def _readout(loop: Loop) -> NDArray[np.float64]:
     return np.vstack([loop.filtered, loop.smoothed, loop.oscillator])
-
-
-def _response(step: float, drift: NDArray, gain: NDArray) -> NDArray[np.float64]:
-    r"""Return :math:`\int_0^h e^{As}\,ds\,[0; b]`."""
-    size = len(drift)
-    extended = np.zeros((size + 1, size + 1))
-    extended[:size, :size] = drift
-    extended[1:size, size] = gain
-    return expm(step * extended)[:size, size]
-
-
-def _noise_over(step: float, drift: NDArray, Q: NDArray) -> NDArray[np.float64]:
-    r"""Return :math:`\int_0^h e^{As}Qe^{A's}\,ds`, by Van Loan's exponential of a block matrix."""
-    zero = np.zeros_like(drift)
-    exponential = expm(step * np.block([[-drift, Q], [zero, drift.T]]))
-    size = len(drift)
-    covariance = exponential[size:, size:].T @ exponential[:size, size:]
-    return (covariance + covariance.T) / 2

@@ -40,7 +40,7 @@ from robsmooth.augmented import AugmentedSystem
 from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import Reference, matrices, reference_outputs
-from robsmooth.nonlinear.exact import stationary_root
+from robsmooth.lyapunov import stationary_root
 from robsmooth.validation import Matrix
 
 _CONVERGED = 1e-6  # of a slope, relative to the Lipschitz constant

@@ -26,7 +26,8 @@ from numpy.random import SFC64, Generator, SeedSequence
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from robsmooth.nonlinear.exact import noise_root, responses
+from robsmooth.exponential import responses
+from robsmooth.lyapunov import noise_root
 from robsmooth.nonlinear.loop import NonlinearLoop
 from robsmooth.validation import Matrix
 
