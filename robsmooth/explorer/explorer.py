@@ -50,6 +50,7 @@ class Explorer:
         self._panels = Panels()
         self._timer: asyncio.TimerHandle | None = None
         self._simulation: Future | None = None
+        self._simulating: Settings | None = None
         self._draw()
 
     @property
@@ -110,16 +111,19 @@ class Explorer:
         self._timer = loop.call_later(QUIET, self._draw)
 
     def _draw(self) -> None:
-        loop = _running_loop()
-        self._snapshot, self._simulated = look(self.settings), PREPARING
-        if self._simulation is None or self._simulation.done():
-            self._simulation = _thread.submit(simulate, self._snapshot)
+        loop, settings = _running_loop(), self.settings
+        self._snapshot, self._simulated = look(settings), PREPARING
+        other = self._simulating != settings
+        if self._simulation is None or (other and self._simulation.done()):
+            self._simulation, self._simulating = _thread.submit(simulate, self._snapshot), settings
             try:
-                self._simulated = self._simulation.result(PATIENCE if loop else None)
+                self._simulation.result(PATIENCE if loop else None)
             except TimeoutError:
                 self._simulation.add_done_callback(
                     lambda _: loop.call_soon_threadsafe(self._changed)
                 )
+        if self._simulation.done() and self._simulating == settings:
+            self._simulated = self._simulation.result()
         self._panels.show(self._snapshot, self._simulated)
         self._show()
 
