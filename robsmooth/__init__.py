@@ -1,12 +1,12 @@
 """robsmooth: robust continuous-time fixed-lag smoothing for nonlinear uncertain systems."""
 
 from robsmooth import baselines, homodyne
+from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.analysis import AnalysisBound, analysis_bound
 from robsmooth.augmented import AugmentedSystem, augment
 from robsmooth.bound import minimize_bound
 from robsmooth.covariance import delta_sweep, error_covariance, statistical_linearisation
 from robsmooth.discrete import DiscreteSmoother
-from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.galerkin import StationaryErrors, stationary_errors
 from robsmooth.lag import LagChoice, LagSweep, best_lag, choose_lag, lag_sweep

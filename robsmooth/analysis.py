@@ -29,15 +29,15 @@ import numpy as np
 from scipy.linalg import null_space, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from robsmooth import notation, validation
+from robsmooth._support import notation, validation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.tables import facts
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.augmented import AugmentedSystem
-from robsmooth.blas import one_thread
 from robsmooth.delay import pade_delay
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import OpenLoop, guarantee, open_loop
 from robsmooth.riccati import RiccatiError, solve_riccati
-from robsmooth.tables import facts
-from robsmooth.validation import Matrix, frozen
 
 _FLOOR = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
 _UNSEEN = 1e-12  # of the largest output there could be: what one has that no noise excites

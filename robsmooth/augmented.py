@@ -23,13 +23,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import block_diag
 
-from robsmooth import notation, validation
+from robsmooth._support import notation, validation
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.tables import facts
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.delay import DelayModel, pade_delay
-from robsmooth.errors import InfeasibleDesignError
 from robsmooth.statespace import Blocks
 from robsmooth.systems import UncertainSystem
-from robsmooth.tables import facts
-from robsmooth.validation import Matrix, frozen
 
 if TYPE_CHECKING:
     import control

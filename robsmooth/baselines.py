@@ -16,18 +16,18 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from robsmooth import validation
+from robsmooth._support import validation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.validation import Matrix
 from robsmooth.augmented import AugmentedSystem, augment, check_noise, compact
-from robsmooth.blas import one_thread
 from robsmooth.bound import minimize_bound
 from robsmooth.delay import DelayModel, pade_delay
-from robsmooth.errors import InfeasibleDesignError
 from robsmooth.estimator import Estimator
 from robsmooth.lyapunov import ERROR_TOLERANCE, check_certainty, covariances, square_root
 from robsmooth.riccati import RiccatiError, solve_riccati
 from robsmooth.smoother import RobustSmoother
 from robsmooth.systems import UncertainSystem, Uncertainty
-from robsmooth.validation import Matrix
 
 
 def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:

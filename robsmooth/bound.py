@@ -27,11 +27,11 @@ from operator import itemgetter
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from robsmooth import validation
+from robsmooth._support import validation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.barrier import UNBOUNDED, Face, face_where
-from robsmooth.blas import one_thread
-from robsmooth.errors import InfeasibleDesignError
 from robsmooth.limit import default_rates, limiting_smoother
 from robsmooth.smoother import (
     COSTS,

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+from robsmooth._support.progress import progress_bar
 from robsmooth.pipeline import NotebookResult, PipelineError, Places, run_notebooks
 from robsmooth.pipeline.runner import PROFILES
-from robsmooth.progress import progress_bar
 
 INTERRUPTED = 130
 

@@ -35,14 +35,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from robsmooth import linearisation, validation
+from robsmooth import linearisation
+from robsmooth._support import validation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.errors import UnstableLoopError
+from robsmooth._support.validation import Matrix
 from robsmooth.augmented import AugmentedSystem
-from robsmooth.blas import one_thread
-from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import Reference, argument_weights, matrices
 from robsmooth.lyapunov import check_certainty, covariances
-from robsmooth.validation import Matrix
 
 OUTPUTS = ("smoothed", "filtered")
 _BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once

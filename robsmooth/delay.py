@@ -28,9 +28,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robsmooth import validation
+from robsmooth._support import validation
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.statespace import Blocks
-from robsmooth.validation import Matrix, frozen
 
 if TYPE_CHECKING:
     import control

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robsmooth import notation, validation
+from robsmooth._support import notation, validation
+from robsmooth._support.tables import facts
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.discrete import DiscreteSmoother
 from robsmooth.statespace import Blocks
-from robsmooth.tables import facts
-from robsmooth.validation import Matrix, frozen
 
 if TYPE_CHECKING:
     import control

@@ -12,7 +12,7 @@ For :math:`dz = (Az + Bu)\,dt`, with `u` linear in time from :math:`u_0` to :mat
 import numpy as np
 from scipy.linalg import expm, matrix_balance
 
-from robsmooth.validation import Matrix
+from robsmooth._support.validation import Matrix
 
 _RESIDUAL_TOLERANCE = 1e-10
 

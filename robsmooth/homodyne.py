@@ -21,9 +21,9 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import erf
 
-from robsmooth import validation
+from robsmooth._support import validation
+from robsmooth._support.tables import Table
 from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
-from robsmooth.tables import Table
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robsmooth import validation
+from robsmooth._support import validation
+from robsmooth._support.validation import Matrix
 from robsmooth.estimator import Estimator
 from robsmooth.smoother import RobustSmoother
 from robsmooth.systems import REFERENCES, UncertainSystem
-from robsmooth.validation import Matrix
 
 OUTPUTS = ("smoothed", "filtered", "guaranteed")
 Reference = str | ArrayLike | None

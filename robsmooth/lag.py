@@ -16,18 +16,19 @@ from functools import partial
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from robsmooth import baselines, notation, validation
+from robsmooth import baselines
+from robsmooth._support import notation, validation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.progress import progress_bar
+from robsmooth._support.tables import Table
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.augmented import augment
-from robsmooth.blas import one_thread
 from robsmooth.bound import minimize_bound
 from robsmooth.covariance import error_covariance
-from robsmooth.errors import InfeasibleDesignError
 from robsmooth.estimator import Estimator
-from robsmooth.progress import progress_bar
 from robsmooth.smoother import design_smoother
 from robsmooth.systems import UncertainSystem
-from robsmooth.tables import Table
-from robsmooth.validation import Matrix, frozen
 from robsmooth.worst_case import worst_case
 
 Family = Callable[[UncertainSystem, float, int], Estimator]

@@ -44,9 +44,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import null_space
 
+from robsmooth._support.blas import one_thread
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.validation import Matrix
 from robsmooth.augmented import AugmentedSystem
-from robsmooth.blas import one_thread
-from robsmooth.errors import InfeasibleDesignError
 from robsmooth.riccati import RiccatiSolution, solve_riccati
 from robsmooth.smoother import (
     ASSUMPTION_X,
@@ -60,7 +61,6 @@ from robsmooth.smoother import (
     solve_design,
     weights,
 )
-from robsmooth.validation import Matrix
 
 _NOTHING = 1e-10  # what is below this, relative to its size, is rounding
 

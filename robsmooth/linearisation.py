@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth.errors import UnstableLoopError
+from robsmooth._support.errors import UnstableLoopError
 
 _ROUNDING = 1e-9  # a change below this that no longer shrinks is rounding
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(32)

@@ -39,9 +39,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from robsmooth import linearisation, validation
+from robsmooth import linearisation
+from robsmooth._support import validation
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth.augmented import compact
-from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.homodyne import homodyne_system
 from robsmooth.interconnection import matrices

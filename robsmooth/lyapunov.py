@@ -29,8 +29,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dgebal
 
-from robsmooth.errors import UnstableLoopError
-from robsmooth.validation import Matrix
+from robsmooth._support.errors import UnstableLoopError
+from robsmooth._support.validation import Matrix
 
 ERROR_TOLERANCE = 1e-6
 _FIRST_STEP = 1 / 4  # times the norm of A

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
-from robsmooth import files
+from robsmooth._support import files
 
 ROOT = Path(__file__).resolve().parent.parent
 LOCK = "requirements.lock"

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from robsmooth import validation
+from robsmooth._support import validation
+from robsmooth._support.files import atomic_path
+from robsmooth._support.progress import progress_bar
 from robsmooth.discrete import OUTPUTS, DiscreteSmoother
-from robsmooth.files import atomic_path
-from robsmooth.progress import progress_bar
 
 CHUNK = 65_536  # rows
 TIMING = 0.5  # of a sample: by how much a row may come too early or too late

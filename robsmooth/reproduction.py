@@ -13,8 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from robsmooth import statements, validation
-from robsmooth.blas import one_thread
+from robsmooth import statements
+from robsmooth._support import validation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.tables import Table
+from robsmooth._support.validation import Matrix
 from robsmooth.published import (
     agrees,
     corrected_smoother,
@@ -28,8 +31,6 @@ from robsmooth.published import (
     rounding_box,
 )
 from robsmooth.simulations import MonteCarloTable
-from robsmooth.tables import Table
-from robsmooth.validation import Matrix
 
 REPRODUCED = "reproduced"
 WITH_FLIPPED_SIGN = "reproduced with the sign flipped"

@@ -21,8 +21,8 @@ import numpy as np
 from scipy.linalg import LinAlgError, schur, solve_continuous_are
 from scipy.linalg.lapack import dgebal, dtrsyl
 
-from robsmooth.blas import one_thread
-from robsmooth.validation import Matrix
+from robsmooth._support.blas import one_thread
+from robsmooth._support.validation import Matrix
 
 RESIDUAL_TOLERANCE = 1e-8
 ERROR_TOLERANCE = 1e-6

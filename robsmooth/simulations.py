@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from robsmooth import files, provenance
+from robsmooth import provenance
+from robsmooth._support import files
 from robsmooth.montecarlo import MonteCarloResult
 
 NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that verdicts are about

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robsmooth.validation import Matrix
+from robsmooth._support.validation import Matrix
 
 if TYPE_CHECKING:  # it takes half a second to import, and only these functions need it
     import control

@@ -34,13 +34,13 @@ from pathlib import Path
 
 import numpy as np
 
-from robsmooth import files, validation
+from robsmooth._support import files, validation
+from robsmooth._support.validation import Matrix
 from robsmooth.augmented import AugmentedSystem, compact
 from robsmooth.estimator import Estimator
 from robsmooth.limit import limiting_smoother
 from robsmooth.smoother import RobustSmoother
 from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
-from robsmooth.validation import Matrix
 
 FORMAT = 1
 _SAME_DESIGN = 1e-6  # largest relative difference of a stored design to that of its parameters

@@ -16,18 +16,19 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth import baselines, executors, validation
+from robsmooth import baselines
+from robsmooth._support import cluster, validation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.checkpoint import open_journal
+from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
+from robsmooth._support.progress import progress_bar
+from robsmooth._support.tables import Table
 from robsmooth.augmented import augment
-from robsmooth.blas import one_thread
 from robsmooth.bound import minimize_bound
 from robsmooth.covariance import error_covariance
-from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.homodyne import HomodyneParameters
-from robsmooth.journal import open_journal
 from robsmooth.montecarlo import LossOfLockWarning, monte_carlo
-from robsmooth.progress import progress_bar
 from robsmooth.smoother import design_smoother
-from robsmooth.tables import Table
 
 AXES = ("gamma", "noise", "order", "lag")
 QUANTITIES = (
@@ -170,7 +171,7 @@ def parameter_study(
     axes = {"gammas": gammas, "noises": noises, "orders": orders, "lags": lags}
     identity = {
         "study": {**axes, "parameters": vars(parameters), "runs": runs, "seed": seed},
-        "software": executors.software(),
+        "software": cluster.software(),
     }
     columns = list(product(range(len(gammas)), range(len(noises))))
     loops = [
@@ -185,7 +186,7 @@ def parameter_study(
         with progress_bar(
             total=len(loops), initial=len(results), unit="column", shown=progress
         ) as bar:
-            for result in executors.in_order(compute, calls, client):
+            for result in cluster.in_order(compute, calls, client):
                 if journal:
                     journal.append(result)
                 results.append(result)

@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robsmooth import notation, validation
+from robsmooth._support import notation, validation
+from robsmooth._support.validation import Matrix
 from robsmooth.statespace import Blocks, check_continuous
-from robsmooth.validation import Matrix
 
 if TYPE_CHECKING:
     import control

@@ -23,15 +23,15 @@ import numpy as np
 from scipy.integrate import trapezoid
 from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
 
-from robsmooth import notation, validation
+from robsmooth._support import notation, validation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.errors import UnstableLoopError
+from robsmooth._support.tables import Table, facts
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.analysis import analysis_bound
-from robsmooth.blas import one_thread
 from robsmooth.covariance import closed_loop, error_covariance
-from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import OpenLoop, guarantee, open_loop
-from robsmooth.tables import Table, facts
-from robsmooth.validation import Matrix, frozen
 
 Evaluation = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 

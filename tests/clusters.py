@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import distributed
 
-from robsmooth.executors import connect
+from robsmooth._support.cluster import connect
 from tests.waiting import PATIENCE
 
 

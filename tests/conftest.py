@@ -21,7 +21,7 @@ def terminal(capsys, monkeypatch):
     """What is written where stderr is a terminal, which shows progress bars."""
     for name in ("CI", "TQDM_DISABLE"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("robsmooth.progress._in_terminal", lambda: True)
+    monkeypatch.setattr("robsmooth._support.progress._in_terminal", lambda: True)
     return capsys
 
 

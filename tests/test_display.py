@@ -13,10 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robsmooth as rs
-from robsmooth import homodyne, notation
+from robsmooth import homodyne
+from robsmooth._support import notation
+from robsmooth._support.tables import Table
 from robsmooth.reproduction import Verdict, Verdicts
 from robsmooth.riccati import solve_riccati
-from robsmooth.tables import Table
 from tests.loops import two_channels
 from tests.strategies import designs, plants, random_system, seeds
 

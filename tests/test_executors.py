@@ -18,8 +18,8 @@ import distributed
 import numpy as np
 import pytest
 
-from robsmooth import executors
-from robsmooth.executors import alone, connect, in_order, worker_threads, workers
+from robsmooth._support import cluster as executors
+from robsmooth._support.cluster import alone, connect, in_order, worker_threads, workers
 from tests.clusters import cluster_of_threads, start_cluster
 from tests.waiting import PATIENCE, wait_until
 
@@ -74,7 +74,7 @@ def test_dask_is_not_imported_before_a_cluster_is_asked_for():
     program = """
 import sys
 sys.modules["distributed"] = sys.modules["dask"] = None
-from robsmooth.executors import connect, in_order, worker_threads
+from robsmooth._support.cluster import connect, in_order, worker_threads
 assert list(in_order(divmod, [(7, 3)])) == [(2, 1)]
 assert worker_threads() is None
 with connect("") as client:

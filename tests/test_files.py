@@ -4,7 +4,7 @@ import os
 import numpy as np
 import pytest
 
-from robsmooth import files
+from robsmooth._support import files
 
 
 def test_a_file_is_replaced_whole(tmp_path):

@@ -10,7 +10,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from robsmooth.journal import CheckpointError, Journal
+from robsmooth._support.checkpoint import CheckpointError, Journal
 from tests.waiting import PATIENCE
 
 IDENTITY = {"seed": 1, "parameters": {"kappa": 0.1, "beta": 1e-300}, "digest": "ab" * 32}
@@ -37,7 +37,10 @@ def read(path, identity=IDENTITY):
 
 def run(source, *arguments, **options):
     """Run a program that finds `Journal` imported."""
-    program = "import os, sys\nfrom robsmooth.journal import Journal\n" + textwrap.dedent(source)
+    program = (
+        "import os, sys\nfrom robsmooth._support.checkpoint import Journal\n"
+        + textwrap.dedent(source)
+    )
     command = [sys.executable, "-c", program, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, **options)
 
@@ -217,7 +220,7 @@ def test_a_damaged_header_is_refused_and_kept(path):
 
 
 def test_another_format_is_refused(path, monkeypatch):
-    monkeypatch.setattr("robsmooth.journal.FORMAT", 2)
+    monkeypatch.setattr("robsmooth._support.checkpoint.FORMAT", 2)
     written(path)
     monkeypatch.undo()
     with pytest.raises(CheckpointError, match=r"has format 2, and .* reads format 1"):

@@ -17,7 +17,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
-from robsmooth.errors import UnstableLoopError
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth.loop import homodyne_loop
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, euler, monte_carlo, run, splitting
 from robsmooth.montecarlo.euler import CHUNK, SLIPS

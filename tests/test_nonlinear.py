@@ -20,10 +20,10 @@ from scipy.special import erfc
 from scipy.stats import norm
 
 from robsmooth import published
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth.augmented import augment, compact
 from robsmooth.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.covariance import error_covariance
-from robsmooth.errors import UnstableLoopError
 from robsmooth.galerkin import stationary_errors
 from robsmooth.homodyne import PAPER
 from robsmooth.loop import homodyne_loop

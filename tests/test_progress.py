@@ -11,13 +11,13 @@ import pytest
 from jupyter_client.manager import start_new_kernel
 
 from robsmooth import baselines, homodyne, lag_sweep
+from robsmooth._support.progress import progress_bar
 from robsmooth.comparison import compare
-from robsmooth.progress import progress_bar
 from tests.waiting import PATIENCE
 
 SYSTEM = homodyne.PAPER.uncertain_system()
 SWITCHES = ("CI", "TQDM_DISABLE")
-CODE = "from robsmooth.progress import progress_bar\nfor _ in progress_bar(range(3)): pass"
+CODE = "from robsmooth._support.progress import progress_bar\nfor _ in progress_bar(range(3)): pass"
 
 
 def without_switches():

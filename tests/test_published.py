@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from robsmooth import homodyne, published
+from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.covariance import error_covariance
 from robsmooth.delay import pade_delay
-from robsmooth.errors import InfeasibleDesignError
 from robsmooth.smoother import design_smoother
 
 

@@ -8,8 +8,8 @@ from numpy.testing import assert_array_equal
 
 import robsmooth as rs
 from robsmooth import study as study_module
-from robsmooth.executors import connect
-from robsmooth.journal import CheckpointError
+from robsmooth._support.checkpoint import CheckpointError
+from robsmooth._support.cluster import connect
 from robsmooth.study import QUANTITIES, parameter_study
 from tests.clusters import start_cluster
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from html.parser import HTMLParser
 
-from robsmooth.tables import Table
+from robsmooth._support.tables import Table
 
 TABLE = Table(
     columns=("what", "$x_1$ | y"),

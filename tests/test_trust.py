@@ -20,8 +20,8 @@ import numba
 import pytest
 
 import robsmooth as rs
-from robsmooth import executors
-from robsmooth.journal import CheckpointError
+from robsmooth._support import cluster as executors
+from robsmooth._support.checkpoint import CheckpointError
 from robsmooth.montecarlo import LossOfLockWarning, run
 from robsmooth.montecarlo.protocols import PILOT_BLOCK, PROTOCOLS, ErgodicSimulation
 from robsmooth.montecarlo.statistics import Tally
@@ -149,7 +149,7 @@ def test_other_threads_may_resume(protocol, path, merging):
 def test_a_run_that_is_killed_resumes_with_the_same_bits(path, simulated):
     program = """
 import sys, time
-from robsmooth.journal import Journal
+from robsmooth._support.checkpoint import Journal
 from tests import test_trust
 
 def slowly(*arguments, append=Journal.append):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from robsmooth import baselines
+from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.augmented import augment
 from robsmooth.certificate import least_tau, scalar_bound
 from robsmooth.covariance import (
@@ -24,7 +25,6 @@ from robsmooth.covariance import (
     delta_sweep,
     statistical_linearisation,
 )
-from robsmooth.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.explorer.settings import Settings
 from robsmooth.exponential import responses

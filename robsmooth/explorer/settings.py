@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import NamedTuple
 
-from robsmooth import homodyne, validation
+from robsmooth import homodyne
+from robsmooth._support import validation
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.published import DELAY, ORDER, printed
 from robsmooth.smoother import COSTS

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 
+from robsmooth._support.tables import Table
 from robsmooth.explorer.model import (
     RUNS,
     SLOPES,
@@ -14,7 +15,6 @@ from robsmooth.explorer.model import (
 )
 from robsmooth.explorer.settings import Settings
 from robsmooth.montecarlo import MonteCarloResult
-from robsmooth.tables import Table
 
 _CODE = """\
 import numpy as np

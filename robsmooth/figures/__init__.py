@@ -1,5 +1,6 @@
 """The figures of the notebooks."""
 
+from robsmooth._support.style import FORMATS, TRUTH, save_figure, styles, use_style
 from robsmooth.figures.beyond import (
     all_designs,
     lag_and_order,
@@ -18,7 +19,6 @@ from robsmooth.figures.paper import (
     routes,
     sector,
 )
-from robsmooth.figures.style import FORMATS, TRUTH, save_figure, styles, use_style
 
 __all__ = [
     "FORMATS",

@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.style import MARK, TRUTH, styles
 from robsmooth.certificate import scalar_bound
 from robsmooth.comparison import Compared
-from robsmooth.errors import InfeasibleDesignError
 from robsmooth.figures.maps import hatch, shade
-from robsmooth.figures.style import MARK, TRUTH, styles
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.lag import LagSweep
 from robsmooth.smoother import RobustSmoother, design_smoother

@@ -5,7 +5,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from robsmooth.figures.style import NOWHERE, TRUTH, styles
+from robsmooth._support.style import NOWHERE, TRUTH, styles
 from robsmooth.nonlinear import SamplePaths
 
 

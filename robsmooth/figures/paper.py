@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from robsmooth import published
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.style import MARK, styles
 from robsmooth.delay import pade_delay
-from robsmooth.errors import InfeasibleDesignError
-from robsmooth.figures.style import MARK, styles
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import MeanSquare
 from robsmooth.smoother import RobustSmoother, design_smoother

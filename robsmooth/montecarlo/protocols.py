@@ -24,9 +24,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth.blas import one_thread
-from robsmooth.errors import UnstableLoopError
-from robsmooth.executors import alone, worker_threads
+from robsmooth._support.blas import one_thread
+from robsmooth._support.cluster import alone, worker_threads
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth.loop import Loop
 from robsmooth.montecarlo import euler, splitting
 from robsmooth.montecarlo.lanes import threads_of_kernels

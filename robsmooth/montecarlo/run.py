@@ -20,17 +20,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth import executors, validation
-from robsmooth.blas import one_thread
-from robsmooth.journal import Journal, open_journal
+from robsmooth._support import cluster, validation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.checkpoint import Journal, open_journal
+from robsmooth._support.progress import progress_bar
+from robsmooth._support.tables import Table
 from robsmooth.loop import Loop, homodyne_loop
 from robsmooth.montecarlo.euler import FILTERED, SMOOTHED
 from robsmooth.montecarlo.lanes import threads_of_kernels
 from robsmooth.montecarlo.noise import GENERATOR, LANES
 from robsmooth.montecarlo.protocols import PRECISIONS, PROTOCOLS, Simulation
 from robsmooth.montecarlo.statistics import MeanSquare, Tally
-from robsmooth.progress import progress_bar
-from robsmooth.tables import Table
 
 STEPS_OF_A_GROUP = 400_000_000  # path-steps: about half a second
 BLOCKS_OF_A_GROUP = 256  # at most: bounds the memory
@@ -202,7 +202,7 @@ def monte_carlo(
     precision : {"mixed", "single"}
         Noise is always drawn in single precision; "mixed" keeps the state in double precision.
     client : distributed.Client, optional
-        A Dask cluster to compute on, see `robsmooth.executors.connect`. Default: this machine.
+        A Dask cluster to compute on, see `robsmooth._support.cluster.connect`. Default: this machine.
     checkpoint : path, optional
         A file to which progress is saved every few seconds, and from which the same call resumes
         after an interruption. One of other parameters, seed or version is refused.
@@ -269,7 +269,7 @@ def monte_carlo(
         "shot_noise": float(shot_noise),
         "estimator_sha256": _estimator_digest(smoother),
     }
-    identity = {**simulation.identity(), **inputs, "software": executors.software()}
+    identity = {**simulation.identity(), **inputs, "software": cluster.software()}
 
     with (
         _threads(threads),
@@ -362,7 +362,7 @@ def _tally(
         unit_scale=True,
         shown=progress,
     ) as bar:
-        for tallies in executors.in_order(simulate, calls, client):
+        for tallies in cluster.in_order(simulate, calls, client):
             for each in tallies:
                 tally.merge(each)
             first = min(first + len(tallies) * group, simulation.blocks)
@@ -385,7 +385,7 @@ def _calls(simulation: Simulation, group: int, first: int, client) -> Iterator[t
     if client is None:
         groups = numba.get_num_threads()
     else:
-        threads = executors.workers(client)
+        threads = cluster.workers(client)
         groups = simulation.blocks // (group * CALLS_OF_A_THREAD * threads)
         groups = min(max(groups, 1), GROUPS_OF_A_CALL)
     for start in range(first, simulation.blocks, groups * group):
@@ -396,7 +396,7 @@ def _tallies(
     simulation: Simulation, group: int, parameters: dict, first: int, count: int
 ) -> list[Tally]:
     """Simulate `count` blocks, here or on a worker, and sum up each group of them."""
-    at_once = group * (executors.worker_threads() or numba.get_num_threads())
+    at_once = group * (cluster.worker_threads() or numba.get_num_threads())
     end, tallies = first + count, []
     for start in range(first, end, at_once):
         results = simulation.simulate(start, min(at_once, end - start))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from robsmooth.errors import UnstableLoopError
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth.exponential import responses
 from robsmooth.loop import Loop
 from robsmooth.lyapunov import noise_root, square_root

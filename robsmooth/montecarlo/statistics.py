@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from robsmooth import notation, validation
+from robsmooth._support import notation, validation
 
 
 @dataclass(frozen=True)

@@ -35,13 +35,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from robsmooth import linearisation, validation
+from robsmooth import linearisation
+from robsmooth._support import validation
+from robsmooth._support.errors import UnstableLoopError
+from robsmooth._support.validation import Matrix
 from robsmooth.augmented import AugmentedSystem
-from robsmooth.errors import UnstableLoopError
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import Reference, matrices, reference_outputs
 from robsmooth.lyapunov import stationary_root
-from robsmooth.validation import Matrix
 
 _CONVERGED = 1e-6  # of a slope, relative to the Lipschitz constant
 _ROUNDING = 1e-9  # a deviation below this, relative to its terms, is none

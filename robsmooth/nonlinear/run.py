@@ -10,18 +10,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth import notation, validation
+from robsmooth._support import notation, validation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.progress import progress_bar
+from robsmooth._support.tables import Table
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.augmented import AugmentedSystem
-from robsmooth.blas import one_thread
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import Reference
 from robsmooth.montecarlo.statistics import MeanSquare, Moments
 from robsmooth.nonlinear.loop import NonlinearLoop, nonlinear_loop
 from robsmooth.nonlinear.walk import Walk
-from robsmooth.progress import progress_bar
 from robsmooth.steps import dividing_step, steps_in, whole_steps
-from robsmooth.tables import Table
-from robsmooth.validation import Matrix, frozen
 
 BLOCK = 512  # paths side by side
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the response of the nonlinearities

@@ -26,10 +26,10 @@ from numpy.random import SFC64, Generator, SeedSequence
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from robsmooth._support.validation import Matrix
 from robsmooth.exponential import responses
 from robsmooth.lyapunov import noise_root
 from robsmooth.nonlinear.loop import NonlinearLoop
-from robsmooth.validation import Matrix
 
 CHUNK = 64  # steps for which noise is drawn ahead, and between two looks for divergence
 GROWTH = 1e6  # of an output, from the first chunk on: divergence

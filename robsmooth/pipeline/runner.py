@@ -21,7 +21,8 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from robsmooth import executors, files, provenance
+from robsmooth import provenance
+from robsmooth._support import cluster, files
 from robsmooth.pipeline import parameters as parameters_cell
 from robsmooth.pipeline.execution import Execution, Failure
 from robsmooth.pipeline.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineError, unknown
@@ -253,7 +254,7 @@ def _fresh(task: Task, places: Places) -> tuple[str, ...] | None:
 def _check_scheduler(address: str) -> None:
     """Connect to the scheduler once: here an error is one sentence, and comes at once."""
     try:
-        with executors.connect(address):
+        with cluster.connect(address):
             pass
     except (ConnectionError, ImportError, ValueError) as error:
         raise PipelineError(f"--dask: {error}") from error

@@ -4,15 +4,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.tables import Table
 from robsmooth.analysis import AnalysisBound
 from robsmooth.comparison import Compared
-from robsmooth.errors import InfeasibleDesignError
 from robsmooth.estimator import Estimator
 from robsmooth.lag import choose_lag
 from robsmooth.smoother import RobustSmoother
 from robsmooth.study import Study
 from robsmooth.systems import UncertainSystem
-from robsmooth.tables import Table
 from robsmooth.worst_case import WorstCase
 
 

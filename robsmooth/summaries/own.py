@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.tables import Table
 from robsmooth.augmented import augment
 from robsmooth.bound import minimize_bound
 from robsmooth.covariance import error_covariance
-from robsmooth.errors import InfeasibleDesignError
 from robsmooth.homodyne import PAPER
 from robsmooth.nonlinear import SimulationResult
 from robsmooth.published import DELAY, ORDER
 from robsmooth.smoother import RobustSmoother
-from robsmooth.tables import Table
 
 
 def refusals(attempts: Mapping[str, Callable[[], object]]) -> Table:

@@ -9,16 +9,13 @@ from functools import partial
 from scipy.optimize import brentq
 
 from robsmooth import published
-from robsmooth.covariance import (
-    StatisticalLinearisation,
-    statistical_linearisation,
-)
-from robsmooth.errors import UnstableLoopError
+from robsmooth._support.errors import UnstableLoopError
+from robsmooth._support.tables import Table
+from robsmooth.covariance import StatisticalLinearisation, statistical_linearisation
 from robsmooth.estimator import Estimator
 from robsmooth.galerkin import FARTHEST, stationary_errors
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
-from robsmooth.tables import Table
 
 
 def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Table:

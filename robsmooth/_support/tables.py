@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from robsmooth import files, notation
+from robsmooth._support import files, notation
 
 Cell = str | int | float | None
 

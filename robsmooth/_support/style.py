@@ -11,7 +11,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from robsmooth import files
+from robsmooth._support import files
 
 FORMATS = ("pdf", "svg", "png")
 # Nothing in a file says when, or by which release, it was made: equal figures are equal bytes.
@@ -48,7 +48,7 @@ NOWHERE = {"facecolor": "w", "edgecolor": "0.55", "hatch": "/////", "linewidth":
 
 def use_style() -> None:
     """Set matplotlib to the style of all figures."""
-    with as_file(package_files("robsmooth") / "robsmooth.mplstyle") as path:
+    with as_file(package_files("robsmooth._support") / "robsmooth.mplstyle") as path:
         plt.style.use(path)
 
 

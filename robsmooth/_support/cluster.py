@@ -188,7 +188,7 @@ def _digest_sources(package: Path) -> str:
 
 
 # Of now, and not of when it is asked for: by then the files may have been edited.
-_SOURCES = _digest_sources(Path(__file__).parent)
+_SOURCES = _digest_sources(Path(__file__).resolve().parents[1])
 
 
 # --- on a worker ----------------------------------------------------------------------------------

@@ -1,0 +1,1 @@
+"""What all rooms need: checks of arguments, errors, files, tables, progress, a Dask cluster."""
