@@ -29,6 +29,7 @@ import numpy as np
 from scipy.linalg import null_space, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
+from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import facts
@@ -37,7 +38,6 @@ from robsmooth.augmented import AugmentedSystem
 from robsmooth.delay import pade_delay
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import OpenLoop, guarantee, open_loop
-from robsmooth.riccati import RiccatiError, solve_riccati
 
 _FLOOR = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
 _UNSEEN = 1e-12  # of the largest output there could be: what one has that no noise excites

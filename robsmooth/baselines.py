@@ -16,6 +16,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from robsmooth._numerics.lyapunov import ERROR_TOLERANCE, check_certainty, covariances, square_root
+from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
@@ -24,8 +26,6 @@ from robsmooth.augmented import AugmentedSystem, augment, check_noise, compact
 from robsmooth.bound import minimize_bound
 from robsmooth.delay import DelayModel, pade_delay
 from robsmooth.estimator import Estimator
-from robsmooth.lyapunov import ERROR_TOLERANCE, check_certainty, covariances, square_root
-from robsmooth.riccati import RiccatiError, solve_riccati
 from robsmooth.smoother import RobustSmoother
 from robsmooth.systems import UncertainSystem, Uncertainty
 

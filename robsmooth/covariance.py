@@ -20,7 +20,7 @@ cannot be negative,
              + C_s \mathbf W C_s', \qquad
     \mathbf W = \mathbf P - e^{\mathbf A\delta}\mathbf P e^{\mathbf A'\delta}:
 
-what the state one lag back contributes, and the noise since then (`robsmooth.lyapunov` finds `W`
+what the state one lag back contributes, and the noise since then (`robsmooth._numerics.lyapunov` finds `W`
 without the subtraction). The state is :math:`[x_p;\; x_p - \hat x_p]`, so that a small error is
 small from the start.
 
@@ -35,7 +35,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from robsmooth import linearisation
+from robsmooth._numerics import linearisation
+from robsmooth._numerics.lyapunov import check_certainty, covariances
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
@@ -43,7 +44,6 @@ from robsmooth._support.validation import Matrix
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import Reference, argument_weights, matrices
-from robsmooth.lyapunov import check_certainty, covariances
 
 OUTPUTS = ("smoothed", "filtered")
 _BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once
@@ -331,7 +331,7 @@ def statistical_linearisation(
     r"""Predict the errors of the nonlinear loop, from slopes that belong to its own variances.
 
     The nonlinearity, and the copy of it, are replaced by slopes that depend on the variances of
-    their arguments, which are those of the linear loop with these slopes (`robsmooth.linearisation`
+    their arguments, which are those of the linear loop with these slopes (`robsmooth._numerics.linearisation`
     iterates). In the homodyne loop the argument is the filtered error, of variance P = P(slope(P)).
 
     Parameters

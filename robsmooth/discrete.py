@@ -49,10 +49,10 @@ from numba.extending import is_jitted
 from numba.np.ufunc.dufunc import DUFunc
 from numpy.typing import ArrayLike, NDArray
 
+from robsmooth._numerics.exponential import responses
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Matrix
-from robsmooth.exponential import responses
 from robsmooth.systems import Nonlinearity
 
 OUTPUTS = ("smoothed", "filtered")

@@ -59,13 +59,13 @@ from scipy.linalg import eigh_tridiagonal, matrix_balance, qr, solve_triangular
 from scipy.sparse.linalg import expm_multiply, splu
 from scipy.special import comb
 
-from robsmooth import linearisation
+from robsmooth._numerics import linearisation
+from robsmooth._numerics.lyapunov import stationary_root
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.tables import Table
 from robsmooth.loop import Loop, check_stationary, homodyne_loop
-from robsmooth.lyapunov import stationary_root
 
 TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
 USELESS = 0.02  # relative truncation error above which there is no result

@@ -44,11 +44,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import null_space
 
+from robsmooth._numerics.riccati import RiccatiSolution, solve_riccati
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
 from robsmooth.augmented import AugmentedSystem
-from robsmooth.riccati import RiccatiSolution, solve_riccati
 from robsmooth.smoother import (
     ASSUMPTION_X,
     DesignEquations,

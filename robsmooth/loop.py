@@ -39,14 +39,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from robsmooth import linearisation
+from robsmooth._numerics import linearisation
+from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth.augmented import compact
 from robsmooth.estimator import Estimator
 from robsmooth.homodyne import homodyne_system
 from robsmooth.interconnection import matrices
-from robsmooth.lyapunov import covariances
 from robsmooth.systems import REFERENCES, UncertainSystem
 
 NONLINEARITIES = ("difference", "literal")

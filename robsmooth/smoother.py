@@ -31,13 +31,13 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from robsmooth._numerics.lyapunov import square_root
+from robsmooth._numerics.riccati import RiccatiError, RiccatiSolution, solve_riccati
 from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.augmented import AugmentedSystem, check_noise
 from robsmooth.estimator import Estimator
-from robsmooth.lyapunov import square_root
-from robsmooth.riccati import RiccatiError, RiccatiSolution, solve_riccati
 
 COSTS = ("filtered", "smoothed")
 MAKE_A_PLANT = "; augment(system, delay, order) makes one"

@@ -19,10 +19,10 @@ from robsmooth import (
     error_covariance,
     homodyne,
 )
+from robsmooth._numerics.riccati import solve_riccati
 from robsmooth.analysis import _with_delay_model, analysis_bound
 from robsmooth.covariance import closed_loop
 from robsmooth.interconnection import OUTPUTS, open_loop
-from robsmooth.riccati import solve_riccati
 from tests.loops import looking_at_nothing
 from tests.strategies import admissible_delta, designs, seeds
 

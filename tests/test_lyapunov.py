@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from robsmooth import UnstableLoopError
-from robsmooth.lyapunov import (
+from robsmooth._numerics.lyapunov import (
     check_certainty,
     covariances,
     noise_root,

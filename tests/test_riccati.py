@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import schur
 
-from robsmooth.riccati import RiccatiError, _certify, solve_riccati
+from robsmooth._numerics.riccati import RiccatiError, _certify, solve_riccati
 from tests.strategies import orthogonal_matrix, seeds, stable_matrix
 
 KINDS = ("positive", "semidefinite", "indefinite", "negative")

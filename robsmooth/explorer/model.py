@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from robsmooth import baselines
+from robsmooth._numerics.exponential import responses
+from robsmooth._numerics.lyapunov import noise_root
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.augmented import augment
 from robsmooth.certificate import least_tau, scalar_bound
@@ -27,12 +29,10 @@ from robsmooth.covariance import (
 )
 from robsmooth.estimator import Estimator
 from robsmooth.explorer.settings import Settings
-from robsmooth.exponential import responses
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.interconnection import open_loop
 from robsmooth.limit import limiting_smoother
 from robsmooth.loop import Loop, homodyne_loop
-from robsmooth.lyapunov import noise_root
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
 from robsmooth.smoother import RobustSmoother
 

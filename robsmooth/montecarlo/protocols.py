@@ -24,6 +24,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robsmooth._numerics.steps import MULTIPLE_TOLERANCE, dividing_step, steps_in, whole_steps
 from robsmooth._support.blas import one_thread
 from robsmooth._support.cluster import alone, worker_threads
 from robsmooth._support.errors import UnstableLoopError
@@ -33,7 +34,6 @@ from robsmooth.montecarlo.lanes import threads_of_kernels
 from robsmooth.montecarlo.noise import LANES
 from robsmooth.montecarlo.schemes import EulerStep, SplittingStep, control_slopes
 from robsmooth.montecarlo.statistics import MeanSquare, Tally, control_weights
-from robsmooth.steps import MULTIPLE_TOLERANCE, dividing_step, steps_in, whole_steps
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
 

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from robsmooth._numerics.exponential import responses
+from robsmooth._numerics.lyapunov import noise_root, square_root
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth.exponential import responses
 from robsmooth.loop import Loop
-from robsmooth.lyapunov import noise_root, square_root
 from robsmooth.montecarlo import splitting
 
 

@@ -18,7 +18,7 @@ on :math:`\nu_i - r_i`, and its copy on :math:`\tilde\nu_i - r_i`. The homodyne 
 local oscillator.
 
 :math:`\Delta` holds the constant uncertainties and, for each nonlinearity and each copy, the slope
-that is statistically equivalent to it in the loop (`robsmooth.linearisation`). What is left, and
+that is statistically equivalent to it in the loop (`robsmooth._numerics.linearisation`). What is left, and
 uncertainties that are functions, are in :math:`\rho`. Any slopes describe the same loop, but the
 nearer the linear loop, the better the start and the smaller the error of a step.
 """
@@ -35,14 +35,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from robsmooth import linearisation
+from robsmooth._numerics import linearisation
+from robsmooth._numerics.lyapunov import stationary_root
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.augmented import AugmentedSystem
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import Reference, matrices, reference_outputs
-from robsmooth.lyapunov import stationary_root
 
 _CONVERGED = 1e-6  # of a slope, relative to the Lipschitz constant
 _ROUNDING = 1e-9  # a deviation below this, relative to its terms, is none

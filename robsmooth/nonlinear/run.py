@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from robsmooth._numerics.steps import dividing_step, steps_in, whole_steps
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
@@ -21,7 +22,6 @@ from robsmooth.interconnection import Reference
 from robsmooth.montecarlo.statistics import MeanSquare, Moments
 from robsmooth.nonlinear.loop import NonlinearLoop, nonlinear_loop
 from robsmooth.nonlinear.walk import Walk
-from robsmooth.steps import dividing_step, steps_in, whole_steps
 
 BLOCK = 512  # paths side by side
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the response of the nonlinearities
