@@ -3,7 +3,6 @@
 from robsmooth import baselines, homodyne
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.analysis import AnalysisBound, analysis_bound
-from robsmooth.augmented import AugmentedSystem, augment
 from robsmooth.bound import minimize_bound
 from robsmooth.covariance import delta_sweep, error_covariance, statistical_linearisation
 from robsmooth.discrete import DiscreteSmoother
@@ -25,7 +24,8 @@ from robsmooth.reproduction import verdicts
 from robsmooth.smoother import RobustSmoother, design_smoother
 from robsmooth.storage import load, save
 from robsmooth.study import Study, parameter_study
-from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
+from robsmooth.systems.augmented import AugmentedSystem, augment
+from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
 from robsmooth.worst_case import WorstCase, WorstDynamicCase, worst_case, worst_dynamic_case
 
 __all__ = [

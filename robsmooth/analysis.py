@@ -34,10 +34,10 @@ from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import facts
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.augmented import AugmentedSystem
-from robsmooth.delay import pade_delay
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import OpenLoop, guarantee, open_loop
+from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.delay import pade_delay
 
 _FLOOR = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
 _UNSEEN = 1e-12  # of the largest output there could be: what one has that no noise excites

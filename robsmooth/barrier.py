@@ -20,8 +20,8 @@ import numpy as np
 
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.augmented import AugmentedSystem
 from robsmooth.entropy import Entropy, entropy
+from robsmooth.systems.augmented import AugmentedSystem
 
 UNBOUNDED = 1e-8  # a multiplier that no noise bounds may reach the inverse of this
 # From the values at three weights, which fall by tens, to the next: a parabola in their root.

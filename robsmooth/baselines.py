@@ -22,12 +22,12 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.augmented import AugmentedSystem, augment, check_noise, compact
 from robsmooth.bound import minimize_bound
-from robsmooth.delay import DelayModel, pade_delay
 from robsmooth.estimator import Estimator
 from robsmooth.smoother import RobustSmoother
-from robsmooth.systems import UncertainSystem, Uncertainty
+from robsmooth.systems.augmented import AugmentedSystem, augment, check_noise, compact
+from robsmooth.systems.delay import DelayModel, pade_delay
+from robsmooth.systems.system import UncertainSystem, Uncertainty
 
 
 def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:

@@ -30,7 +30,6 @@ from scipy.optimize import minimize_scalar
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.augmented import AugmentedSystem
 from robsmooth.barrier import UNBOUNDED, Face, face_where
 from robsmooth.limit import default_rates, limiting_smoother
 from robsmooth.smoother import (
@@ -42,6 +41,7 @@ from robsmooth.smoother import (
     design_smoother,
     multiplier_level,
 )
+from robsmooth.systems.augmented import AugmentedSystem
 
 VANISHING = 1e-6  # stands for zero beside an infimum, relative to the largest multiplier
 _CLOSE = 1e-3  # how close to an infimum a design is, if need be with smaller multipliers

@@ -41,9 +41,9 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
-from robsmooth.augmented import AugmentedSystem
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import Reference, argument_weights, matrices
+from robsmooth.systems.augmented import AugmentedSystem
 
 OUTPUTS = ("smoothed", "filtered")
 _BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once

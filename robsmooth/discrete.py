@@ -53,7 +53,7 @@ from robsmooth._numerics.exponential import responses
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Matrix
-from robsmooth.systems import Nonlinearity
+from robsmooth.systems.system import Nonlinearity
 
 OUTPUTS = ("smoothed", "filtered")
 

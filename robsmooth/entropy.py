@@ -32,11 +32,11 @@ from scipy.linalg import LinAlgError, schur, solve_continuous_lyapunov
 
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.augmented import AugmentedSystem
-from robsmooth.delay import pade_delay
 from robsmooth.limit import Reduction, reduction
 from robsmooth.smoother import ASSUMPTION_X, ASSUMPTION_Y, inverse, sum_of_squares
-from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
+from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.delay import pade_delay
+from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
 
 _NONNEGATIVE = 1e-9  # slack of Y >= 0
 _MARGIN = 1e-10  # of stability, relative to the norm of a Hamiltonian

@@ -18,9 +18,9 @@ import numpy as np
 from robsmooth._support import notation, validation
 from robsmooth._support.tables import facts
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.augmented import AugmentedSystem
 from robsmooth.discrete import DiscreteSmoother
-from robsmooth.statespace import Blocks
+from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.statespace import Blocks
 
 if TYPE_CHECKING:
     import control

@@ -23,7 +23,7 @@ from scipy.special import erf
 
 from robsmooth._support import validation
 from robsmooth._support.tables import Table
-from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
+from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
 from robsmooth.estimator import Estimator
 from robsmooth.smoother import RobustSmoother
-from robsmooth.systems import REFERENCES, UncertainSystem
+from robsmooth.systems.system import REFERENCES, UncertainSystem
 
 OUTPUTS = ("smoothed", "filtered", "guaranteed")
 Reference = str | ArrayLike | None

@@ -23,12 +23,12 @@ from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.augmented import augment
 from robsmooth.bound import minimize_bound
 from robsmooth.covariance import error_covariance
 from robsmooth.estimator import Estimator
 from robsmooth.smoother import design_smoother
-from robsmooth.systems import UncertainSystem
+from robsmooth.systems.augmented import augment
+from robsmooth.systems.system import UncertainSystem
 from robsmooth.worst_case import worst_case
 
 Family = Callable[[UncertainSystem, float, int], Estimator]

@@ -48,7 +48,6 @@ from robsmooth._numerics.riccati import RiccatiSolution, solve_riccati
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.augmented import AugmentedSystem
 from robsmooth.smoother import (
     ASSUMPTION_X,
     DesignEquations,
@@ -61,6 +60,7 @@ from robsmooth.smoother import (
     solve_design,
     weights,
 )
+from robsmooth.systems.augmented import AugmentedSystem
 
 _NOTHING = 1e-10  # what is below this, relative to its size, is rounding
 

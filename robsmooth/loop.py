@@ -43,11 +43,11 @@ from robsmooth._numerics import linearisation
 from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth.augmented import compact
 from robsmooth.estimator import Estimator
 from robsmooth.homodyne import homodyne_system
 from robsmooth.interconnection import matrices
-from robsmooth.systems import REFERENCES, UncertainSystem
+from robsmooth.systems.augmented import compact
+from robsmooth.systems.system import REFERENCES, UncertainSystem
 
 NONLINEARITIES = ("difference", "literal")
 FIXED_POINT_TOLERANCE = 1e-10

@@ -16,11 +16,11 @@ import numpy as np
 
 from robsmooth import baselines, homodyne
 from robsmooth._support.validation import Matrix
-from robsmooth.augmented import AugmentedSystem, augment
 from robsmooth.bound import minimize_bound
-from robsmooth.delay import DelayModel
 from robsmooth.estimator import Estimator
 from robsmooth.smoother import RobustSmoother, design_equations
+from robsmooth.systems.augmented import AugmentedSystem, augment
+from robsmooth.systems.delay import DelayModel
 
 DELAY = 3.1e-6  # s
 ORDER = 2

@@ -36,8 +36,8 @@ from robsmooth._numerics.riccati import RiccatiError, RiccatiSolution, solve_ric
 from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.augmented import AugmentedSystem, check_noise
 from robsmooth.estimator import Estimator
+from robsmooth.systems.augmented import AugmentedSystem, check_noise
 
 COSTS = ("filtered", "smoothed")
 MAKE_A_PLANT = "; augment(system, delay, order) makes one"

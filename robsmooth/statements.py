@@ -12,12 +12,12 @@ import numpy as np
 
 from robsmooth import baselines, homodyne, published
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.augmented import AugmentedSystem
 from robsmooth.covariance import delta_sweep, statistical_linearisation
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.published import agrees, paper_plant, printed, printed_multipliers, stated
 from robsmooth.simulations import MonteCarloTable
 from robsmooth.smoother import design_smoother
+from robsmooth.systems.augmented import AugmentedSystem
 
 Finding = tuple[bool, str, str]
 Check = Callable[[], Finding]

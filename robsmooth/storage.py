@@ -36,11 +36,11 @@ import numpy as np
 
 from robsmooth._support import files, validation
 from robsmooth._support.validation import Matrix
-from robsmooth.augmented import AugmentedSystem, compact
 from robsmooth.estimator import Estimator
 from robsmooth.limit import limiting_smoother
 from robsmooth.smoother import RobustSmoother
-from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
+from robsmooth.systems.augmented import AugmentedSystem, compact
+from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
 
 FORMAT = 1
 _SAME_DESIGN = 1e-6  # largest relative difference of a stored design to that of its parameters

@@ -23,12 +23,12 @@ from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
-from robsmooth.augmented import augment
 from robsmooth.bound import minimize_bound
 from robsmooth.covariance import error_covariance
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import LossOfLockWarning, monte_carlo
 from robsmooth.smoother import design_smoother
+from robsmooth.systems.augmented import augment
 
 AXES = ("gamma", "noise", "order", "lag")
 QUANTITIES = (

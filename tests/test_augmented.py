@@ -14,7 +14,7 @@ from robsmooth import (
     augment,
     homodyne,
 )
-from robsmooth.augmented import check_noise
+from robsmooth.systems.augmented import check_noise
 from tests.strategies import plants, random_system, seeds
 
 DELAY = 3.1e-6  # of the example

@@ -20,7 +20,6 @@ from robsmooth import (
     design_smoother,
     error_covariance,
 )
-from robsmooth.augmented import compact
 from robsmooth.baselines import (
     fixed_lag_smoother,
     kalman_bucy,
@@ -28,8 +27,9 @@ from robsmooth.baselines import (
     optimal_two_sided_error,
 )
 from robsmooth.covariance import closed_loop
-from robsmooth.delay import pade_delay
 from robsmooth.smoother import design_equations
+from robsmooth.systems.augmented import compact
+from robsmooth.systems.delay import pade_delay
 from tests.rational import exact_covariance
 from tests.strategies import orthogonal_matrix, random_multipliers, random_system, seeds
 

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import solve_continuous_lyapunov
 
-from robsmooth.delay import pade_delay
+from robsmooth.systems.delay import pade_delay
 
 ORDERS = range(1, 13)
 DELAYS = [1e-9, 3.1e-6, 0.7, 1.0, 20.0, 1e9]

@@ -21,7 +21,6 @@ from scipy.stats import norm
 
 from robsmooth import published
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth.augmented import augment, compact
 from robsmooth.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.covariance import error_covariance
 from robsmooth.galerkin import stationary_errors
@@ -31,7 +30,8 @@ from robsmooth.montecarlo import monte_carlo
 from robsmooth.nonlinear import InadmissibleWarning, run, sample_paths, simulate
 from robsmooth.nonlinear.loop import Function, NonlinearLoop, nonlinear_loop
 from robsmooth.nonlinear.walk import Walk
-from robsmooth.systems import Nonlinearity, UncertainSystem, Uncertainty
+from robsmooth.systems.augmented import augment, compact
+from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
 from tests.loops import assert_within
 from tests.strategies import (
     admissible_delta,

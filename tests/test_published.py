@@ -6,8 +6,8 @@ import pytest
 from robsmooth import homodyne, published
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.covariance import error_covariance
-from robsmooth.delay import pade_delay
 from robsmooth.smoother import design_smoother
+from robsmooth.systems.delay import pade_delay
 
 
 def test_the_example_has_the_printed_inputs():

@@ -20,9 +20,9 @@ from robsmooth import (
     design_smoother,
     homodyne,
 )
-from robsmooth.augmented import AugmentedSystem
-from robsmooth.delay import DelayModel
 from robsmooth.smoother import design_equations
+from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.delay import DelayModel
 from tests.strategies import (
     designs,
     feasible_design,

@@ -21,7 +21,7 @@ from robsmooth import (
 )
 from robsmooth.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.covariance import closed_loop
-from robsmooth.statespace import Blocks
+from robsmooth.systems.statespace import Blocks
 from tests.strategies import (
     admissible_delta,
     designs,

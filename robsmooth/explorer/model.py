@@ -19,7 +19,6 @@ from robsmooth import baselines
 from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
-from robsmooth.augmented import augment
 from robsmooth.certificate import least_tau, scalar_bound
 from robsmooth.covariance import (
     StatisticalLinearisation,
@@ -35,6 +34,7 @@ from robsmooth.limit import limiting_smoother
 from robsmooth.loop import Loop, homodyne_loop
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
 from robsmooth.smoother import RobustSmoother
+from robsmooth.systems.augmented import augment
 
 # Where the least bound of the example is, whatever the parameters, unless it pays to ignore the
 # measurement: tau is all that is left to search for.

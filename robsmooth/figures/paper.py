@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from robsmooth import published
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.style import MARK, styles
-from robsmooth.delay import pade_delay
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import MeanSquare
 from robsmooth.smoother import RobustSmoother, design_smoother
+from robsmooth.systems.delay import pade_delay
 
 
 def sector(parameters: HomodyneParameters, variance: float) -> Figure:

@@ -40,9 +40,9 @@ from robsmooth._numerics.lyapunov import stationary_root
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
-from robsmooth.augmented import AugmentedSystem
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import Reference, matrices, reference_outputs
+from robsmooth.systems.augmented import AugmentedSystem
 
 _CONVERGED = 1e-6  # of a slope, relative to the Lipschitz constant
 _ROUNDING = 1e-9  # a deviation below this, relative to its terms, is none

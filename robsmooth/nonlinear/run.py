@@ -16,12 +16,12 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.augmented import AugmentedSystem
 from robsmooth.estimator import Estimator
 from robsmooth.interconnection import Reference
 from robsmooth.montecarlo.statistics import MeanSquare, Moments
 from robsmooth.nonlinear.loop import NonlinearLoop, nonlinear_loop
 from robsmooth.nonlinear.walk import Walk
+from robsmooth.systems.augmented import AugmentedSystem
 
 BLOCK = 512  # paths side by side
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the response of the nonlinearities

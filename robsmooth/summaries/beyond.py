@@ -12,7 +12,7 @@ from robsmooth.estimator import Estimator
 from robsmooth.lag import choose_lag
 from robsmooth.smoother import RobustSmoother
 from robsmooth.study import Study
-from robsmooth.systems import UncertainSystem
+from robsmooth.systems.system import UncertainSystem
 from robsmooth.worst_case import WorstCase
 
 

@@ -8,11 +8,11 @@ from robsmooth import homodyne, published
 from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import Table
-from robsmooth.augmented import AugmentedSystem
 from robsmooth.covariance import delta_sweep, error_covariance
 from robsmooth.estimator import Estimator
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.smoother import RobustSmoother, design_equations, design_smoother
+from robsmooth.systems.augmented import AugmentedSystem
 
 
 def sector_ranges(values: HomodyneParameters, variance: float) -> Table:

@@ -7,13 +7,13 @@ import numpy as np
 
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import Table
-from robsmooth.augmented import augment
 from robsmooth.bound import minimize_bound
 from robsmooth.covariance import error_covariance
 from robsmooth.homodyne import PAPER
 from robsmooth.nonlinear import SimulationResult
 from robsmooth.published import DELAY, ORDER
 from robsmooth.smoother import RobustSmoother
+from robsmooth.systems.augmented import augment
 
 
 def refusals(attempts: Mapping[str, Callable[[], object]]) -> Table:

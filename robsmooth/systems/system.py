@@ -26,7 +26,7 @@ import numpy as np
 
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix
-from robsmooth.statespace import Blocks, check_continuous
+from robsmooth.systems.statespace import Blocks, check_continuous
 
 if TYPE_CHECKING:
     import control

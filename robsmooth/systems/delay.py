@@ -30,7 +30,7 @@ import numpy as np
 
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.statespace import Blocks
+from robsmooth.systems.statespace import Blocks
 
 if TYPE_CHECKING:
     import control

@@ -27,9 +27,9 @@ from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import facts
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.delay import DelayModel, pade_delay
-from robsmooth.statespace import Blocks
-from robsmooth.systems import UncertainSystem
+from robsmooth.systems.delay import DelayModel, pade_delay
+from robsmooth.systems.statespace import Blocks
+from robsmooth.systems.system import UncertainSystem
 
 if TYPE_CHECKING:
     import control
