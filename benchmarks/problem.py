@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robsmooth import homodyne, published
-from robsmooth.estimator import Estimator
+from robsmooth.estimators.estimator import Estimator
 from robsmooth.loop import homodyne_loop
 from robsmooth.montecarlo import MeanSquare
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from benchmarks.problem import RUNS, STEP, STEPS, literal_problem
 from benchmarks.race import middle
-from robsmooth import baselines, homodyne, monte_carlo
+from robsmooth import homodyne, monte_carlo
+from robsmooth.estimators import baselines
 from robsmooth.published import DELAY
 
 

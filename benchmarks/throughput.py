@@ -46,7 +46,8 @@ def contenders() -> dict[str, Callable]:
     from numba import njit
     from scipy import signal
 
-    from robsmooth import baselines, homodyne
+    from robsmooth import homodyne
+    from robsmooth.estimators import baselines
     from robsmooth.published import DELAY
 
     parameters = homodyne.PAPER

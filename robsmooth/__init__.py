@@ -1,15 +1,17 @@
 """robsmooth: robust continuous-time fixed-lag smoothing for nonlinear uncertain systems."""
 
-from robsmooth import baselines, homodyne
+from robsmooth import homodyne
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.analysis import AnalysisBound, analysis_bound
-from robsmooth.bound import minimize_bound
 from robsmooth.covariance import delta_sweep, error_covariance, statistical_linearisation
-from robsmooth.discrete import DiscreteSmoother
-from robsmooth.estimator import Estimator
+from robsmooth.estimators import baselines
+from robsmooth.estimators.bound import minimize_bound
+from robsmooth.estimators.discrete import DiscreteSmoother
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.limit import limiting_smoother
+from robsmooth.estimators.smoother import RobustSmoother, design_smoother
 from robsmooth.galerkin import StationaryErrors, stationary_errors
 from robsmooth.lag import LagChoice, LagSweep, best_lag, choose_lag, lag_sweep
-from robsmooth.limit import limiting_smoother
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
 from robsmooth.nonlinear import (
     InadmissibleWarning,
@@ -21,7 +23,6 @@ from robsmooth.nonlinear import (
 )
 from robsmooth.records import smooth_record
 from robsmooth.reproduction import verdicts
-from robsmooth.smoother import RobustSmoother, design_smoother
 from robsmooth.storage import load, save
 from robsmooth.study import Study, parameter_study
 from robsmooth.systems.augmented import AugmentedSystem, augment

@@ -34,8 +34,8 @@ from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import facts
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.estimator import Estimator
-from robsmooth.interconnection import OpenLoop, guarantee, open_loop
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.delay import pade_delay
 

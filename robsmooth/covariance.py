@@ -41,8 +41,8 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
-from robsmooth.estimator import Estimator
-from robsmooth.interconnection import Reference, argument_weights, matrices
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import Reference, argument_weights, matrices
 from robsmooth.systems.augmented import AugmentedSystem
 
 OUTPUTS = ("smoothed", "filtered")

@@ -16,17 +16,17 @@ from functools import partial
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-from robsmooth import baselines
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.bound import minimize_bound
 from robsmooth.covariance import error_covariance
-from robsmooth.estimator import Estimator
-from robsmooth.smoother import design_smoother
+from robsmooth.estimators import baselines
+from robsmooth.estimators.bound import minimize_bound
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.smoother import design_smoother
 from robsmooth.systems.augmented import augment
 from robsmooth.systems.system import UncertainSystem
 from robsmooth.worst_case import worst_case

@@ -27,7 +27,7 @@ With :math:`u`, :math:`\tilde\nu` and the estimates linear in :math:`\hat x` thi
 which is what is simulated: the options of the loop differ in :math:`G`, :math:`r`, :math:`c` and
 :math:`b_c` only.
 
-It is the loop of any nonlinear system (`robsmooth.interconnection`) with the reference
+It is the loop of any nonlinear system (`robsmooth.estimators.loop`) with the reference
 :math:`2\alpha\gamma u`, and written with sines: :math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) -
 (\beta/\gamma)v`, of which the second part is linear.
 """
@@ -43,9 +43,9 @@ from robsmooth._numerics import linearisation
 from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth.estimator import Estimator
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import matrices
 from robsmooth.homodyne import homodyne_system
-from robsmooth.interconnection import matrices
 from robsmooth.systems.augmented import compact
 from robsmooth.systems.system import REFERENCES, UncertainSystem
 

@@ -14,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from robsmooth import baselines, homodyne
+from robsmooth import homodyne
 from robsmooth._support.validation import Matrix
-from robsmooth.bound import minimize_bound
-from robsmooth.estimator import Estimator
-from robsmooth.smoother import RobustSmoother, design_equations
+from robsmooth.estimators import baselines
+from robsmooth.estimators.bound import minimize_bound
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.smoother import RobustSmoother, design_equations
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.delay import DelayModel
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from robsmooth._support import validation
 from robsmooth._support.files import atomic_path
 from robsmooth._support.progress import progress_bar
-from robsmooth.discrete import OUTPUTS, DiscreteSmoother
+from robsmooth.estimators.discrete import OUTPUTS, DiscreteSmoother
 
 CHUNK = 65_536  # rows
 TIMING = 0.5  # of a sample: by how much a row may come too early or too late

@@ -10,13 +10,14 @@ from functools import cache, partial
 
 import numpy as np
 
-from robsmooth import baselines, homodyne, published
+from robsmooth import homodyne, published
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.covariance import delta_sweep, statistical_linearisation
+from robsmooth.estimators import baselines
+from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.published import agrees, paper_plant, printed, printed_multipliers, stated
 from robsmooth.simulations import MonteCarloTable
-from robsmooth.smoother import design_smoother
 from robsmooth.systems.augmented import AugmentedSystem
 
 Finding = tuple[bool, str, str]

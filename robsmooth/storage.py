@@ -36,9 +36,9 @@ import numpy as np
 
 from robsmooth._support import files, validation
 from robsmooth._support.validation import Matrix
-from robsmooth.estimator import Estimator
-from robsmooth.limit import limiting_smoother
-from robsmooth.smoother import RobustSmoother
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.limit import limiting_smoother
+from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.systems.augmented import AugmentedSystem, compact
 from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
 

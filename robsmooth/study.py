@@ -16,18 +16,18 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth import baselines
 from robsmooth._support import cluster, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
-from robsmooth.bound import minimize_bound
 from robsmooth.covariance import error_covariance
+from robsmooth.estimators import baselines
+from robsmooth.estimators.bound import minimize_bound
+from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import LossOfLockWarning, monte_carlo
-from robsmooth.smoother import design_smoother
 from robsmooth.systems.augmented import augment
 
 AXES = ("gamma", "noise", "order", "lag")

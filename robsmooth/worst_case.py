@@ -30,8 +30,8 @@ from robsmooth._support.tables import Table, facts
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.analysis import analysis_bound
 from robsmooth.covariance import closed_loop, error_covariance
-from robsmooth.estimator import Estimator
-from robsmooth.interconnection import OpenLoop, guarantee, open_loop
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop
 
 Evaluation = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 

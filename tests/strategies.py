@@ -16,7 +16,7 @@ from robsmooth import (
     augment,
     design_smoother,
 )
-from robsmooth.smoother import multiplier_level
+from robsmooth.estimators.smoother import multiplier_level
 
 seeds = st.integers(0, 2**32 - 1)
 

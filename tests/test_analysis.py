@@ -14,7 +14,6 @@ from robsmooth import (
     UncertainSystem,
     Uncertainty,
     augment,
-    baselines,
     design_smoother,
     error_covariance,
     homodyne,
@@ -22,7 +21,8 @@ from robsmooth import (
 from robsmooth._numerics.riccati import solve_riccati
 from robsmooth.analysis import _with_delay_model, analysis_bound
 from robsmooth.covariance import closed_loop
-from robsmooth.interconnection import OUTPUTS, open_loop
+from robsmooth.estimators import baselines
+from robsmooth.estimators.loop import OUTPUTS, open_loop
 from tests.loops import looking_at_nothing
 from tests.strategies import admissible_delta, designs, seeds
 

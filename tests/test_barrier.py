@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from robsmooth import augment, homodyne
-from robsmooth.barrier import face_where
-from robsmooth.smoother import multiplier_level
+from robsmooth.estimators.bound_search import face_where
+from robsmooth.estimators.smoother import multiplier_level
 from tests.test_limit import CASES, limit_of
 
 

@@ -26,7 +26,7 @@ from robsmooth import (
     error_covariance,
     homodyne,
 )
-from robsmooth.baselines import (
+from robsmooth.estimators.baselines import (
     fixed_lag_smoother,
     kalman_bucy,
     linear_robust_filter,

@@ -20,14 +20,14 @@ from robsmooth import (
     design_smoother,
     error_covariance,
 )
-from robsmooth.baselines import (
+from robsmooth.covariance import closed_loop
+from robsmooth.estimators.baselines import (
     fixed_lag_smoother,
     kalman_bucy,
     optimal_fixed_lag_error,
     optimal_two_sided_error,
 )
-from robsmooth.covariance import closed_loop
-from robsmooth.smoother import design_equations
+from robsmooth.estimators.smoother import design_equations
 from robsmooth.systems.augmented import compact
 from robsmooth.systems.delay import pade_delay
 from tests.rational import exact_covariance

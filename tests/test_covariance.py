@@ -15,7 +15,6 @@ import robsmooth as rs
 from robsmooth import (
     UnstableLoopError,
     augment,
-    baselines,
     covariance,
     delta_sweep,
     design_smoother,
@@ -25,6 +24,7 @@ from robsmooth import (
     statistical_linearisation,
 )
 from robsmooth.covariance import closed_loop
+from robsmooth.estimators import baselines
 from robsmooth.loop import homodyne_loop
 from tests.strategies import admissible_delta, designs, feasible_design, random_system, seeds
 

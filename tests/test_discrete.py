@@ -18,12 +18,12 @@ from robsmooth import (
     Nonlinearity,
     UncertainSystem,
     augment,
-    baselines,
     error_covariance,
     homodyne,
     statistical_linearisation,
 )
-from robsmooth.discrete import DiscreteSmoother
+from robsmooth.estimators import baselines
+from robsmooth.estimators.discrete import DiscreteSmoother
 from tests.strategies import feasible_design, random_system, seeds
 
 SIGMAS = 4.5  # a correct program is further off once in 150 000 times, were the seeds free

@@ -7,8 +7,8 @@ from scipy.integrate import quad_vec
 from scipy.linalg import sqrtm
 
 from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne
-from robsmooth.entropy import entropy
-from robsmooth.limit import limiting_smoother
+from robsmooth.estimators.bound_function import entropy
+from robsmooth.estimators.limit import limiting_smoother
 from tests.strategies import feasible_design, random_system
 from tests.test_limit import CASES, limit_of
 

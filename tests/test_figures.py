@@ -13,7 +13,6 @@ from matplotlib.text import Text
 from robsmooth import (
     InfeasibleDesignError,
     augment,
-    baselines,
     design_smoother,
     diagrams,
     figures,
@@ -22,9 +21,10 @@ from robsmooth import (
 )
 from robsmooth.certificate import scalar_bound
 from robsmooth.comparison import compare
+from robsmooth.estimators import baselines
+from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.figures.maps import shade
 from robsmooth.lag import lag_sweep
-from robsmooth.limit import limiting_smoother
 from robsmooth.montecarlo import MeanSquare
 from robsmooth.study import QUANTITIES, Study
 from robsmooth.worst_case import worst_dynamic_case

@@ -14,8 +14,8 @@ from scipy.sparse.linalg import expm_multiply
 from scipy.special import ive
 
 from robsmooth import UnstableLoopError, error_covariance, published
-from robsmooth.baselines import fixed_lag_smoother
 from robsmooth.covariance import statistical_linearisation
+from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.galerkin import LARGEST, StationaryErrors, stationary_errors
 from robsmooth.homodyne import PAPER
 from robsmooth.loop import homodyne_loop

@@ -14,13 +14,13 @@ from robsmooth import (
     InfeasibleDesignError,
     UncertainSystem,
     augment,
-    baselines,
     design_smoother,
     error_covariance,
     homodyne,
     lag,
 )
-from robsmooth.baselines import optimal_fixed_lag_error, optimal_two_sided_error
+from robsmooth.estimators import baselines
+from robsmooth.estimators.baselines import optimal_fixed_lag_error, optimal_two_sided_error
 from robsmooth.lag import best_lag, choose_lag, lag_sweep
 from robsmooth.worst_case import worst_case
 from tests.strategies import random_system, seeds

@@ -15,8 +15,8 @@ from robsmooth import (
     homodyne,
 )
 from robsmooth.covariance import closed_loop
-from robsmooth.limit import limiting_smoother
-from robsmooth.smoother import multiplier_level
+from robsmooth.estimators.limit import limiting_smoother
+from robsmooth.estimators.smoother import multiplier_level
 from tests.loops import two_channels
 from tests.strategies import admissible_delta, random_system
 

@@ -12,8 +12,8 @@ from scipy.stats import norm
 
 from robsmooth import UnstableLoopError, published
 from robsmooth._numerics.linearisation import equivalent_slopes, of_function, of_sine
-from robsmooth.baselines import fixed_lag_smoother
 from robsmooth.covariance import statistical_linearisation
+from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.galerkin import _white_coordinates
 from robsmooth.homodyne import PAPER
 from robsmooth.loop import homodyne_loop

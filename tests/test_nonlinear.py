@@ -21,8 +21,8 @@ from scipy.stats import norm
 
 from robsmooth import published
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.covariance import error_covariance
+from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.galerkin import stationary_errors
 from robsmooth.homodyne import PAPER
 from robsmooth.loop import homodyne_loop

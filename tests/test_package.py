@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 import robsmooth
-from robsmooth import baselines, homodyne
+from robsmooth import homodyne
+from robsmooth.estimators import baselines
 
 SOURCES = Path(robsmooth.__file__).parent
 # Each module imports only from those to its left.

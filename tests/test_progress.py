@@ -10,9 +10,10 @@ from contextlib import suppress
 import pytest
 from jupyter_client.manager import start_new_kernel
 
-from robsmooth import baselines, homodyne, lag_sweep
+from robsmooth import homodyne, lag_sweep
 from robsmooth._support.progress import progress_bar
 from robsmooth.comparison import compare
+from robsmooth.estimators import baselines
 from tests.waiting import PATIENCE
 
 SYSTEM = homodyne.PAPER.uncertain_system()

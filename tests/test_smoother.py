@@ -16,11 +16,11 @@ from robsmooth import (
     UncertainSystem,
     Uncertainty,
     augment,
-    baselines,
     design_smoother,
     homodyne,
 )
-from robsmooth.smoother import design_equations
+from robsmooth.estimators import baselines
+from robsmooth.estimators.smoother import design_equations
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.delay import DelayModel
 from tests.strategies import (

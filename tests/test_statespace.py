@@ -19,8 +19,8 @@ from robsmooth import (
     error_covariance,
     homodyne,
 )
-from robsmooth.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.covariance import closed_loop
+from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.systems.statespace import Blocks
 from tests.strategies import (
     admissible_delta,

@@ -23,8 +23,8 @@ from robsmooth import (
     error_covariance,
     homodyne,
 )
-from robsmooth.baselines import fixed_lag_smoother, kalman_bucy
-from robsmooth.limit import limiting_smoother
+from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
+from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.storage import load, save
 from tests.strategies import designs, feasible_design, plants, random_system, systems
 

@@ -9,7 +9,6 @@ from robsmooth import (
     Uncertainty,
     analysis_bound,
     augment,
-    baselines,
     design_smoother,
     error_covariance,
     homodyne,
@@ -20,6 +19,7 @@ from robsmooth import (
     worst_case,
 )
 from robsmooth.comparison import compare
+from robsmooth.estimators import baselines
 
 SYSTEM = homodyne.PAPER.uncertain_system()
 PLANT = augment(SYSTEM, 3.1e-6, 1)

@@ -14,13 +14,13 @@ from robsmooth import (
     Uncertainty,
     UnstableLoopError,
     augment,
-    baselines,
     design_smoother,
     error_covariance,
     homodyne,
 )
 from robsmooth.analysis import analysis_bound
-from robsmooth.interconnection import OUTPUTS, open_loop
+from robsmooth.estimators import baselines
+from robsmooth.estimators.loop import OUTPUTS, open_loop
 from robsmooth.worst_case import _error, worst_case, worst_dynamic_case
 from tests.loops import looking_at_nothing
 from tests.strategies import admissible_delta, designs, feasible_design, random_system, seeds

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from robsmooth import baselines
 from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
@@ -26,14 +25,15 @@ from robsmooth.covariance import (
     delta_sweep,
     statistical_linearisation,
 )
-from robsmooth.estimator import Estimator
+from robsmooth.estimators import baselines
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.limit import limiting_smoother
+from robsmooth.estimators.loop import open_loop
+from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.explorer.settings import Settings
 from robsmooth.homodyne import HomodyneParameters
-from robsmooth.interconnection import open_loop
-from robsmooth.limit import limiting_smoother
 from robsmooth.loop import Loop, homodyne_loop
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
-from robsmooth.smoother import RobustSmoother
 from robsmooth.systems.augmented import augment
 
 # Where the least bound of the example is, whatever the parameters, unless it pays to ignore the

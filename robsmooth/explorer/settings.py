@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from robsmooth import homodyne
 from robsmooth._support import validation
+from robsmooth.estimators.smoother import COSTS
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.published import DELAY, ORDER, printed
-from robsmooth.smoother import COSTS
 
 DESIGNS = ("robust", "by hand", "classical")
 

@@ -12,10 +12,10 @@ from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.style import MARK, TRUTH, styles
 from robsmooth.certificate import scalar_bound
 from robsmooth.comparison import Compared
+from robsmooth.estimators.smoother import RobustSmoother, design_smoother
 from robsmooth.figures.maps import hatch, shade
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.lag import LagSweep
-from robsmooth.smoother import RobustSmoother, design_smoother
 from robsmooth.study import Study
 from robsmooth.worst_case import WorstDynamicCase
 

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from robsmooth import published
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.style import MARK, styles
+from robsmooth.estimators.smoother import RobustSmoother, design_smoother
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import MeanSquare
-from robsmooth.smoother import RobustSmoother, design_smoother
 from robsmooth.systems.delay import pade_delay
 
 

@@ -40,8 +40,8 @@ from robsmooth._numerics.lyapunov import stationary_root
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
-from robsmooth.estimator import Estimator
-from robsmooth.interconnection import Reference, matrices, reference_outputs
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import Reference, matrices, reference_outputs
 from robsmooth.systems.augmented import AugmentedSystem
 
 _CONVERGED = 1e-6  # of a slope, relative to the Lipschitz constant

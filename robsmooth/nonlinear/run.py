@@ -16,8 +16,8 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.estimator import Estimator
-from robsmooth.interconnection import Reference
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import Reference
 from robsmooth.montecarlo.statistics import MeanSquare, Moments
 from robsmooth.nonlinear.loop import NonlinearLoop, nonlinear_loop
 from robsmooth.nonlinear.walk import Walk

@@ -8,9 +8,9 @@ from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import Table
 from robsmooth.analysis import AnalysisBound
 from robsmooth.comparison import Compared
-from robsmooth.estimator import Estimator
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.lag import choose_lag
-from robsmooth.smoother import RobustSmoother
 from robsmooth.study import Study
 from robsmooth.systems.system import UncertainSystem
 from robsmooth.worst_case import WorstCase

@@ -9,9 +9,9 @@ from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import Table
 from robsmooth.covariance import delta_sweep, error_covariance
-from robsmooth.estimator import Estimator
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
 from robsmooth.homodyne import HomodyneParameters
-from robsmooth.smoother import RobustSmoother, design_equations, design_smoother
 from robsmooth.systems.augmented import AugmentedSystem
 
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import Table
-from robsmooth.bound import minimize_bound
 from robsmooth.covariance import error_covariance
+from robsmooth.estimators.bound import minimize_bound
+from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne import PAPER
 from robsmooth.nonlinear import SimulationResult
 from robsmooth.published import DELAY, ORDER
-from robsmooth.smoother import RobustSmoother
 from robsmooth.systems.augmented import augment
 
 

@@ -12,7 +12,7 @@ from robsmooth import published
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.tables import Table
 from robsmooth.covariance import StatisticalLinearisation, statistical_linearisation
-from robsmooth.estimator import Estimator
+from robsmooth.estimators.estimator import Estimator
 from robsmooth.galerkin import FARTHEST, stationary_errors
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo

@@ -48,7 +48,7 @@ from robsmooth._numerics.riccati import RiccatiSolution, solve_riccati
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.smoother import (
+from robsmooth.estimators.smoother import (
     ASSUMPTION_X,
     DesignEquations,
     RobustSmoother,

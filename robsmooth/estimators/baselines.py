@@ -22,9 +22,9 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.bound import minimize_bound
-from robsmooth.estimator import Estimator
-from robsmooth.smoother import RobustSmoother
+from robsmooth.estimators.bound import minimize_bound
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.systems.augmented import AugmentedSystem, augment, check_noise, compact
 from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.system import UncertainSystem, Uncertainty

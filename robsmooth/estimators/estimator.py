@@ -18,7 +18,7 @@ import numpy as np
 from robsmooth._support import notation, validation
 from robsmooth._support.tables import facts
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.discrete import DiscreteSmoother
+from robsmooth.estimators.discrete import DiscreteSmoother
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.statespace import Blocks
 

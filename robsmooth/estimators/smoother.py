@@ -36,7 +36,7 @@ from robsmooth._numerics.riccati import RiccatiError, RiccatiSolution, solve_ric
 from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.estimator import Estimator
+from robsmooth.estimators.estimator import Estimator
 from robsmooth.systems.augmented import AugmentedSystem, check_noise
 
 COSTS = ("filtered", "smoothed")

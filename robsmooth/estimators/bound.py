@@ -1,6 +1,6 @@
 r"""The least bound: minimisation of V over tau and lambda.
 
-The search follows paths of barrier problems (`robsmooth.barrier`). It knows of the structure of the
+The search follows paths of barrier problems (`robsmooth.estimators.bound_search`). It knows of the structure of the
 minimiser:
 
 - :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`, so that the least bound lies on the boundary of
@@ -8,7 +8,7 @@ minimiser:
 - Multipliers that fall to zero along a path are zero at its end, and the search goes on with them
   at zero, on a *face*. Where :math:`M(\lambda)` is positive there, the bound is attained. Where it
   is singular, the least bound is an infimum that no design attains: the search goes on with the
-  limit itself (`robsmooth.limit`), and its answer is a design next to it. So it is in the paper's
+  limit itself (`robsmooth.estimators.limit`), and its answer is a design next to it. So it is in the paper's
   example, for both costs: the multipliers of the nonlinearity and of its copy vanish, and the
   others are the largest that are allowed, :math:`\lambda = (1, \tfrac12, 0, 0)`. Then X is zero,
   and a search over :math:`\tau` is all that is left.
@@ -30,9 +30,9 @@ from scipy.optimize import minimize_scalar
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.barrier import UNBOUNDED, Face, face_where
-from robsmooth.limit import default_rates, limiting_smoother
-from robsmooth.smoother import (
+from robsmooth.estimators.bound_search import UNBOUNDED, Face, face_where
+from robsmooth.estimators.limit import default_rates, limiting_smoother
+from robsmooth.estimators.smoother import (
     COSTS,
     MAKE_A_PLANT,
     RobustSmoother,

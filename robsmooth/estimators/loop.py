@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike
 
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
-from robsmooth.estimator import Estimator
-from robsmooth.smoother import RobustSmoother
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.systems.system import REFERENCES, UncertainSystem
 
 OUTPUTS = ("smoothed", "filtered", "guaranteed")

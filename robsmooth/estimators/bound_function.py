@@ -20,7 +20,7 @@ the estimation error, :math:`H = \tilde B_1 - K\tilde D_{21}`, and
     \Bigr\rangle - \Bigl\langle M_i,\ M^{-1}\bigl[H'(\Lambda_Y - \tfrac12Z)H
       + \tilde B_1'(X\Lambda_XX + \tfrac12 Z)\tilde B_1\bigr]M^{-1}\Bigr\rangle .
 
-Where multipliers vanish, the same is done for the reduced system of `robsmooth.limit`, and the term
+Where multipliers vanish, the same is done for the reduced system of `robsmooth.estimators.limit`, and the term
 of x is added. Time, states and measurements are brought to units of order one; the equations are
 solved fast and not certified: the design that a search ends with is, by `design_smoother`.
 """
@@ -32,8 +32,8 @@ from scipy.linalg import LinAlgError, schur, solve_continuous_lyapunov
 
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.limit import Reduction, reduction
-from robsmooth.smoother import ASSUMPTION_X, ASSUMPTION_Y, inverse, sum_of_squares
+from robsmooth.estimators.limit import Reduction, reduction
+from robsmooth.estimators.smoother import ASSUMPTION_X, ASSUMPTION_Y, inverse, sum_of_squares
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
