@@ -2,8 +2,15 @@
 
 from robsmooth import homodyne
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
-from robsmooth.analysis import AnalysisBound, analysis_bound
-from robsmooth.covariance import delta_sweep, error_covariance, statistical_linearisation
+from robsmooth.analysis.constraints import AnalysisBound, analysis_bound
+from robsmooth.analysis.covariance import delta_sweep, error_covariance, statistical_linearisation
+from robsmooth.analysis.lag import LagChoice, LagSweep, best_lag, choose_lag, lag_sweep
+from robsmooth.analysis.worst_case import (
+    WorstCase,
+    WorstDynamicCase,
+    worst_case,
+    worst_dynamic_case,
+)
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.discrete import DiscreteSmoother
@@ -11,7 +18,6 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import RobustSmoother, design_smoother
 from robsmooth.galerkin import StationaryErrors, stationary_errors
-from robsmooth.lag import LagChoice, LagSweep, best_lag, choose_lag, lag_sweep
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
 from robsmooth.nonlinear import (
     InadmissibleWarning,
@@ -27,7 +33,6 @@ from robsmooth.storage import load, save
 from robsmooth.study import Study, parameter_study
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
-from robsmooth.worst_case import WorstCase, WorstDynamicCase, worst_case, worst_dynamic_case
 
 __all__ = [
     "AnalysisBound",

@@ -5,14 +5,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from robsmooth._support.progress import progress_bar
-from robsmooth.analysis import AnalysisBound, analysis_bound
-from robsmooth.covariance import delta_sweep
+from robsmooth.analysis.constraints import AnalysisBound, analysis_bound
+from robsmooth.analysis.covariance import delta_sweep
+from robsmooth.analysis.worst_case import WorstCase, worst_case
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.galerkin import StationaryErrors, stationary_errors
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, monte_carlo
-from robsmooth.worst_case import WorstCase, worst_case
 
 
 @dataclass(frozen=True)

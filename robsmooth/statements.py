@@ -12,7 +12,7 @@ import numpy as np
 
 from robsmooth import homodyne, published
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.covariance import delta_sweep, statistical_linearisation
+from robsmooth.analysis.covariance import delta_sweep, statistical_linearisation
 from robsmooth.estimators import baselines
 from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne import HomodyneParameters

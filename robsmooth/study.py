@@ -22,7 +22,7 @@ from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
-from robsmooth.covariance import error_covariance
+from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import design_smoother

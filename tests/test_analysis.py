@@ -19,8 +19,8 @@ from robsmooth import (
     homodyne,
 )
 from robsmooth._numerics.riccati import solve_riccati
-from robsmooth.analysis import _with_delay_model, analysis_bound
-from robsmooth.covariance import closed_loop
+from robsmooth.analysis.constraints import _with_delay_model, analysis_bound
+from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators import baselines
 from robsmooth.estimators.loop import OUTPUTS, open_loop
 from tests.loops import looking_at_nothing

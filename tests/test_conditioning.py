@@ -20,7 +20,7 @@ from robsmooth import (
     design_smoother,
     error_covariance,
 )
-from robsmooth.covariance import closed_loop
+from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators.baselines import (
     fixed_lag_smoother,
     kalman_bucy,

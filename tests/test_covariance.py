@@ -15,7 +15,6 @@ import robsmooth as rs
 from robsmooth import (
     UnstableLoopError,
     augment,
-    covariance,
     delta_sweep,
     design_smoother,
     error_covariance,
@@ -23,7 +22,8 @@ from robsmooth import (
     published,
     statistical_linearisation,
 )
-from robsmooth.covariance import closed_loop
+from robsmooth.analysis import covariance
+from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators import baselines
 from robsmooth.loop import homodyne_loop
 from tests.strategies import admissible_delta, designs, feasible_design, random_system, seeds

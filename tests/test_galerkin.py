@@ -14,7 +14,7 @@ from scipy.sparse.linalg import expm_multiply
 from scipy.special import ive
 
 from robsmooth import UnstableLoopError, error_covariance, published
-from robsmooth.covariance import statistical_linearisation
+from robsmooth.analysis.covariance import statistical_linearisation
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.galerkin import LARGEST, StationaryErrors, stationary_errors
 from robsmooth.homodyne import PAPER

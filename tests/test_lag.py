@@ -17,12 +17,12 @@ from robsmooth import (
     design_smoother,
     error_covariance,
     homodyne,
-    lag,
 )
+from robsmooth.analysis import lag
+from robsmooth.analysis.lag import best_lag, choose_lag, lag_sweep
+from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.baselines import optimal_fixed_lag_error, optimal_two_sided_error
-from robsmooth.lag import best_lag, choose_lag, lag_sweep
-from robsmooth.worst_case import worst_case
 from tests.strategies import random_system, seeds
 
 EXAMPLE = homodyne.PAPER.uncertain_system()

@@ -14,7 +14,7 @@ from robsmooth import (
     design_smoother,
     homodyne,
 )
-from robsmooth.covariance import closed_loop
+from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import multiplier_level
 from tests.loops import two_channels

@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from robsmooth import UnstableLoopError, published
 from robsmooth._numerics.linearisation import equivalent_slopes, of_function, of_sine
-from robsmooth.covariance import statistical_linearisation
+from robsmooth.analysis.covariance import statistical_linearisation
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.galerkin import _white_coordinates
 from robsmooth.homodyne import PAPER

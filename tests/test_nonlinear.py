@@ -21,7 +21,7 @@ from scipy.stats import norm
 
 from robsmooth import published
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth.covariance import error_covariance
+from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.galerkin import stationary_errors
 from robsmooth.homodyne import PAPER

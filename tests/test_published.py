@@ -5,7 +5,7 @@ import pytest
 
 from robsmooth import homodyne, published
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.covariance import error_covariance
+from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.smoother import design_smoother
 from robsmooth.systems.delay import pade_delay
 

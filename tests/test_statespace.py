@@ -19,7 +19,7 @@ from robsmooth import (
     error_covariance,
     homodyne,
 )
-from robsmooth.covariance import closed_loop
+from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.systems.statespace import Blocks
 from tests.strategies import (

@@ -18,10 +18,10 @@ from robsmooth import (
     error_covariance,
     homodyne,
 )
-from robsmooth.analysis import analysis_bound
+from robsmooth.analysis.constraints import analysis_bound
+from robsmooth.analysis.worst_case import _error, worst_case, worst_dynamic_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.loop import OUTPUTS, open_loop
-from robsmooth.worst_case import _error, worst_case, worst_dynamic_case
 from tests.loops import looking_at_nothing
 from tests.strategies import admissible_delta, designs, feasible_design, random_system, seeds
 

@@ -18,13 +18,13 @@ from scipy.optimize import minimize_scalar
 from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
-from robsmooth.certificate import least_tau, scalar_bound
-from robsmooth.covariance import (
+from robsmooth.analysis.covariance import (
     StatisticalLinearisation,
     closed_loop,
     delta_sweep,
     statistical_linearisation,
 )
+from robsmooth.certificate import least_tau, scalar_bound
 from robsmooth.estimators import baselines
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.limit import limiting_smoother

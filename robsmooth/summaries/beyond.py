@@ -6,14 +6,14 @@ import numpy as np
 
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import Table
-from robsmooth.analysis import AnalysisBound
+from robsmooth.analysis.constraints import AnalysisBound
+from robsmooth.analysis.lag import choose_lag
+from robsmooth.analysis.worst_case import WorstCase
 from robsmooth.comparison import Compared
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.lag import choose_lag
 from robsmooth.study import Study
 from robsmooth.systems.system import UncertainSystem
-from robsmooth.worst_case import WorstCase
 
 
 def study(found: Study, lag: float) -> Table:

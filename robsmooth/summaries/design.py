@@ -8,7 +8,7 @@ from robsmooth import homodyne, published
 from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import Table
-from robsmooth.covariance import delta_sweep, error_covariance
+from robsmooth.analysis.covariance import delta_sweep, error_covariance
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
 from robsmooth.homodyne import HomodyneParameters

@@ -7,7 +7,7 @@ import numpy as np
 
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import Table
-from robsmooth.covariance import error_covariance
+from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne import PAPER

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from robsmooth import published
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.tables import Table
-from robsmooth.covariance import StatisticalLinearisation, statistical_linearisation
+from robsmooth.analysis.covariance import StatisticalLinearisation, statistical_linearisation
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.galerkin import FARTHEST, stationary_errors
 from robsmooth.homodyne import HomodyneParameters

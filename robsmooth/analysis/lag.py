@@ -22,14 +22,14 @@ from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.covariance import error_covariance
+from robsmooth.analysis.covariance import error_covariance
+from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import design_smoother
 from robsmooth.systems.augmented import augment
 from robsmooth.systems.system import UncertainSystem
-from robsmooth.worst_case import worst_case
 
 Family = Callable[[UncertainSystem, float, int], Estimator]
 

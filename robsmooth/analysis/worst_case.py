@@ -13,7 +13,7 @@ takes the worst at each, and is above that of every linear time-invariant uncert
 subharmonic in :math:`\Delta`, so that the worst lies on the boundary: slopes become phases.) But
 what is worst at every frequency need not be causal. It then knows the noise to come, which the
 theory's uncertainties do not, and no theorem has it below a design's bound. The exact worst case of
-causal uncertainties is in `robsmooth.analysis`.
+causal uncertainties is in `robsmooth.analysis.constraints`.
 """
 
 from collections.abc import Callable
@@ -28,8 +28,8 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.tables import Table, facts
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.analysis import analysis_bound
-from robsmooth.covariance import closed_loop, error_covariance
+from robsmooth.analysis.constraints import analysis_bound
+from robsmooth.analysis.covariance import closed_loop, error_covariance
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop
 

@@ -1,0 +1,1 @@
+"""Section III-A and further: the errors of an estimator, nominal, at the worst, and guaranteed."""
