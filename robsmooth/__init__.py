@@ -19,7 +19,9 @@ from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import RobustSmoother, design_smoother
 from robsmooth.galerkin import StationaryErrors, stationary_errors
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
-from robsmooth.nonlinear import (
+from robsmooth.records import smooth_record
+from robsmooth.reproduction import verdicts
+from robsmooth.simulation import (
     InadmissibleWarning,
     SamplePaths,
     SimulatedError,
@@ -27,8 +29,6 @@ from robsmooth.nonlinear import (
     sample_paths,
     simulate,
 )
-from robsmooth.records import smooth_record
-from robsmooth.reproduction import verdicts
 from robsmooth.storage import load, save
 from robsmooth.study import Study, parameter_study
 from robsmooth.systems.augmented import AugmentedSystem, augment

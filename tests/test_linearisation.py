@@ -17,7 +17,7 @@ from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.galerkin import _white_coordinates
 from robsmooth.homodyne import PAPER
 from robsmooth.loop import homodyne_loop
-from robsmooth.nonlinear.loop import nonlinear_loop
+from robsmooth.simulation.loop import nonlinear_loop
 
 
 @pytest.mark.parametrize("variance", [1e-20, 0.09, 1.0, 4.0])

@@ -27,9 +27,10 @@ from robsmooth.galerkin import stationary_errors
 from robsmooth.homodyne import PAPER
 from robsmooth.loop import homodyne_loop
 from robsmooth.montecarlo import monte_carlo
-from robsmooth.nonlinear import InadmissibleWarning, run, sample_paths, simulate
-from robsmooth.nonlinear.loop import Function, NonlinearLoop, nonlinear_loop
-from robsmooth.nonlinear.walk import Walk
+from robsmooth.simulation import InadmissibleWarning, sample_paths, simulate
+from robsmooth.simulation import simulate as run
+from robsmooth.simulation.integrator import Walk
+from robsmooth.simulation.loop import Function, NonlinearLoop, nonlinear_loop
 from robsmooth.systems.augmented import augment, compact
 from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
 from tests.loops import assert_within

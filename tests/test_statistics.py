@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import norm
 
-from robsmooth.montecarlo.statistics import MeanSquare, Moments, Tally, control_weights
+from robsmooth.simulation.statistics import MeanSquare, Moments, Tally, control_weights
 
 SAMPLE = np.random.default_rng(0).normal(3, 1, (2, 1000)) ** 2
 

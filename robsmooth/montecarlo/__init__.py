@@ -6,6 +6,6 @@ out.
 """
 
 from robsmooth.montecarlo.run import LossOfLockWarning, MonteCarloResult, monte_carlo
-from robsmooth.montecarlo.statistics import MeanSquare
+from robsmooth.simulation.statistics import MeanSquare
 
 __all__ = ["LossOfLockWarning", "MeanSquare", "MonteCarloResult", "monte_carlo"]

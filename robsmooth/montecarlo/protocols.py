@@ -33,7 +33,7 @@ from robsmooth.montecarlo import euler, splitting
 from robsmooth.montecarlo.lanes import threads_of_kernels
 from robsmooth.montecarlo.noise import LANES
 from robsmooth.montecarlo.schemes import EulerStep, SplittingStep, control_slopes
-from robsmooth.montecarlo.statistics import MeanSquare, Tally, control_weights
+from robsmooth.simulation.statistics import MeanSquare, Tally, control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
 

@@ -30,7 +30,7 @@ from robsmooth.montecarlo.euler import FILTERED, SMOOTHED
 from robsmooth.montecarlo.lanes import threads_of_kernels
 from robsmooth.montecarlo.noise import GENERATOR, LANES
 from robsmooth.montecarlo.protocols import PRECISIONS, PROTOCOLS, Simulation
-from robsmooth.montecarlo.statistics import MeanSquare, Tally
+from robsmooth.simulation.statistics import MeanSquare, Tally
 
 STEPS_OF_A_GROUP = 400_000_000  # path-steps: about half a second
 BLOCKS_OF_A_GROUP = 256  # at most: bounds the memory

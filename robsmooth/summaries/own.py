@@ -11,8 +11,8 @@ from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne import PAPER
-from robsmooth.nonlinear import SimulationResult
 from robsmooth.published import DELAY, ORDER
+from robsmooth.simulation import SimulationResult
 from robsmooth.systems.augmented import augment
 
 

@@ -8,7 +8,7 @@ example is: ``simulate(estimator)`` closes the loop of Section IV for it, of whi
 a faster simulation.
 """
 
-from robsmooth.nonlinear.run import (
+from robsmooth.simulation.simulate import (
     InadmissibleWarning,
     SamplePaths,
     SimulatedError,

@@ -18,9 +18,9 @@ from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import Reference
-from robsmooth.montecarlo.statistics import MeanSquare, Moments
-from robsmooth.nonlinear.loop import NonlinearLoop, nonlinear_loop
-from robsmooth.nonlinear.walk import Walk
+from robsmooth.simulation.integrator import Walk
+from robsmooth.simulation.loop import NonlinearLoop, nonlinear_loop
+from robsmooth.simulation.statistics import MeanSquare, Moments
 from robsmooth.systems.augmented import AugmentedSystem
 
 BLOCK = 512  # paths side by side

@@ -29,7 +29,7 @@ from scipy.linalg import block_diag
 from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root
 from robsmooth._support.validation import Matrix
-from robsmooth.nonlinear.loop import NonlinearLoop
+from robsmooth.simulation.loop import NonlinearLoop
 
 CHUNK = 64  # steps for which noise is drawn ahead, and between two looks for divergence
 GROWTH = 1e6  # of an output, from the first chunk on: divergence
