@@ -18,8 +18,9 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import RobustSmoother, design_smoother
 from robsmooth.galerkin import StationaryErrors, stationary_errors
+from robsmooth.io.designs import load, save
+from robsmooth.io.records import smooth_record
 from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
-from robsmooth.records import smooth_record
 from robsmooth.reproduction import verdicts
 from robsmooth.simulation import (
     InadmissibleWarning,
@@ -29,7 +30,6 @@ from robsmooth.simulation import (
     sample_paths,
     simulate,
 )
-from robsmooth.storage import load, save
 from robsmooth.study import Study, parameter_study
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty

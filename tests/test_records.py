@@ -12,9 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from robsmooth import records
 from robsmooth.estimators import baselines
-from robsmooth.records import smooth_record
+from robsmooth.io import records
+from robsmooth.io.records import smooth_record
 from tests.strategies import random_system
 
 DT = 0.1

@@ -25,7 +25,7 @@ from robsmooth import (
 )
 from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.estimators.limit import limiting_smoother
-from robsmooth.storage import load, save
+from robsmooth.io.designs import load, save
 from tests.strategies import designs, feasible_design, plants, random_system, systems
 
 LANGUAGES = ("toml", "json")

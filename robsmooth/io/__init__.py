@@ -1,0 +1,1 @@
+"""Files: designs as TOML or JSON, and measured records."""
