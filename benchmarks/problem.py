@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from robsmooth import homodyne, published
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.loop import homodyne_loop
-from robsmooth.montecarlo import MeanSquare
+from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.homodyne.montecarlo import MeanSquare
 
 STEP = 1e-8  # s
 STEPS = 100_000  # of a path
@@ -21,7 +21,7 @@ RESIDUE = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    r"""An Euler-Maruyama step of the loop in `robsmooth.loop`, and the errors at the end.
+    r"""An Euler-Maruyama step of the loop in `robsmooth.homodyne.loop`, and the errors at the end.
 
     .. math::
 

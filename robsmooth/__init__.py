@@ -17,10 +17,16 @@ from robsmooth.estimators.discrete import DiscreteSmoother
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import RobustSmoother, design_smoother
-from robsmooth.galerkin import StationaryErrors, stationary_errors
+from robsmooth.homodyne.moments import StationaryErrors, stationary_errors
+from robsmooth.homodyne.montecarlo import (
+    LossOfLockWarning,
+    MeanSquare,
+    MonteCarloResult,
+    monte_carlo,
+)
+from robsmooth.homodyne.study import Study, parameter_study
 from robsmooth.io.designs import load, save
 from robsmooth.io.records import smooth_record
-from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
 from robsmooth.reproduction import verdicts
 from robsmooth.simulation import (
     InadmissibleWarning,
@@ -30,7 +36,6 @@ from robsmooth.simulation import (
     sample_paths,
     simulate,
 )
-from robsmooth.study import Study, parameter_study
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from robsmooth import provenance
 from robsmooth._support import files
-from robsmooth.montecarlo import MonteCarloResult
+from robsmooth.homodyne.montecarlo import MonteCarloResult
 
 NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that verdicts are about
 _NOT_RESULTS = ("wall_time", "provenance")

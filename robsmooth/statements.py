@@ -15,7 +15,7 @@ from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.analysis.covariance import delta_sweep, statistical_linearisation
 from robsmooth.estimators import baselines
 from robsmooth.estimators.smoother import design_smoother
-from robsmooth.homodyne import HomodyneParameters
+from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.published import agrees, paper_plant, printed, printed_multipliers, stated
 from robsmooth.simulations import MonteCarloTable
 from robsmooth.systems.augmented import AugmentedSystem

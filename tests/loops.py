@@ -11,8 +11,8 @@ import numpy as np
 from scipy.linalg import solve_continuous_are
 
 from robsmooth import Estimator, UncertainSystem, Uncertainty, augment
-from robsmooth.montecarlo import noise
-from robsmooth.montecarlo.noise import LANES
+from robsmooth.homodyne.montecarlo import noise
+from robsmooth.homodyne.montecarlo.noise import LANES
 
 SIGMAS = 4.5
 PARAMETERS = types.SimpleNamespace(lam=9.14e3, kappa=4e4, alpha=1162.0, beta=1.0, gamma=0.4)

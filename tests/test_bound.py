@@ -18,11 +18,11 @@ from robsmooth import (
     homodyne,
     minimize_bound,
 )
-from robsmooth.certificate import scalar_bound
 from robsmooth.estimators import bound as bound_module
 from robsmooth.estimators.bound import VANISHING
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import multiplier_level
+from robsmooth.homodyne.certificate import scalar_bound
 from tests.loops import two_channels
 from tests.strategies import feasible_design, plants, random_system, seeds
 

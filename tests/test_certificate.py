@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from robsmooth import InfeasibleDesignError, augment, design_smoother, minimize_bound
-from robsmooth.certificate import least_tau, prove_infimum, scalar_bound
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.homodyne import PAPER
+from robsmooth.homodyne.certificate import least_tau, prove_infimum, scalar_bound
 
 INFIMUM = 0.12167363533
 

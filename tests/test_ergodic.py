@@ -16,14 +16,14 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.stats import binom
 
 from robsmooth import homodyne, published, statistical_linearisation
-from robsmooth.galerkin import stationary_errors
-from robsmooth.loop import homodyne_loop
-from robsmooth.montecarlo import LossOfLockWarning, monte_carlo, run, splitting
-from robsmooth.montecarlo.euler import CHUNK
-from robsmooth.montecarlo.lanes import SLIP, TURN
-from robsmooth.montecarlo.noise import LANES
-from robsmooth.montecarlo.protocols import PILOT_BLOCK, time_average
-from robsmooth.montecarlo.schemes import SplittingStep, control_slopes
+from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.homodyne.moments import stationary_errors
+from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run, splitting
+from robsmooth.homodyne.montecarlo.euler import CHUNK
+from robsmooth.homodyne.montecarlo.lanes import SLIP, TURN
+from robsmooth.homodyne.montecarlo.noise import LANES
+from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK, time_average
+from robsmooth.homodyne.montecarlo.schemes import SplittingStep, control_slopes
 from tests.loops import (
     PARAMETERS,
     SIGMAS,

@@ -21,13 +21,13 @@ from robsmooth import (
 )
 from robsmooth.analysis.lag import lag_sweep
 from robsmooth.analysis.worst_case import worst_dynamic_case
-from robsmooth.certificate import scalar_bound
-from robsmooth.comparison import compare
 from robsmooth.estimators import baselines
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.figures.maps import shade
-from robsmooth.montecarlo import MeanSquare
-from robsmooth.study import QUANTITIES, Study
+from robsmooth.homodyne.certificate import scalar_bound
+from robsmooth.homodyne.comparison import compare
+from robsmooth.homodyne.montecarlo import MeanSquare
+from robsmooth.homodyne.study import QUANTITIES, Study
 from tests import looks
 
 SLOPES = np.linspace(-1.0, 0.0, 11)

@@ -14,9 +14,9 @@ from robsmooth import UnstableLoopError, published
 from robsmooth._numerics.linearisation import equivalent_slopes, of_function, of_sine
 from robsmooth.analysis.covariance import statistical_linearisation
 from robsmooth.estimators.baselines import fixed_lag_smoother
-from robsmooth.galerkin import _white_coordinates
 from robsmooth.homodyne import PAPER
-from robsmooth.loop import homodyne_loop
+from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.homodyne.moments import _white_coordinates
 from robsmooth.simulation.loop import nonlinear_loop
 
 

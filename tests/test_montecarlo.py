@@ -18,11 +18,18 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth.loop import homodyne_loop
-from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, euler, monte_carlo, run, splitting
-from robsmooth.montecarlo.euler import CHUNK, SLIPS
-from robsmooth.montecarlo.noise import LANES
-from robsmooth.montecarlo.protocols import ErgodicSimulation, PaperSimulation
+from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.homodyne.montecarlo import (
+    LossOfLockWarning,
+    MeanSquare,
+    euler,
+    monte_carlo,
+    run,
+    splitting,
+)
+from robsmooth.homodyne.montecarlo.euler import CHUNK, SLIPS
+from robsmooth.homodyne.montecarlo.noise import LANES
+from robsmooth.homodyne.montecarlo.protocols import ErgodicSimulation, PaperSimulation
 from tests.loops import (
     PARAMETERS,
     QUIET,
@@ -150,7 +157,7 @@ def test_result_is_the_same_to_the_bit_for_any_threads(monkeypatch, protocol, gr
 
 def test_result_is_the_same_to_the_bit_with_more_threads_than_cores():
     script = (
-        "from robsmooth.montecarlo import monte_carlo\n"
+        "from robsmooth.homodyne.montecarlo import monte_carlo\n"
         "from tests.test_montecarlo import PARAMETERS, printed_smoother, same_numbers\n"
         "r = monte_carlo(PARAMETERS, printed_smoother(), runs=1333, duration=2e-5, threads=7)\n"
         "print(same_numbers(r))"

@@ -8,8 +8,8 @@ from numba import njit
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2, norm
 
-from robsmooth.montecarlo import noise
-from robsmooth.montecarlo.noise import LANES
+from robsmooth.homodyne.montecarlo import noise
+from robsmooth.homodyne.montecarlo.noise import LANES
 from tests.loops import SIGMAS, assert_within, gaussians
 
 

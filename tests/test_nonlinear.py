@@ -23,10 +23,10 @@ from robsmooth import published
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
-from robsmooth.galerkin import stationary_errors
 from robsmooth.homodyne import PAPER
-from robsmooth.loop import homodyne_loop
-from robsmooth.montecarlo import monte_carlo
+from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.homodyne.moments import stationary_errors
+from robsmooth.homodyne.montecarlo import monte_carlo
 from robsmooth.simulation import InadmissibleWarning, sample_paths, simulate
 from robsmooth.simulation import simulate as run
 from robsmooth.simulation.integrator import Walk

@@ -12,8 +12,8 @@ from jupyter_client.manager import start_new_kernel
 
 from robsmooth import homodyne, lag_sweep
 from robsmooth._support.progress import progress_bar
-from robsmooth.comparison import compare
 from robsmooth.estimators import baselines
+from robsmooth.homodyne.comparison import compare
 from tests.waiting import PATIENCE
 
 SYSTEM = homodyne.PAPER.uncertain_system()

@@ -7,10 +7,10 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import robsmooth as rs
-from robsmooth import study as study_module
 from robsmooth._support.checkpoint import CheckpointError
 from robsmooth._support.cluster import connect
-from robsmooth.study import QUANTITIES, parameter_study
+from robsmooth.homodyne import study as study_module
+from robsmooth.homodyne.study import QUANTITIES, parameter_study
 from tests.clusters import start_cluster
 
 PAPER = rs.homodyne.PAPER

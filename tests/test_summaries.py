@@ -18,8 +18,8 @@ from robsmooth import (
     summaries,
     worst_case,
 )
-from robsmooth.comparison import compare
 from robsmooth.estimators import baselines
+from robsmooth.homodyne.comparison import compare
 
 SYSTEM = homodyne.PAPER.uncertain_system()
 PLANT = augment(SYSTEM, 3.1e-6, 1)

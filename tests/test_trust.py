@@ -22,8 +22,8 @@ import pytest
 import robsmooth as rs
 from robsmooth._support import cluster as executors
 from robsmooth._support.checkpoint import CheckpointError
-from robsmooth.montecarlo import LossOfLockWarning, run
-from robsmooth.montecarlo.protocols import PILOT_BLOCK, PROTOCOLS, ErgodicSimulation
+from robsmooth.homodyne.montecarlo import LossOfLockWarning, run
+from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK, PROTOCOLS, ErgodicSimulation
 from robsmooth.simulation.statistics import Tally
 from tests.clusters import cluster_of_threads, start_cluster
 from tests.loops import changed, printed_smoother, same_numbers, with_parameters

@@ -19,7 +19,7 @@ from robsmooth.explorer.model import Snapshot, look, simulate
 from robsmooth.explorer.panels import PREPARING, Panels
 from robsmooth.explorer.settings import Settings
 from robsmooth.explorer.words import code, summary
-from robsmooth.montecarlo import MonteCarloResult
+from robsmooth.homodyne.montecarlo import MonteCarloResult
 
 QUIET = 0.004  # s without an event, before the newest settings are drawn
 PATIENCE = 0.5  # s that a drawing waits for its simulation, where it may come later

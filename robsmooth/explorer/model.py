@@ -24,16 +24,21 @@ from robsmooth.analysis.covariance import (
     delta_sweep,
     statistical_linearisation,
 )
-from robsmooth.certificate import least_tau, scalar_bound
 from robsmooth.estimators import baselines
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.loop import open_loop
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.explorer.settings import Settings
-from robsmooth.homodyne import HomodyneParameters
-from robsmooth.loop import Loop, homodyne_loop
-from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
+from robsmooth.homodyne.certificate import least_tau, scalar_bound
+from robsmooth.homodyne.loop import Loop, homodyne_loop
+from robsmooth.homodyne.montecarlo import (
+    LossOfLockWarning,
+    MeanSquare,
+    MonteCarloResult,
+    monte_carlo,
+)
+from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.systems.augmented import augment
 
 # Where the least bound of the example is, whatever the parameters, unless it pays to ignore the

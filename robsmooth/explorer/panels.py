@@ -20,7 +20,7 @@ from PIL import Image
 
 from robsmooth.explorer.model import ADMISSIBLE, RUNS, SHOWN, SLOPES, STEP, Snapshot, in_lock
 from robsmooth.figures import TRUTH, styles, use_style
-from robsmooth.montecarlo import MonteCarloResult
+from robsmooth.homodyne.montecarlo import MonteCarloResult
 
 PREPARING = (
     "The simulation is being prepared. For an order that is new on this computer that takes some "

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from robsmooth import homodyne
 from robsmooth._support import validation
 from robsmooth.estimators.smoother import COSTS
-from robsmooth.homodyne import HomodyneParameters
+from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.published import DELAY, ORDER, printed
 
 DESIGNS = ("robust", "by hand", "classical")

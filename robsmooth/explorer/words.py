@@ -14,7 +14,7 @@ from robsmooth.explorer.model import (
     simulate,
 )
 from robsmooth.explorer.settings import Settings
-from robsmooth.montecarlo import MonteCarloResult
+from robsmooth.homodyne.montecarlo import MonteCarloResult
 
 _CODE = """\
 import numpy as np

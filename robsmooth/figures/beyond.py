@@ -12,12 +12,12 @@ from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.style import MARK, TRUTH, styles
 from robsmooth.analysis.lag import LagSweep
 from robsmooth.analysis.worst_case import WorstDynamicCase
-from robsmooth.certificate import scalar_bound
-from robsmooth.comparison import Compared
 from robsmooth.estimators.smoother import RobustSmoother, design_smoother
 from robsmooth.figures.maps import hatch, shade
-from robsmooth.homodyne import HomodyneParameters
-from robsmooth.study import Study
+from robsmooth.homodyne.certificate import scalar_bound
+from robsmooth.homodyne.comparison import Compared
+from robsmooth.homodyne.parameters import HomodyneParameters
+from robsmooth.homodyne.study import Study
 
 _INFIMUM = {
     "marker": "o",

@@ -11,8 +11,8 @@ from robsmooth import published
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.style import MARK, styles
 from robsmooth.estimators.smoother import RobustSmoother, design_smoother
-from robsmooth.homodyne import HomodyneParameters
-from robsmooth.montecarlo import MeanSquare
+from robsmooth.homodyne.montecarlo import MeanSquare
+from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.systems.delay import pade_delay
 
 

@@ -14,7 +14,7 @@ With :math:`z = [x; \hat x_p]` and the paper's channels, uncertainties, nonlinea
 where :math:`\tilde B_c = [B_y\ B_\mu]`. Below them are the rows of the measurement y, on which
 nothing depends. In :math:`R` are the references, rows of the estimator's state: a nonlinearity acts
 on :math:`\nu_i - r_i`, and its copy on :math:`\tilde\nu_i - r_i`. The homodyne loop of
-`robsmooth.loop` is this equation with one reference, :math:`2\alpha\gamma` times the phase of the
+`robsmooth.homodyne.loop` is this equation with one reference, :math:`2\alpha\gamma` times the phase of the
 local oscillator.
 
 :math:`\Delta` holds the constant uncertainties and, for each nonlinearity and each copy, the slope

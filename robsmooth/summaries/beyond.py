@@ -9,10 +9,10 @@ from robsmooth._support.tables import Table
 from robsmooth.analysis.constraints import AnalysisBound
 from robsmooth.analysis.lag import choose_lag
 from robsmooth.analysis.worst_case import WorstCase
-from robsmooth.comparison import Compared
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.study import Study
+from robsmooth.homodyne.comparison import Compared
+from robsmooth.homodyne.study import Study
 from robsmooth.systems.system import UncertainSystem
 
 

@@ -11,7 +11,7 @@ from robsmooth._support.tables import Table
 from robsmooth.analysis.covariance import delta_sweep, error_covariance
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
-from robsmooth.homodyne import HomodyneParameters
+from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.systems.augmented import AugmentedSystem
 
 

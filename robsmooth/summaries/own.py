@@ -10,7 +10,7 @@ from robsmooth._support.tables import Table
 from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.homodyne import PAPER
+from robsmooth.homodyne.parameters import PAPER
 from robsmooth.published import DELAY, ORDER
 from robsmooth.simulation import SimulationResult
 from robsmooth.systems.augmented import augment

@@ -13,9 +13,14 @@ from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.tables import Table
 from robsmooth.analysis.covariance import StatisticalLinearisation, statistical_linearisation
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.galerkin import FARTHEST, stationary_errors
-from robsmooth.homodyne import HomodyneParameters
-from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, MonteCarloResult, monte_carlo
+from robsmooth.homodyne.moments import FARTHEST, stationary_errors
+from robsmooth.homodyne.montecarlo import (
+    LossOfLockWarning,
+    MeanSquare,
+    MonteCarloResult,
+    monte_carlo,
+)
+from robsmooth.homodyne.parameters import HomodyneParameters
 
 
 def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Table:

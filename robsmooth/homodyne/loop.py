@@ -45,7 +45,7 @@ from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import matrices
-from robsmooth.homodyne import homodyne_system
+from robsmooth.homodyne.parameters import homodyne_system
 from robsmooth.systems.augmented import compact
 from robsmooth.systems.system import REFERENCES, UncertainSystem
 

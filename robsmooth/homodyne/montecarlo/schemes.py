@@ -9,13 +9,13 @@ from scipy.linalg import expm
 from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root, square_root
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth.loop import Loop
-from robsmooth.montecarlo import splitting
+from robsmooth.homodyne.loop import Loop
+from robsmooth.homodyne.montecarlo import splitting
 
 
 @dataclass(frozen=True, eq=False)
 class EulerStep:
-    """A step of `robsmooth.montecarlo.euler`.
+    """A step of `robsmooth.homodyne.montecarlo.euler`.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class EulerStep:
 
 @dataclass(frozen=True, eq=False)
 class SplittingStep:
-    """A step of `robsmooth.montecarlo.splitting`, its start, and what is known of its control.
+    """A step of `robsmooth.homodyne.montecarlo.splitting`, its start, and what is known of its control.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class SplittingStep:
     start : (1 + n, 1 + n) array
         A root of the stationary covariance of the control.
     coefficients : array
-        Laid out as `robsmooth.montecarlo.splitting` says.
+        Laid out as `robsmooth.homodyne.montecarlo.splitting` says.
     readout : (3, n) array
         Rows of the filtered estimate, the smoothed estimate and the oscillator's phase.
     control : (3,) array

@@ -26,8 +26,8 @@ from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import design_smoother
-from robsmooth.homodyne import HomodyneParameters
-from robsmooth.montecarlo import LossOfLockWarning, monte_carlo
+from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo
+from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.systems.augmented import augment
 
 AXES = ("gamma", "noise", "order", "lag")

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numba import njit
 
-from robsmooth.montecarlo import noise
+from robsmooth.homodyne.montecarlo import noise
 
 TURN = 2 * np.pi
 SLIP = 0.75 * TURN  # this far from the point that it was locked to, a loop is at the next one

@@ -10,9 +10,9 @@ from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.analysis.worst_case import WorstCase, worst_case
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.galerkin import StationaryErrors, stationary_errors
-from robsmooth.homodyne import HomodyneParameters
-from robsmooth.montecarlo import LossOfLockWarning, MeanSquare, monte_carlo
+from robsmooth.homodyne.moments import StationaryErrors, stationary_errors
+from robsmooth.homodyne.montecarlo import LossOfLockWarning, MeanSquare, monte_carlo
+from robsmooth.homodyne.parameters import HomodyneParameters
 
 
 @dataclass(frozen=True)

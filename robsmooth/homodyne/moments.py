@@ -1,7 +1,7 @@
 r"""Stationary mean square errors of the nonlinear loop in lock, without sampling.
 
 With :math:`z = (\varphi, \hat x)`, the arguments :math:`s_k z` of the loop's two sines (the
-detector's and the copy's, `robsmooth.loop`) and their slopes :math:`\rho_k` by statistical
+detector's and the copy's, `robsmooth.homodyne.loop`) and their slopes :math:`\rho_k` by statistical
 linearisation, the loop is
 
 .. math::
@@ -65,7 +65,7 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.tables import Table
-from robsmooth.loop import Loop, check_stationary, homodyne_loop
+from robsmooth.homodyne.loop import Loop, check_stationary, homodyne_loop
 
 TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
 USELESS = 0.02  # relative truncation error above which there is no result

@@ -25,11 +25,11 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.checkpoint import Journal, open_journal
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
-from robsmooth.loop import Loop, homodyne_loop
-from robsmooth.montecarlo.euler import FILTERED, SMOOTHED
-from robsmooth.montecarlo.lanes import threads_of_kernels
-from robsmooth.montecarlo.noise import GENERATOR, LANES
-from robsmooth.montecarlo.protocols import PRECISIONS, PROTOCOLS, Simulation
+from robsmooth.homodyne.loop import Loop, homodyne_loop
+from robsmooth.homodyne.montecarlo.euler import FILTERED, SMOOTHED
+from robsmooth.homodyne.montecarlo.lanes import threads_of_kernels
+from robsmooth.homodyne.montecarlo.noise import GENERATOR, LANES
+from robsmooth.homodyne.montecarlo.protocols import PRECISIONS, PROTOCOLS, Simulation
 from robsmooth.simulation.statistics import MeanSquare, Tally
 
 STEPS_OF_A_GROUP = 400_000_000  # path-steps: about half a second
@@ -168,7 +168,7 @@ def monte_carlo(
 ) -> MonteCarloResult:
     r"""Simulate an estimator in the nonlinear adaptive homodyne loop and measure its errors.
 
-    The loop is that in the docstring of `robsmooth.loop`. The same numbers, to the last bit, come
+    The loop is that in the docstring of `robsmooth.homodyne.loop`. The same numbers, to the last bit, come
     for any number of threads, on a cluster, and after an interruption; the noise of path i depends
     on the seed and i alone.
 

@@ -19,7 +19,7 @@ that :math:`h = p - q` with :math:`q^2 = (1-p)(j^{-2}-q)`. Two numbers are left,
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robsmooth.homodyne import HomodyneParameters
+from robsmooth.homodyne.parameters import HomodyneParameters
 
 _DEPTH = 60  # how often a cell may be cut
 

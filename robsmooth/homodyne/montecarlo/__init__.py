@@ -5,7 +5,7 @@ steps, `protocols` says what is simulated, `statistics` what is made of it, and 
 out.
 """
 
-from robsmooth.montecarlo.run import LossOfLockWarning, MonteCarloResult, monte_carlo
+from robsmooth.homodyne.montecarlo.run import LossOfLockWarning, MonteCarloResult, monte_carlo
 from robsmooth.simulation.statistics import MeanSquare
 
 __all__ = ["LossOfLockWarning", "MeanSquare", "MonteCarloResult", "monte_carlo"]

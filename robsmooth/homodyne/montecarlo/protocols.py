@@ -28,11 +28,11 @@ from robsmooth._numerics.steps import MULTIPLE_TOLERANCE, dividing_step, steps_i
 from robsmooth._support.blas import one_thread
 from robsmooth._support.cluster import alone, worker_threads
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth.loop import Loop
-from robsmooth.montecarlo import euler, splitting
-from robsmooth.montecarlo.lanes import threads_of_kernels
-from robsmooth.montecarlo.noise import LANES
-from robsmooth.montecarlo.schemes import EulerStep, SplittingStep, control_slopes
+from robsmooth.homodyne.loop import Loop
+from robsmooth.homodyne.montecarlo import euler, splitting
+from robsmooth.homodyne.montecarlo.lanes import threads_of_kernels
+from robsmooth.homodyne.montecarlo.noise import LANES
+from robsmooth.homodyne.montecarlo.schemes import EulerStep, SplittingStep, control_slopes
 from robsmooth.simulation.statistics import MeanSquare, Tally, control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}

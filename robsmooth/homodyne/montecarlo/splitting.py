@@ -33,8 +33,8 @@ import numpy as np
 from numba import njit, prange
 from numba.cpython.unsafe.tuple import tuple_setitem
 
-from robsmooth.montecarlo.lanes import TURN, compiled_from_all_sources, slip
-from robsmooth.montecarlo.noise import (
+from robsmooth.homodyne.montecarlo.lanes import TURN, compiled_from_all_sources, slip
+from robsmooth.homodyne.montecarlo.noise import (
     DRAWS,
     LANES,
     WORDS,

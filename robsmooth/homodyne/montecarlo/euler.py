@@ -1,6 +1,6 @@
 r"""The compiled loop of the published protocol: Euler-Maruyama, and the errors at the end.
 
-One step of a path, with the coefficients of `robsmooth.montecarlo.schemes.EulerStep`:
+One step of a path, with the coefficients of `robsmooth.homodyne.montecarlo.schemes.EulerStep`:
 
 .. math::
 
@@ -21,8 +21,16 @@ import numpy as np
 from numba import njit, prange
 from numba.cpython.unsafe.tuple import tuple_setitem
 
-from robsmooth.montecarlo.lanes import TURN, compiled_from_all_sources, slip
-from robsmooth.montecarlo.noise import DRAWS, LANES, WORDS, fill_gaussians, fma, seed_lanes, sine
+from robsmooth.homodyne.montecarlo.lanes import TURN, compiled_from_all_sources, slip
+from robsmooth.homodyne.montecarlo.noise import (
+    DRAWS,
+    LANES,
+    WORDS,
+    fill_gaussians,
+    fma,
+    seed_lanes,
+    sine,
+)
 
 CHUNK = 32  # steps for which noise is drawn ahead (32 KiB), and between two looks at the lock
 OUTPUTS = 3  # of a path: squared filtered and smoothed error at the end, and cycle slips
