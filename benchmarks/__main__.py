@@ -12,7 +12,7 @@ from importlib import metadata
 from benchmarks import report, scales
 from benchmarks.design import design_and_sweep
 from benchmarks.peers import cpp
-from robsmooth import provenance
+from robsmooth.workbench import provenance
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

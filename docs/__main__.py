@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from docs.build import build
-from robsmooth.pipeline import PipelineError
-from robsmooth.pipeline.runner import PROFILES
+from robsmooth.workbench.parameters import PipelineError
+from robsmooth.workbench.runner import PROFILES
 
 ROOT = Path(__file__).resolve().parent.parent
 

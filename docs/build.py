@@ -15,9 +15,8 @@ import nbformat
 from sphinx.cmd.build import build_main
 
 from docs import citation, results
-from robsmooth.pipeline import PipelineError, Places
-from robsmooth.pipeline.parameters import SET_BY_PIPELINE
-from robsmooth.pipeline.runner import plan
+from robsmooth.workbench.parameters import SET_BY_PIPELINE, PipelineError
+from robsmooth.workbench.runner import Places, plan
 
 SOURCE = Path(__file__).resolve().parent / "source"
 DOCUMENTS = ("README.md", "environment.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE")

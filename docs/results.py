@@ -10,8 +10,8 @@ from pathlib import Path
 import nbformat
 
 from robsmooth._support.tables import Table
-from robsmooth.pipeline import parameters as parameters_cell
-from robsmooth.pipeline.parameters import SET_BY_PIPELINE
+from robsmooth.workbench import parameters as parameters_cell
+from robsmooth.workbench.parameters import SET_BY_PIPELINE
 
 _SAVED = re.compile(r"""save_figure\([^"']*["'](\w+)["']\)""")
 _IMAGE = re.compile(r"!\[(.+?)\]\((\w+)\.png\)")

@@ -10,8 +10,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from robsmooth._support.progress import progress_bar
-from robsmooth.pipeline import NotebookResult, PipelineError, Places, run_notebooks
-from robsmooth.pipeline.runner import PROFILES
+from robsmooth.workbench.parameters import PipelineError
+from robsmooth.workbench.runner import PROFILES, NotebookResult, Places, run_notebooks
 
 INTERRUPTED = 130
 

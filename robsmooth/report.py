@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from robsmooth import provenance, reproduction
+from robsmooth import reproduction
 from robsmooth._support import files
 from robsmooth._support.tables import Table
 from robsmooth.reproduction import OUTCOMES, Verdict, table
 from robsmooth.simulations import MonteCarloTable
+from robsmooth.workbench import provenance
 
 NAME = "reproduction"
 _BEGIN, _END = "<!-- scorecard: written by make figures -->", "<!-- end of scorecard -->"

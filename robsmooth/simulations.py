@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from robsmooth import provenance
 from robsmooth._support import files
 from robsmooth.homodyne.montecarlo import MonteCarloResult
+from robsmooth.workbench import provenance
 
 NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that verdicts are about
 _NOT_RESULTS = ("wall_time", "provenance")

@@ -21,7 +21,7 @@ import robsmooth as rs
 from robsmooth.explorer import Explorer, Settings, experiments, explorer, model, words
 from robsmooth.explorer.panels import NO_DESIGN, PREPARING, Panels
 from robsmooth.explorer.settings import DESIGNS, RANGES
-from robsmooth.pipeline import parameters
+from robsmooth.workbench import parameters
 from tests import looks
 from tests.waiting import PATIENCE
 

@@ -11,7 +11,7 @@ import nbformat
 import pytest
 
 import robsmooth as rs
-from robsmooth.pipeline import parameters
+from robsmooth.workbench import parameters
 from tests.runs import quick
 from tests.site import read_pages
 from tests.test_package import PUBLIC

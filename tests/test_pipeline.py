@@ -13,8 +13,10 @@ import psutil
 import pytest
 
 from robsmooth import cli
-from robsmooth.pipeline import PipelineError, parameters, run_notebooks, runner
-from robsmooth.pipeline.execution import Execution
+from robsmooth.workbench import parameters, runner
+from robsmooth.workbench.execution import Execution
+from robsmooth.workbench.parameters import PipelineError
+from robsmooth.workbench.runner import run_notebooks
 from tests.clusters import cluster_of_threads
 from tests.waiting import PATIENCE, wait_until
 

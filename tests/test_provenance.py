@@ -9,7 +9,7 @@ from importlib import metadata
 
 import pytest
 
-from robsmooth import provenance
+from robsmooth.workbench import provenance
 from tests.waiting import PATIENCE
 
 needs_git = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")

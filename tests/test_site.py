@@ -12,7 +12,7 @@ import pytest
 import docs.__main__
 from docs import build, citation, references
 from robsmooth import cli
-from robsmooth.pipeline import PipelineError
+from robsmooth.workbench.parameters import PipelineError
 
 ROOT = Path(__file__).resolve().parent.parent
 THEORY = (build.SOURCE / "theory.md").read_text(encoding="utf-8")

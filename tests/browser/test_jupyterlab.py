@@ -10,7 +10,7 @@ from papermill.iorw import load_notebook_node
 from papermill.parameterize import parameterize_notebook
 from playwright.sync_api import expect
 
-from robsmooth.pipeline import runner
+from robsmooth.workbench import runner
 from tests.browser import notebook
 from tests.browser.faults import faults, in_each_font
 from tests.browser.panels import Panels

@@ -21,11 +21,11 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from robsmooth import provenance
 from robsmooth._support import cluster, files
-from robsmooth.pipeline import parameters as parameters_cell
-from robsmooth.pipeline.execution import Execution, Failure
-from robsmooth.pipeline.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineError, unknown
+from robsmooth.workbench import parameters as parameters_cell
+from robsmooth.workbench import provenance
+from robsmooth.workbench.execution import Execution, Failure
+from robsmooth.workbench.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineError, unknown
 
 PROFILES = ("paper", "quick")
 PACKAGE = Path(__file__).resolve().parent.parent

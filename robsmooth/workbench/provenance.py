@@ -14,7 +14,7 @@ from pathlib import Path
 
 from robsmooth._support import files
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 LOCK = "requirements.lock"
 PACKAGES = ("robsmooth", "numpy", "scipy", "matplotlib", "numba", "control", "papermill")
 # What a result depends on; a figure that was just regenerated does not make the revision dirty.
