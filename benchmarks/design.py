@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from robsmooth import augment, delta_sweep, design_smoother, homodyne
-from robsmooth.published import DELAY, ORDER
+from robsmooth.paper.published import DELAY, ORDER
 
 TAU, MULTIPLIERS = 1.0987e-6, (1.0, 0.4999, 1e-4, 1e-4)
 SLOPES = np.linspace(-1.0, 1.0, 101)

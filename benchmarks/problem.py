@@ -6,10 +6,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth import homodyne, published
+from robsmooth import homodyne
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo import MeanSquare
+from robsmooth.paper import published
 
 STEP = 1e-8  # s
 STEPS = 100_000  # of a path

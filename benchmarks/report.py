@@ -7,9 +7,9 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from benchmarks.design import AIM as DESIGN_AIM
-from robsmooth import figures
 from robsmooth._support import files
 from robsmooth._support.tables import Table
+from robsmooth.paper import figures
 
 FOLDER = Path(__file__).parent
 BUSY = 0.3  # of the cores

@@ -17,7 +17,7 @@ from benchmarks.problem import RUNS, STEP, STEPS, literal_problem
 from benchmarks.race import middle
 from robsmooth import homodyne, monte_carlo
 from robsmooth.estimators import baselines
-from robsmooth.published import DELAY
+from robsmooth.paper.published import DELAY
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ def contenders() -> dict[str, Callable]:
 
     from robsmooth import homodyne
     from robsmooth.estimators import baselines
-    from robsmooth.published import DELAY
+    from robsmooth.paper.published import DELAY
 
     parameters = homodyne.PAPER
     system = parameters.uncertain_system()

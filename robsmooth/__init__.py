@@ -27,7 +27,7 @@ from robsmooth.homodyne.montecarlo import (
 from robsmooth.homodyne.study import Study, parameter_study
 from robsmooth.io.designs import load, save
 from robsmooth.io.records import smooth_record
-from robsmooth.reproduction import verdicts
+from robsmooth.paper.verdicts import verdicts
 from robsmooth.simulation import (
     InadmissibleWarning,
     SamplePaths,

@@ -79,7 +79,7 @@ def write_report(root: Path, places: Places, changed: bool) -> None:
 
     The README shows its scorecard at the paper's scale.
     """
-    from robsmooth import report
+    from robsmooth.paper import report
 
     if not changed and report.is_fresh(places.figures, places.data):
         return
@@ -95,7 +95,8 @@ def write_report(root: Path, places: Places, changed: bool) -> None:
 
 def verdicts(options: argparse.Namespace) -> int:
     """Print every printed number of the paper with its verdict."""
-    from robsmooth import report, reproduction
+    from robsmooth.paper import report
+    from robsmooth.paper import verdicts as reproduction
 
     try:
         print(report.markdown(reproduction.verdicts(_project() / "data")))

@@ -19,13 +19,13 @@ from robsmooth import (
     design_smoother,
     error_covariance,
     homodyne,
-    published,
     statistical_linearisation,
 )
 from robsmooth.analysis import covariance
 from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators import baselines
 from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.paper import published
 from tests.strategies import admissible_delta, designs, feasible_design, random_system, seeds
 
 NEAR_INFIMUM = (1.0987e-6, [1.0, 0.4999, 1e-4, 1e-4])

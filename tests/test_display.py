@@ -17,7 +17,7 @@ from robsmooth import homodyne
 from robsmooth._numerics.riccati import solve_riccati
 from robsmooth._support import notation
 from robsmooth._support.tables import Table
-from robsmooth.reproduction import Verdict, Verdicts
+from robsmooth.paper.verdicts import Verdict, Verdicts
 from tests.loops import two_channels
 from tests.strategies import designs, plants, random_system, seeds
 

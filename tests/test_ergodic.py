@@ -15,7 +15,7 @@ from scipy.integrate import cumulative_simpson, quad_vec, simpson
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.stats import binom
 
-from robsmooth import homodyne, published, statistical_linearisation
+from robsmooth import homodyne, statistical_linearisation
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run, splitting
@@ -24,6 +24,7 @@ from robsmooth.homodyne.montecarlo.lanes import SLIP, TURN
 from robsmooth.homodyne.montecarlo.noise import LANES
 from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK, time_average
 from robsmooth.homodyne.montecarlo.schemes import SplittingStep, control_slopes
+from robsmooth.paper import published
 from tests.loops import (
     PARAMETERS,
     SIGMAS,

@@ -10,24 +10,18 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from robsmooth import (
-    InfeasibleDesignError,
-    augment,
-    design_smoother,
-    diagrams,
-    figures,
-    homodyne,
-    sample_paths,
-)
+from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne, sample_paths
 from robsmooth.analysis.lag import lag_sweep
 from robsmooth.analysis.worst_case import worst_dynamic_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.limit import limiting_smoother
-from robsmooth.figures.maps import shade
 from robsmooth.homodyne.certificate import scalar_bound
 from robsmooth.homodyne.comparison import compare
 from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.study import QUANTITIES, Study
+from robsmooth.paper import figures
+from robsmooth.paper.figures import diagrams
+from robsmooth.paper.figures.maps import shade
 from tests import looks
 
 SLOPES = np.linspace(-1.0, 0.0, 11)

@@ -13,13 +13,14 @@ from scipy.linalg import block_diag, expm
 from scipy.sparse.linalg import expm_multiply
 from scipy.special import ive
 
-from robsmooth import UnstableLoopError, error_covariance, published
+from robsmooth import UnstableLoopError, error_covariance
 from robsmooth.analysis.covariance import statistical_linearisation
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import LARGEST, StationaryErrors, stationary_errors
 from robsmooth.homodyne.montecarlo import monte_carlo
+from robsmooth.paper import published
 from tests.strategies import orthogonal_matrix, seeds, stable_matrix
 
 GAIN = 4.5e5  # 1/s, about that of the example's filters

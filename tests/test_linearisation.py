@@ -10,13 +10,14 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from robsmooth import UnstableLoopError, published
+from robsmooth import UnstableLoopError
 from robsmooth._numerics.linearisation import equivalent_slopes, of_function, of_sine
 from robsmooth.analysis.covariance import statistical_linearisation
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import _white_coordinates
+from robsmooth.paper import published
 from robsmooth.simulation.loop import nonlinear_loop
 
 

@@ -19,7 +19,6 @@ from scipy.signal import cont2discrete
 from scipy.special import erfc
 from scipy.stats import norm
 
-from robsmooth import published
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
@@ -27,6 +26,7 @@ from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import monte_carlo
+from robsmooth.paper import published
 from robsmooth.simulation import InadmissibleWarning, sample_paths, simulate
 from robsmooth.simulation import simulate as run
 from robsmooth.simulation.integrator import Walk

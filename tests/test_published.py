@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from robsmooth import homodyne, published
+from robsmooth import homodyne
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.smoother import design_smoother
+from robsmooth.paper import published
 from robsmooth.systems.delay import pade_delay
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from robsmooth import report, reproduction
-from robsmooth.reproduction import Verdict
+from robsmooth.paper import report
+from robsmooth.paper import verdicts as reproduction
+from robsmooth.paper.verdicts import Verdict
 
 ROOT = Path(__file__).resolve().parent.parent
 

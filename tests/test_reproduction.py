@@ -7,7 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from robsmooth import homodyne, published, reproduction, simulations, statements, summaries
+from robsmooth import homodyne
+from robsmooth.paper import published, statements
+from robsmooth.paper import results as simulations
+from robsmooth.paper import tables as summaries
+from robsmooth.paper import verdicts as reproduction
 
 PLANT = published.paper_plant()
 SIMULATION = simulations.MonteCarloTable.read(published.data_folder())

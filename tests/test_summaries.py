@@ -15,11 +15,11 @@ from robsmooth import (
     limiting_smoother,
     simulate,
     stationary_errors,
-    summaries,
     worst_case,
 )
 from robsmooth.estimators import baselines
 from robsmooth.homodyne.comparison import compare
+from robsmooth.paper import tables as summaries
 
 SYSTEM = homodyne.PAPER.uncertain_system()
 PLANT = augment(SYSTEM, 3.1e-6, 1)

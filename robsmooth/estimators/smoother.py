@@ -21,7 +21,7 @@ where `C` is :math:`C_{p0}` when the cost is on the filtered error, as in the pa
 put right here: the constant term of the second Riccati equation, and :math:`A_c = A_p + \dots`, not
 :math:`A + \dots`. The Y equation is the paper's with its inner signs kept; the quadratic term of
 the X equation has the sign as printed (the paper's numbers follow from the other one, see
-`robsmooth.published`).
+`robsmooth.paper.published`).
 """
 
 from collections.abc import Callable, Sequence

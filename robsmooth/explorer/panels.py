@@ -19,8 +19,8 @@ from matplotlib.patches import Rectangle
 from PIL import Image
 
 from robsmooth.explorer.model import ADMISSIBLE, RUNS, SHOWN, SLOPES, STEP, Snapshot, in_lock
-from robsmooth.figures import TRUTH, styles, use_style
 from robsmooth.homodyne.montecarlo import MonteCarloResult
+from robsmooth.paper.figures import TRUTH, styles, use_style
 
 PREPARING = (
     "The simulation is being prepared. For an order that is new on this computer that takes some "

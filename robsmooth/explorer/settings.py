@@ -8,7 +8,7 @@ from robsmooth import homodyne
 from robsmooth._support import validation
 from robsmooth.estimators.smoother import COSTS
 from robsmooth.homodyne.parameters import HomodyneParameters
-from robsmooth.published import DELAY, ORDER, printed
+from robsmooth.paper.published import DELAY, ORDER, printed
 
 DESIGNS = ("robust", "by hand", "classical")
 

@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from robsmooth import reproduction
 from robsmooth._support import files
 from robsmooth._support.tables import Table
-from robsmooth.reproduction import OUTCOMES, Verdict, table
-from robsmooth.simulations import MonteCarloTable
+from robsmooth.paper import verdicts as reproduction
+from robsmooth.paper.results import MonteCarloTable
+from robsmooth.paper.verdicts import OUTCOMES, Verdict, table
 from robsmooth.workbench import provenance
 
 NAME = "reproduction"

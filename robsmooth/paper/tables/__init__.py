@@ -1,7 +1,7 @@
 """The tables of the notebooks."""
 
-from robsmooth.summaries.beyond import gains, lag_choices, optima, side_by_side, study, tightness
-from robsmooth.summaries.design import (
+from robsmooth.paper.tables.beyond import gains, lag_choices, optima, side_by_side, study, tightness
+from robsmooth.paper.tables.design import (
     approach_to_infimum,
     copy_noise,
     covariances,
@@ -9,8 +9,8 @@ from robsmooth.summaries.design import (
     sector_ranges,
     sign_readings,
 )
-from robsmooth.summaries.own import in_units, own_systems, refusals
-from robsmooth.summaries.simulation import (
+from robsmooth.paper.tables.own import in_units, own_systems, refusals
+from robsmooth.paper.tables.simulation import (
     change_needed,
     noise_sweep,
     noise_table,

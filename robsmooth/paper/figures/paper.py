@@ -7,12 +7,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from robsmooth import published
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.style import MARK, styles
 from robsmooth.estimators.smoother import RobustSmoother, design_smoother
 from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.parameters import HomodyneParameters
+from robsmooth.paper import published
 from robsmooth.systems.delay import pade_delay
 
 

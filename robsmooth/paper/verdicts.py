@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from robsmooth import statements
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
-from robsmooth.published import (
+from robsmooth.paper import statements
+from robsmooth.paper.published import (
     agrees,
     corrected_smoother,
     data_folder,
@@ -30,7 +30,7 @@ from robsmooth.published import (
     published,
     rounding_box,
 )
-from robsmooth.simulations import MonteCarloTable
+from robsmooth.paper.results import MonteCarloTable
 
 REPRODUCED = "reproduced"
 WITH_FLIPPED_SIGN = "reproduced with the sign flipped"

@@ -13,11 +13,11 @@ from robsmooth._support.style import MARK, TRUTH, styles
 from robsmooth.analysis.lag import LagSweep
 from robsmooth.analysis.worst_case import WorstDynamicCase
 from robsmooth.estimators.smoother import RobustSmoother, design_smoother
-from robsmooth.figures.maps import hatch, shade
 from robsmooth.homodyne.certificate import scalar_bound
 from robsmooth.homodyne.comparison import Compared
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.homodyne.study import Study
+from robsmooth.paper.figures.maps import hatch, shade
 
 _INFIMUM = {
     "marker": "o",

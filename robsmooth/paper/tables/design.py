@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from robsmooth import homodyne, published
+from robsmooth import homodyne
 from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import Table
@@ -12,6 +12,7 @@ from robsmooth.analysis.covariance import delta_sweep, error_covariance
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
 from robsmooth.homodyne.parameters import HomodyneParameters
+from robsmooth.paper import published
 from robsmooth.systems.augmented import AugmentedSystem
 
 

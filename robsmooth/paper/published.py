@@ -29,7 +29,7 @@ ORDER = 2
 
 def data_folder() -> Path:
     """Return the folder of the published values and results: data/, or the wheel's copy of it."""
-    package = Path(__file__).parent
+    package = Path(__file__).resolve().parents[1]
     packed = package / "_data"
     return packed if packed.is_dir() else package.parent / "data"
 

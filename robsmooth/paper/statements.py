@@ -10,14 +10,15 @@ from functools import cache, partial
 
 import numpy as np
 
-from robsmooth import homodyne, published
+from robsmooth import homodyne
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.analysis.covariance import delta_sweep, statistical_linearisation
 from robsmooth.estimators import baselines
 from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne.parameters import HomodyneParameters
-from robsmooth.published import agrees, paper_plant, printed, printed_multipliers, stated
-from robsmooth.simulations import MonteCarloTable
+from robsmooth.paper import published
+from robsmooth.paper.published import agrees, paper_plant, printed, printed_multipliers, stated
+from robsmooth.paper.results import MonteCarloTable
 from robsmooth.systems.augmented import AugmentedSystem
 
 Finding = tuple[bool, str, str]

@@ -11,7 +11,7 @@ from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne.parameters import PAPER
-from robsmooth.published import DELAY, ORDER
+from robsmooth.paper.published import DELAY, ORDER
 from robsmooth.simulation import SimulationResult
 from robsmooth.systems.augmented import augment
 

@@ -1,7 +1,7 @@
 """The figures of the notebooks."""
 
 from robsmooth._support.style import FORMATS, TRUTH, save_figure, styles, use_style
-from robsmooth.figures.beyond import (
+from robsmooth.paper.figures.beyond import (
     all_designs,
     lag_and_order,
     side_by_side,
@@ -9,8 +9,8 @@ from robsmooth.figures.beyond import (
     where_smoothing_pays,
     worst_spectra,
 )
-from robsmooth.figures.own import gap, sample_path, smoother_response
-from robsmooth.figures.paper import (
+from robsmooth.paper.figures.own import gap, sample_path, smoother_response
+from robsmooth.paper.figures.paper import (
     bound_landscape,
     delay_error,
     delta_sweep,

@@ -8,7 +8,6 @@ from functools import partial
 
 from scipy.optimize import brentq
 
-from robsmooth import published
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.tables import Table
 from robsmooth.analysis.covariance import StatisticalLinearisation, statistical_linearisation
@@ -21,6 +20,7 @@ from robsmooth.homodyne.montecarlo import (
     monte_carlo,
 )
 from robsmooth.homodyne.parameters import HomodyneParameters
+from robsmooth.paper import published
 
 
 def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Table:
