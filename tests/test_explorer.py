@@ -18,7 +18,9 @@ from hypothesis import strategies as st
 from matplotlib.text import Text
 
 import robsmooth as rs
-from robsmooth.explorer import Explorer, Settings, experiments, explorer, model, words
+from robsmooth.explorer import Explorer, Settings, experiments, explorer
+from robsmooth.explorer import snapshot as model
+from robsmooth.explorer import text as words
 from robsmooth.explorer.panels import NO_DESIGN, PREPARING, Panels
 from robsmooth.explorer.settings import DESIGNS, RANGES
 from robsmooth.workbench import parameters

@@ -2,6 +2,6 @@
 
 from robsmooth.explorer.explorer import Explorer
 from robsmooth.explorer.settings import Settings
-from robsmooth.explorer.words import experiments
+from robsmooth.explorer.text import experiments
 
 __all__ = ["Explorer", "Settings", "experiments"]

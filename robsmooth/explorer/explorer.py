@@ -15,10 +15,10 @@ from IPython import get_ipython
 from matplotlib.figure import Figure
 
 from robsmooth.explorer.controls import Controls
-from robsmooth.explorer.model import Snapshot, look, simulate
 from robsmooth.explorer.panels import PREPARING, Panels
 from robsmooth.explorer.settings import Settings
-from robsmooth.explorer.words import code, summary
+from robsmooth.explorer.snapshot import Snapshot, look, simulate
+from robsmooth.explorer.text import code, summary
 from robsmooth.homodyne.montecarlo import MonteCarloResult
 
 QUIET = 0.004  # s without an event, before the newest settings are drawn

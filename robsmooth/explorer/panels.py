@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-from robsmooth.explorer.model import ADMISSIBLE, RUNS, SHOWN, SLOPES, STEP, Snapshot, in_lock
+from robsmooth.explorer.snapshot import ADMISSIBLE, RUNS, SHOWN, SLOPES, STEP, Snapshot, in_lock
 from robsmooth.homodyne.montecarlo import MonteCarloResult
 from robsmooth.paper.figures import TRUTH, styles, use_style
 

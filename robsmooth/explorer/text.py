@@ -4,7 +4,8 @@ import math
 from collections.abc import Mapping
 
 from robsmooth._support.tables import Table
-from robsmooth.explorer.model import (
+from robsmooth.explorer.settings import Settings
+from robsmooth.explorer.snapshot import (
     RUNS,
     SLOPES,
     Snapshot,
@@ -13,7 +14,6 @@ from robsmooth.explorer.model import (
     robust_arguments,
     simulate,
 )
-from robsmooth.explorer.settings import Settings
 from robsmooth.homodyne.montecarlo import MonteCarloResult
 
 _CODE = """\
