@@ -4,7 +4,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
 
-from tests.runs import once, quick
+from tests.helpers.runs import once, quick
 
 settings.register_profile(
     "robsmooth",

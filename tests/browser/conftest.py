@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Browser, Error, Page, expect, sync_playwright
 
 from tests.browser import chromium
-from tests.waiting import PATIENCE
+from tests.helpers.waiting import PATIENCE
 
 SCREENSHOTS = Path(__file__).resolve().parents[2] / "build" / "browser"
 QUIET = [

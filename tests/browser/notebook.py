@@ -4,7 +4,7 @@ import re
 
 from playwright.sync_api import Page, expect
 
-from tests.labs import Lab
+from tests.helpers.labs import Lab
 
 # In the status bar, for the toolbar's mark is idle before the kernel has answered.
 IDLE = "() => document.querySelector('#jp-main-statusbar')?.innerText.includes('| Idle')"

@@ -15,7 +15,7 @@ from tests.browser import notebook
 from tests.browser.faults import faults, in_each_font
 from tests.browser.panels import Panels
 from tests.browser.waiting import eventually
-from tests.labs import ROOT, running_lab
+from tests.helpers.labs import ROOT, running_lab
 
 NUMBERED = sorted(path.stem for path in ROOT.glob("notebooks/[0-9][0-9]_*.ipynb"))
 

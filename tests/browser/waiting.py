@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from playwright.sync_api import Page
 
-from tests.waiting import PATIENCE
+from tests.helpers.waiting import PATIENCE
 
 
 def eventually(page: Page, look: Callable, wanted: object) -> object:

@@ -1,0 +1,243 @@
+"""The exact worst case under the constraints: against V, closed forms, and the input it names."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.linalg import solve_continuous_lyapunov
+
+from robsmooth import (
+    UncertainSystem,
+    Uncertainty,
+    augment,
+    design_smoother,
+    error_covariance,
+    homodyne,
+)
+from robsmooth._numerics.riccati import solve_riccati
+from robsmooth.analysis.constraints import _with_delay_model, analysis_bound
+from robsmooth.analysis.covariance import closed_loop
+from robsmooth.estimators import baselines
+from robsmooth.estimators.loop import OUTPUTS, open_loop
+from tests.helpers.loops import looking_at_nothing
+from tests.helpers.strategies import admissible_delta, designs, seeds
+
+NEAR_INFIMUM = {
+    "filtered": (1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6]),
+    "smoothed": (7.0229e-7, [1.0, 0.4999, 1e-6, 1e-6]),
+}
+
+
+def example(cost, system=None):
+    system = system or homodyne.PAPER.uncertain_system()
+    return design_smoother(augment(system, 3.1e-6, 2), *NEAR_INFIMUM[cost], cost)
+
+
+@given(designs(), st.sampled_from(OUTPUTS), st.booleans(), seeds)
+def test_open_loop_closes_to_the_closed_loop(design, output, copy_noise, seed):
+    Delta = admissible_delta(np.random.default_rng(seed), design.plant)
+    loop = open_loop(design, output, copy_noise)
+    closed = closed_loop(design, Delta, copy_noise)
+    assert_allclose(loop.A + loop.inputs @ Delta @ loop.outputs, closed.A, atol=1e-12)
+    assert_allclose(loop.B, closed.B, atol=1e-14)
+    kept = loop.assemble(loop.disassemble(Delta), ())
+    assert_allclose(loop.inputs @ kept @ loop.outputs, closed.A - loop.A, atol=1e-12)
+
+
+@settings(max_examples=15)
+@given(st.sampled_from(["filtered", "smoothed"]).flatmap(lambda cost: designs(cost=cost)))
+def test_bound_of_a_design_is_the_analysis_at_its_multipliers_with_more_noise(design):
+    plant, theta = design.plant, design.tau * design.multipliers
+    loop = open_loop(design, "guaranteed", True)
+    C = loop.truth - loop.estimate
+    spread = loop.inputs @ np.linalg.solve(plant.M(theta), loop.inputs.T)
+    weighted = loop.outputs.T @ plant.N(theta) @ loop.outputs
+    P = solve_riccati(loop.A, C.T @ C + weighted, -spread).X
+    assert_allclose(design.tau * np.trace(spread @ P), 2 * design.bound, rtol=1e-6)
+    # and the noise is more than the loop's own
+    excess = design.tau * spread - loop.B @ loop.B.T
+    assert np.linalg.eigvalsh(excess).min() > -1e-9 * np.linalg.norm(excess)
+
+
+@settings(max_examples=15)
+@given(designs(), st.booleans(), seeds)
+def test_bound_is_between_every_admissible_delta_and_the_guarantee(design, copy_noise, seed):
+    found = analysis_bound(design, copy_noise=copy_noise)
+    rng = np.random.default_rng(seed)
+    for _ in range(5):
+        Delta = admissible_delta(rng, design.plant)
+        error = np.trace(error_covariance(design, Delta, "filtered", copy_noise))
+        assert error <= found.mean_square * (1 + 1e-6)
+    assert found.fraction == 1.0
+    assert found.mean_square <= found.guarantee * (1 + 1e-6)
+    assert found.guarantee == 2 * design.bound
+
+
+@settings(max_examples=15)
+@given(designs(), st.sampled_from(OUTPUTS))
+def test_worst_input_meets_the_constraints_and_attains_the_bound(design, output):
+    found = analysis_bound(design, output, delay_order=4)
+    loop = open_loop(design, output, True)
+    if loop.delay > 0.0:
+        loop = _with_delay_model(loop, 4)
+    K = found.feedback
+    # another route than the gradient: the loop with this input, and its energies
+    P = solve_continuous_lyapunov(loop.A + loop.inputs @ K, -loop.B @ loop.B.T)
+    C = loop.truth - loop.estimate
+    assert_allclose(np.trace(C @ P @ C.T), found.mean_square, rtol=1e-5)
+    assert 0.0 <= found.gap < 1e-5
+    zeta, xi = loop.outputs @ P @ loop.outputs.T, K @ P @ K.T
+    for theta, M_i, N_i in zip(found.multipliers, design.plant.M_i, design.plant.N_i, strict=True):
+        allowed, used = np.tensordot(N_i, zeta, 2), np.tensordot(M_i, xi, 2)
+        assert used <= allowed + 1e-5 * found.mean_square / theta
+
+
+@settings(max_examples=15)
+@given(designs(), seeds)
+def test_no_other_multipliers_have_a_lower_bound(design, seed):
+    found = analysis_bound(design)
+    loop, plant = open_loop(design, "guaranteed", True), design.plant
+    C = loop.truth - loop.estimate
+    rng = np.random.default_rng(seed)
+    ours = np.where(np.isfinite(found.multipliers), found.multipliers, 1.0)
+    for _ in range(5):
+        theta = ours * np.exp(rng.uniform(0.01, 1.0) * rng.standard_normal(ours.size))
+        spread = loop.inputs @ np.linalg.solve(plant.M(theta), loop.inputs.T)
+        weighted = loop.outputs.T @ plant.N(theta) @ loop.outputs
+        try:
+            P = solve_riccati(loop.A, C.T @ C + weighted, -spread).X
+        except ArithmeticError:
+            continue  # no bound at all
+        assert np.trace(loop.B.T @ P @ loop.B) >= found.mean_square * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("uncertainty", [0.1, 0.5, 0.9])
+def test_uncertain_decay_rate_has_a_constant_worst_case(uncertainty):
+    found = analysis_bound(looking_at_nothing(uncertainty), "filtered")
+    assert_allclose(found.mean_square, 1 / (2 * (1 - uncertainty)), rtol=1e-7)
+    # theta at the minimum of the scalar problem, by hand
+    assert_allclose(found.multipliers[0], 0.5 / uncertainty / (1 - uncertainty), rtol=1e-3)
+    assert math.isinf(found.multipliers[1])  # that channel is allowed no energy
+    assert not found.feedback[1].any()
+
+
+@pytest.mark.parametrize("uncertainty", [1.0, 1.25, 4.0])
+def test_too_much_uncertainty_has_no_bound_and_the_fraction_says_how_much_has(uncertainty):
+    found = analysis_bound(looking_at_nothing(uncertainty), "filtered")
+    assert math.isinf(found.mean_square)
+    assert found.multipliers.size == found.feedback.size == 0
+    assert_allclose(found.fraction, 1 / uncertainty, rtol=0.01)
+    assert found.fraction < 1 / uncertainty
+
+
+def test_loop_that_is_not_stable_has_no_bound_for_any_fraction():
+    smoother = replace(looking_at_nothing(0.5), A_c=np.array([[1.0]]))
+    found = analysis_bound(smoother, "filtered")
+    assert (found.mean_square, found.fraction) == (math.inf, 0.0)
+
+
+def test_output_that_no_noise_excites_is_no_obstacle():
+    # the second state is driven by nothing, and what its uncertainty feels moves the error
+    system = UncertainSystem(
+        A=[[-1.0, 0.0], [0.0, -1.0]],
+        B1=[[1.0, 0.0], [0.0, 0.0]],
+        C0=[[1.0, 0.0]],
+        C2=[[1.0, 0.0]],
+        D21=[[0.0, 1.0]],
+        uncertainties=[
+            Uncertainty(B=[[1.0], [0.0]], C=[[0.0, 0.5]], D=[[0.0]]),
+            Uncertainty(B=[[0.0], [0.0]], C=[[0.0, 0.0]], D=[[1.0]]),
+        ],
+    )
+    smoother = baselines.kalman_bucy(system)
+    found = analysis_bound(smoother, "filtered")
+    nominal = error_covariance(smoother, smoother.plant.structured_delta(), "filtered")[0, 0]
+    assert_allclose(found.mean_square, nominal, rtol=1e-4)
+
+
+@pytest.mark.parametrize("copy_noise", [True, False])
+def test_constant_slope_is_the_worst_for_the_filtered_error_of_the_example(copy_noise):
+    design = example("filtered")
+    at_the_edge = error_covariance(
+        design, design.plant.structured_delta((), [-1.0]), "filtered", copy_noise
+    )
+    found = analysis_bound(design, copy_noise=copy_noise)
+    assert_allclose(found.mean_square, at_the_edge[0, 0], rtol=3e-5)
+    assert found.mean_square < 0.9 * found.guarantee
+
+
+def test_constant_slope_is_not_the_worst_for_the_smoothed_error_of_the_example():
+    design = example("smoothed")
+    edge = error_covariance(design, design.plant.structured_delta((), [-1.0]))[0, 0]
+    found = analysis_bound(design, "smoothed")
+    assert 1.03 * edge < found.mean_square < 1.05 * edge
+
+
+def test_delay_model_of_the_smoothed_error_has_converged():
+    for cost in NEAR_INFIMUM:
+        coarse, fine = (
+            analysis_bound(example(cost), "smoothed", False, delay_order=order).mean_square
+            for order in (10, 16)
+        )
+        assert_allclose(coarse, fine, rtol=1e-5)
+
+
+def test_classical_smoother_has_a_bound_too():
+    system = homodyne.PAPER.uncertain_system()
+    classical = baselines.fixed_lag_smoother(system, 3.1e-6, 2, copies=True)
+    found = analysis_bound(classical, "smoothed", copy_noise=False)
+    robust = analysis_bound(example("smoothed"), "smoothed", copy_noise=False)
+    assert found.guarantee is None
+    assert found.mean_square < robust.mean_square < 1.01 * found.mean_square
+
+
+def test_bound_does_not_depend_on_the_unit_of_time():
+    mega = 2.0**20  # microseconds, nearly
+    system = homodyne.PAPER.uncertain_system()
+    slow = UncertainSystem(
+        A=system.A / mega,
+        B1=system.B1 / mega**0.5,
+        C0=system.C0,
+        C2=system.C2,
+        D21=system.D21 * mega**0.5,
+        uncertainties=[
+            replace(c, B=c.B / mega**0.5, D=c.D * mega**0.5) for c in system.uncertainties
+        ],
+        nonlinearities=[
+            replace(c, B=c.B / mega**0.5, C=c.C / mega**0.5, D=c.D * mega**0.5, function=None)
+            for c in system.nonlinearities
+        ],
+    )
+    here, there = (
+        analysis_bound(baselines.fixed_lag_smoother(s, lag, 2, copies=True), "smoothed")
+        for s, lag in ((system, 3.1e-6), (slow, 3.1e-6 * mega))
+    )
+    assert_allclose(there.mean_square, here.mean_square, rtol=1e-7)
+
+
+def test_report_of_a_bound():
+    found = analysis_bound(example("filtered"))
+    assert repr(found).startswith(f"AnalysisBound(mean_square={found.mean_square:.5g}, gap=")
+    assert repr(found).endswith(f", fraction=1, guarantee={found.guarantee:.5g})")
+    none = analysis_bound(looking_at_nothing(2.0), "filtered")
+    assert repr(none).startswith("AnalysisBound(mean_square=inf, gap=nan, fraction=0.")
+    assert repr(none).endswith("guarantee=none)")
+
+
+def test_what_is_not_understood_is_refused():
+    design = example("filtered")
+    linear = baselines.kalman_bucy(design.plant.system)
+    with pytest.raises(TypeError, match="smoother must be an Estimator, got str"):
+        analysis_bound("design")
+    with pytest.raises(ValueError, match=r"output must be one of .*'guaranteed', got 'both'"):
+        analysis_bound(design, "both")
+    with pytest.raises(TypeError, match="copy_noise must be True or False"):
+        analysis_bound(design, copy_noise=1)
+    with pytest.raises(ValueError, match="delay_order must be an integer of at least 1"):
+        analysis_bound(design, delay_order=0)
+    with pytest.raises(ValueError, match=r"'guaranteed' is for a RobustSmoother, .* got Estimator"):
+        analysis_bound(linear)

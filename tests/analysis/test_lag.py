@@ -1,0 +1,247 @@
+"""Lag and order: against grids, the exact optimum, and what a target means."""
+
+import math
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from numpy.testing import assert_allclose
+
+from robsmooth import (
+    InfeasibleDesignError,
+    UncertainSystem,
+    augment,
+    design_smoother,
+    error_covariance,
+    homodyne,
+)
+from robsmooth.analysis import lag
+from robsmooth.analysis.lag import best_lag, choose_lag, lag_sweep
+from robsmooth.analysis.worst_case import worst_case
+from robsmooth.estimators import baselines
+from robsmooth.estimators.baselines import optimal_fixed_lag_error, optimal_two_sided_error
+from tests.helpers.strategies import random_system, seeds
+
+EXAMPLE = homodyne.PAPER.uncertain_system()
+LAG = 3.1e-6
+FILTERING = optimal_fixed_lag_error(EXAMPLE, 0.0)[0, 0]
+TWO_SIDED = optimal_two_sided_error(EXAMPLE)[0, 0]
+
+
+def classical_error(system, delay, order):
+    smoother = baselines.fixed_lag_smoother(system, delay, order, copies=True)
+    return np.trace(error_covariance(smoother, smoother.plant.structured_delta(), copy_noise=False))
+
+
+def near_infimum(system, delay, order):
+    """The robust smoother of the example, at multipliers near the best."""
+    return design_smoother(augment(system, delay, order), 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
+
+
+def test_sweep_has_the_errors_of_the_designs():
+    delays, orders = (0.0, 1e-6, LAG), (1, 2)
+    sweep = lag_sweep(EXAMPLE, delays, orders)
+    for i, order in enumerate(orders):
+        for j, delay in enumerate(delays):
+            smoother = baselines.fixed_lag_smoother(EXAMPLE, delay, order, copies=True)
+            assert_allclose(sweep.nominal[i, j], classical_error(EXAMPLE, delay, order), rtol=1e-9)
+            edge = smoother.plant.structured_delta((), [-1.0])
+            error = error_covariance(smoother, edge, copy_noise=False)[0, 0]
+            assert_allclose(sweep.worst[i, j], error, rtol=1e-9)
+    optimal = [optimal_fixed_lag_error(EXAMPLE, delay)[0, 0] for delay in delays]
+    assert_allclose(sweep.optimal, optimal)
+    assert_allclose((sweep.filtering, sweep.two_sided), (FILTERING, TWO_SIDED))
+    assert_allclose(sweep.nominal[:, 0], FILTERING, rtol=1e-9)
+    assert_allclose(sweep.gain[:, 0], 0.0, atol=1e-9)
+    assert_allclose(sweep.gain[1, 2], (FILTERING - sweep.nominal[1, 2]) / (FILTERING - TWO_SIDED))
+    least = f"{sweep.nominal[1, 2]:.5g}"
+    assert repr(sweep).startswith(f"LagSweep(2 orders x 3 lags, least nominal error {least}, ")
+
+
+@settings(max_examples=3)
+@given(seeds)
+def test_no_design_beats_the_exact_optimum_and_a_high_order_reaches_it(seed):
+    system = random_system(np.random.default_rng(seed), n=2, m=2, l=2, g=1)
+    delay = 1.0 / np.abs(baselines.kalman_bucy(system).poles).max()
+    sweep = lag_sweep(system, [delay], [1, 2, 6])
+    assert (sweep.nominal >= sweep.optimal * (1 - 1e-9)).all()
+    assert (sweep.worst >= sweep.nominal).all()
+    assert_allclose(sweep.nominal[2], sweep.optimal, rtol=0.05)
+    assert (np.diff(np.abs(sweep.nominal[:, 0] - sweep.optimal[0])) < 0).all()
+    assert sweep.two_sided < sweep.optimal[0] < sweep.filtering
+
+
+def test_a_lag_that_is_too_long_for_its_order_is_worse_than_none():
+    sweep = lag_sweep(EXAMPLE, [LAG, 1e-4], [2])
+    assert sweep.nominal[0, 0] < FILTERING < sweep.nominal[0, 1]
+
+
+def test_search_of_the_filtered_cost_serves_all_lags_and_orders(monkeypatch):
+    # V is the same function of tau and lambda with a lag and without, and so is where it is least
+    plants = augment(EXAMPLE, 0.0, 0), augment(EXAMPLE, LAG, 2)
+    for tau, *multipliers in np.geomspace(
+        [1e-6, 0.7, 0.3, 1e-6, 1e-6], [4e-6, 1, 0.49, 1e-5, 1e-5], 5
+    ):
+        without, with_lag = (design_smoother(plant, tau, multipliers) for plant in plants)
+        assert_allclose(with_lag.bound, without.bound, rtol=1e-6)
+    carried, searched = with_lag, []
+    monkeypatch.setattr(lag, "minimize_bound", lambda plant: searched.append(plant) or without)
+    sweep = lag_sweep(EXAMPLE, [1e-6, LAG], [1, 2], "filtered cost")
+    assert sweep.nominal[1, 1] == worst_case(carried, copy_noise=False).nominal
+    assert [(plant.delay, plant.order) for plant in searched] == [(0.0, 0)]
+
+
+def test_search_of_the_smoothed_cost_is_made_for_each_lag_and_order(monkeypatch):
+    def search(plant, cost):
+        return design_smoother(plant, 7.03e-7, [1.0, 0.4999, 1e-6, 1e-6], cost)
+
+    monkeypatch.setattr(lag, "minimize_bound", search)
+    sweep = lag_sweep(EXAMPLE, [1e-6, LAG], [1, 2], "smoothed cost")
+    design = search(augment(EXAMPLE, LAG, 2), "smoothed")
+    assert sweep.nominal[1, 1] == worst_case(design, copy_noise=False).nominal
+
+
+@pytest.mark.parametrize("criterion", ["nominal", "worst"])
+@pytest.mark.parametrize("design", ["classical", near_infimum])
+def test_best_lag_is_that_of_a_fine_grid(design, criterion):
+    best, error = best_lag(EXAMPLE, 2, design, criterion)
+    lags = np.geomspace(best / 3, 3 * best, 41)
+    sweep = lag_sweep(EXAMPLE, lags, [2], design)
+    errors = getattr(sweep, criterion)[0]
+    assert error <= errors.min() * (1 + 1e-7)
+    assert_allclose(errors[20], error, rtol=1e-9)
+    assert errors.argmin() in (19, 20, 21)
+
+
+def test_best_lag_grows_and_its_error_falls_with_the_order():
+    found = [best_lag(EXAMPLE, order) for order in (1, 2, 3, 4, 6)]
+    for (shorter, error), (longer, lower) in pairwise(found):
+        assert shorter < longer
+        assert error > lower > TWO_SIDED
+    # the paper's lag is shorter than the best one for its order, and loses little by it
+    assert LAG < found[1][0] < 1.5 * LAG
+    assert classical_error(EXAMPLE, LAG, 2) < 1.02 * found[1][1]
+
+
+@pytest.mark.parametrize("fraction", [0.1, 0.5, 0.9, 0.99])
+def test_choice_meets_the_target_and_nothing_shorter_or_simpler_does(fraction):
+    choice = choose_lag(EXAMPLE, fraction=fraction)
+    assert_allclose(choice.target, FILTERING - fraction * (FILTERING - TWO_SIDED))
+    assert_allclose(choice.error, classical_error(EXAMPLE, choice.lag, choice.order))
+    assert choice.error <= choice.target * (1 + 1e-9)
+    assert_allclose(optimal_fixed_lag_error(EXAMPLE, choice.shortest)[0, 0], choice.target)
+    shortest = min(choice.lags.values())
+    assert choice.shortest <= shortest <= choice.lag <= 1.05 * shortest
+    for order, first in choice.lags.items():
+        if order < choice.order:
+            assert first > 1.05 * shortest
+        earlier = np.linspace(choice.shortest, 0.999 * min(first, 2e-5), 9)
+        assert all(classical_error(EXAMPLE, each, order) > choice.target for each in earlier)
+
+
+def test_target_and_fraction_are_two_ways_to_say_the_same():
+    by_fraction = choose_lag(EXAMPLE, fraction=0.8)
+    by_target = choose_lag(EXAMPLE, by_fraction.target)
+    assert by_target == by_fraction
+
+
+def test_slack_trades_lag_for_order():
+    strict, generous = (choose_lag(EXAMPLE, fraction=0.9, slack=slack) for slack in (0.0, 0.3))
+    assert generous.order < strict.order
+    assert strict.lag < generous.lag <= 1.3 * strict.lag
+
+
+def test_choice_by_the_worst_case():
+    choice = choose_lag(EXAMPLE, 0.08, criterion="worst", design=near_infimum, max_order=3)
+    found = worst_case(near_infimum(EXAMPLE, choice.lag, choice.order), copy_noise=False)
+    assert_allclose((choice.error, found.mean_square), 0.08, rtol=1e-9)
+    # the nominal error meets it long before
+    assert choose_lag(EXAMPLE, 0.08, design=near_infimum).lag < choice.lag / 3
+
+
+def test_filter_is_chosen_where_it_meets_the_target():
+    choice = choose_lag(EXAMPLE, 1.01 * FILTERING)
+    assert (choice.lag, choice.order, choice.shortest) == (0.0, 0, 0.0)
+    assert_allclose(choice.error, FILTERING)
+
+
+def test_robust_smoother_may_need_a_lag_for_what_the_optimal_filter_has():
+    worst = worst_case(near_infimum(EXAMPLE, 0.0, 0), copy_noise=False).mean_square
+    choice = choose_lag(EXAMPLE, 0.9 * worst, criterion="worst", design=near_infimum, max_order=2)
+    assert choice.shortest == 0.0 < choice.lag
+    assert choice.target > FILTERING
+
+
+@settings(max_examples=5)
+@given(seeds)
+def test_choice_for_random_systems_meets_the_target(seed):
+    system = random_system(np.random.default_rng(seed), n=2, m=2, l=2, g=1)
+    try:
+        choice = choose_lag(system, fraction=0.7, max_order=4)
+    except InfeasibleDesignError:
+        low = optimal_fixed_lag_error(system, 0.0), optimal_two_sided_error(system)
+        target = np.trace(0.3 * low[0] + 0.7 * low[1])
+        assert best_lag(system, 4)[1] > target
+        return
+    assert classical_error(system, choice.lag, choice.order) <= choice.target * (1 + 1e-9)
+    assert choice.lag >= choice.shortest
+    assert classical_error(system, 0.99 * choice.lag, choice.order) > choice.target
+
+
+def test_choice_does_not_depend_on_the_unit_of_time():
+    unit = 2.0**20
+    slow = replace(
+        EXAMPLE,
+        A=EXAMPLE.A / unit,
+        B1=EXAMPLE.B1 / unit**0.5,
+        D21=EXAMPLE.D21 * unit**0.5,
+        uncertainties=[],
+        nonlinearities=[],
+    )
+    fast = replace(EXAMPLE, uncertainties=[], nonlinearities=[])
+    here, there = (choose_lag(system, fraction=0.9) for system in (fast, slow))
+    assert here.order == there.order
+    assert_allclose(there.lag / unit, here.lag, rtol=1e-9)
+    assert_allclose(there.error, here.error, rtol=1e-9)
+
+
+def test_what_cannot_be_met_is_refused():
+    with pytest.raises(ValueError, match=r"target must be above 0\.0430209, .* got 0\.04; filt"):
+        choose_lag(EXAMPLE, 0.04)
+    with pytest.raises(InfeasibleDesignError, match=r"no order up to 2 .* is 0\.045\d+; try a"):
+        choose_lag(EXAMPLE, fraction=0.97, max_order=2)
+    blind = UncertainSystem([[-1.0]], [[1.0, 0.0]], [[1.0]], [[0.0]], [[0.0, 1.0]])
+    with pytest.raises(InfeasibleDesignError, match=r"Smoothing fails: it gains nothing: .* 0\.5 "):
+        best_lag(blind, 1)
+
+
+def test_what_is_not_understood_is_refused():
+    with pytest.raises(TypeError, match="system must be an UncertainSystem, got str"):
+        lag_sweep("system", [1e-6], [1])
+    with pytest.raises(ValueError, match="lags must be finite and in"):
+        lag_sweep(EXAMPLE, [-1e-6], [1])
+    with pytest.raises(ValueError, match="orders must be an integer of at least 1, got 0"):
+        lag_sweep(EXAMPLE, [1e-6], [0])
+    with pytest.raises(ValueError, match="lags must have at least one value"):
+        lag_sweep(EXAMPLE, [], [1])
+    with pytest.raises(ValueError, match=r"design must be one of 'classical', .* got 'robust'"):
+        lag_sweep(EXAMPLE, [1e-6], [1], "robust")
+    for function in (partial(best_lag, EXAMPLE, 1), partial(choose_lag, EXAMPLE, 0.05)):
+        with pytest.raises(ValueError, match="criterion must be one of 'nominal', 'worst', got"):
+            function(criterion="best")
+    with pytest.raises(ValueError, match="order must be an integer of at least 1"):
+        best_lag(EXAMPLE, 0)
+    for both in ({}, {"target": 0.05, "fraction": 0.5}):
+        with pytest.raises(ValueError, match="takes either a target or a fraction"):
+            choose_lag(EXAMPLE, **both)
+    with pytest.raises(ValueError, match="fraction must be finite and in"):
+        choose_lag(EXAMPLE, fraction=1.0)
+    with pytest.raises(ValueError, match="target must be finite and in"):
+        choose_lag(EXAMPLE, math.nan)
+    with pytest.raises(ValueError, match="slack must be finite and in"):
+        choose_lag(EXAMPLE, 0.05, slack=-0.1)
+    with pytest.raises(ValueError, match="max_order must be an integer of at least 1"):
+        choose_lag(EXAMPLE, 0.05, max_order=0)

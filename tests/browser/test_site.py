@@ -1,0 +1,168 @@
+"""The site: how it is put together. What it holds is tested with test_notebooks' own run."""
+
+import re
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import nbformat
+import pytest
+
+import docs.__main__
+from docs import build, citation, references
+from robsmooth import cli
+from robsmooth.workbench.parameters import PipelineError
+
+ROOT = Path(__file__).resolve().parents[2]
+THEORY = (build.SOURCE / "theory.md").read_text(encoding="utf-8")
+
+
+def notebook(source="", **papermill):
+    cells = [nbformat.v4.new_code_cell(source)] if source else []
+    return nbformat.v4.new_notebook(cells=cells, metadata={"papermill": papermill})
+
+
+def report(folder):
+    command = [sys.executable, "-m", "robsmooth.cli", "report", "--build", folder]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def test_a_notebook_that_was_not_executed_is_asked_for_in_a_sentence(tmp_path):
+    run = report(tmp_path)
+    assert run.returncode == 2
+    assert run.stderr == (
+        "robsmooth: 01_uncertainty_modelling.ipynb has not been executed with this profile; "
+        "run `make figures PROFILE=paper` first\n"
+    )
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "about", [{}, {"end_time": None}, {"end_time": "now", "exception": True}], ids=str
+)
+def test_a_notebook_that_was_not_executed_to_its_end_is_refused(tmp_path, about):
+    path = tmp_path / "quick/notebooks/01_uncertainty_modelling.ipynb"
+    path.parent.mkdir(parents=True)
+    nbformat.write(notebook(**about), path)
+    with pytest.raises(PipelineError, match="has not been executed to its end; run `make figures"):
+        build.build(ROOT, "quick", tmp_path)
+
+
+@pytest.fixture
+def stub(tmp_path, monkeypatch):
+    """A build without notebooks, in which Sphinx is what the test says."""
+
+    def run(sphinx):
+        monkeypatch.setattr(build, "plan", lambda *_: [])
+        monkeypatch.setattr(build, "stage", lambda *_: None)
+        monkeypatch.setattr(build, "build_main", sphinx)
+        (tmp_path / "quick").mkdir(exist_ok=True)
+        return build.build(ROOT, "quick", tmp_path)
+
+    return run
+
+
+def test_a_new_site_takes_the_place_of_the_earlier_one_when_it_is_whole(stub, tmp_path):
+    def sphinx(name):
+        def write(options):
+            assert not (tmp_path / "quick/site" / name).exists()
+            Path(options[-1]).mkdir()
+            (Path(options[-1]) / name).touch()
+            return 0
+
+        return write
+
+    for name in ("one.html", "other.html"):
+        assert stub(sphinx(name)) == tmp_path / "quick/site"
+        assert [path.name for path in (tmp_path / "quick/site").iterdir()] == [name]
+    assert stub(lambda options: 1) is None
+    assert (tmp_path / "quick/site/other.html").exists()
+    assert [path.name for path in (tmp_path / "quick").iterdir()] == ["site"]
+
+
+def test_the_folders_of_a_run_are_not_shown(tmp_path):
+    path = tmp_path / "some.ipynb"
+    for source, shown in (
+        ('# Parameters\npoints = 21\noutput_dir = "/home/me"', ["# Parameters\npoints = 21"]),
+        ('# Parameters\noutput_dir = "/home/me"\ndata_dir = "/home/me"', []),
+    ):
+        executed = notebook(source, input_path="/home/me/some.ipynb")
+        executed.cells[0].metadata.tags = ["injected-parameters"]
+        nbformat.write(executed, path)
+        notebook_shown = build.shown(path)
+        cells = [cell for cell in notebook_shown.cells if cell.cell_type == "code"]
+        assert [cell.source for cell in cells] == shown
+        assert "/home/me" not in nbformat.writes(notebook_shown)
+
+
+def quoted_equations():
+    paths = [
+        *ROOT.glob("robsmooth/**/*.py"),
+        *(ROOT / "data/published.toml", ROOT / "figures/reproduction.md", ROOT / "README.md"),
+        *ROOT.glob("notebooks/*.ipynb"),
+    ]
+    return {
+        found[1]
+        for path in paths
+        for found in references.QUOTED.finditer(path.read_text(encoding="utf-8"))
+        if found[1]
+    }
+
+
+def test_every_equation_that_is_quoted_is_on_the_page_of_equations():
+    assert quoted_equations() <= references.equation_numbers(THEORY).keys()
+    assert len(quoted_equations()) > 10
+
+
+def test_the_equations_have_rising_numbers():
+    numbers = [int(number) for number in re.findall(r"\\tag\{(\d+)\}", THEORY)]
+    assert numbers == sorted(set(numbers))
+    labels = re.findall(r"^\((eq\w+)\)=$", THEORY, flags=re.MULTILINE)
+    assert list(references.equation_numbers(THEORY)) == labels
+
+
+def test_what_only_looks_like_a_quoted_equation_is_left_alone():
+    assert not references.QUOTED.search("solve(equations), (equation), assumptions")
+    assert references.QUOTED.findall("(eqbound) by Assumption 3.2") == [("eqbound", ""), ("", "3")]
+
+
+def test_the_citation_has_what_the_file_says():
+    page = citation.page(ROOT)
+    assert "@misc{robsmooth,\n  title = {{robsmooth: robust" in page
+    assert "  author = {Rehman, Obaid Ur and Petersen, Ian R.},\n" in page
+    assert "  author = {{the robsmooth developers}},\n" in page
+    assert f"  version = {{{metadata.version('robsmooth')}}},\n" in page
+
+
+def test_a_work_with_a_journal_is_an_article():
+    work = {
+        "title": "On Lags",
+        "authors": [{"family-names": "Doe", "given-names": "Jo"}],
+        "journal": "Automatica",
+        "year": 1974,
+        "doi": "10.1/2",
+    }
+    assert citation.reference(work) == "Jo Doe, *On Lags*, Automatica, 1974, 10.1/2."
+    assert citation.bibtex("doe", work) == (
+        "@article{doe,\n"
+        "  title = {{On Lags}},\n"
+        "  author = {Doe, Jo},\n"
+        "  journal = {Automatica},\n"
+        "  year = {1974},\n"
+        "  doi = {10.1/2},\n"
+        "}"
+    )
+
+
+def test_without_sphinx_the_command_says_what_to_do(monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(cli, "find_spec", lambda name: None)
+    assert cli.main(["report"]) == 2
+    assert "`make report` makes an environment with it" in capsys.readouterr().err
+
+
+def test_warnings_of_sphinx_fail_the_command(monkeypatch, capsys):
+    monkeypatch.setattr(docs.__main__, "build", lambda *_: None)
+    assert docs.__main__.main([]) == 1
+    assert capsys.readouterr().err.startswith("robsmooth: no new site was made")

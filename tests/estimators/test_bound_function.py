@@ -1,0 +1,141 @@
+"""What the search sees: the bound by other routes, and its gradient by differences."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import quad_vec
+from scipy.linalg import sqrtm
+
+from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne
+from robsmooth.estimators.bound_function import entropy
+from robsmooth.estimators.limit import limiting_smoother
+from tests.estimators.test_limit import CASES, limit_of
+from tests.helpers.strategies import feasible_design, random_system
+
+COSTS = ("filtered", "smoothed")
+
+
+@pytest.fixture(scope="module")
+def example():
+    return augment(homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
+
+
+def general_design(seed, cost):
+    rng = np.random.default_rng(seed)
+    for _ in range(50):
+        plant = augment(random_system(rng, n=2, m=2, l=2, g=1 + seed % 2, size=0.05), 0.5, 1)
+        if design := feasible_design(rng, plant, cost):
+            return design
+    raise AssertionError("no feasible design found")
+
+
+def differences(function, point, step=1e-4):
+    """Fourth-order differences in the logarithms of the arguments."""
+    slopes = []
+    for i in range(len(point)):
+        values = []
+        for k in (-2, -1, 1, 2):
+            beside = point.copy()
+            beside[i] *= np.exp(k * step)
+            values.append(function(beside))
+        slopes.append((values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * step))
+    return np.array(slopes)
+
+
+def check(v, theta, rates, bound, tau):
+    value, gradient = v(theta, rates)
+    assert tau / v.time * np.exp(value) == pytest.approx(bound, rel=1e-11)
+    point = np.concatenate([theta, rates])
+    a = len(theta)
+    expected = differences(lambda z: v(z[:a], z[a:])[0], point)
+    assert_allclose(gradient * point, expected, rtol=0, atol=1e-8 * max(1.0, abs(expected).max()))
+
+
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("seed", range(4))
+def test_value_is_that_of_the_design_and_gradient_that_of_differences(seed, cost):
+    design = general_design(seed, cost)
+    v = entropy(design.plant, cost)
+    check(v, design.tau / v.time * design.multipliers, np.zeros(0), design.bound, design.tau)
+
+
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("case", CASES)
+def test_the_same_in_the_limit(case, cost):
+    plant, zero, rates = CASES[case]
+    limit = limit_of(plant, zero, cost, rates)
+    v = entropy(plant, cost, limit.multipliers == 0.0)
+    speeds = np.ones(len(limit.multipliers)) if rates is None else np.array(rates)
+    theta = limit.tau / v.time * limit.multipliers[v.active]
+    check(v, theta, speeds[v.vanishing], limit.bound, limit.tau)
+
+
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("small", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("J_21", [1.0, 0.01])
+def test_small_multipliers_of_a_pair_do_no_harm(J_21, small, cost):
+    # The copy and the nonlinearity are nearly one channel: formed plainly, the bound and its
+    # gradient lose as many digits as M has decades.
+    plant = augment(homodyne.PAPER.uncertain_system(), 3.1e-6, 2, J_21=J_21)
+    v = entropy(plant, cost)
+    tau, multipliers = 1.1e-6, np.array([1.0, 0.5 - small, small, small])
+    value, gradient = v(tau / v.time * multipliers, np.zeros(0))
+    limit = limiting_smoother(plant, tau, [1.0, 0.5, 0.0, 0.0], cost)
+    excess = (tau / v.time * np.exp(value) - limit.bound) / (small * limit.bound)
+    # linear in `small`, and along the gradient
+    along = tau / v.time * gradient @ [0.0, -1.0, 1.0, 1.0]
+    assert excess == pytest.approx(along, rel=1e-5 + 2e3 * small + 1e-13 / small)
+
+
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("seed", range(3))
+def test_bound_is_half_the_entropy_of_the_closed_loop(seed, cost):
+    # With tau = 1 and the channels weighted by M(theta) and N(theta), the closed loop T satisfies
+    # |T| < 1, and V/tau is -1/(4 pi) times the integral of log det(I - T*T) over all frequencies.
+    design = general_design(seed, cost)
+    plant, m = design.plant, design.plant.system.m
+    M, N = (f(design.tau * design.multipliers) for f in (plant.M, plant.N))
+    into, out = np.linalg.inv(sqrtm(M).real), sqrtm(N).real
+    C = plant.C_p0 if cost == "filtered" else plant.C_a
+    A = np.block(
+        [
+            [plant.A_p, np.zeros((plant.n, plant.n))],
+            [design.B_c @ plant.C2_tilde, design.A_c],
+        ]
+    )
+    B = np.vstack([plant.B1_tilde, design.B_c @ plant.D21_tilde]) @ into
+    outputs = np.vstack(
+        [
+            np.hstack([C, -design.C_c[:m]]),
+            out @ np.hstack([plant.C1_tilde, plant.D12_tilde @ design.C_c]),
+        ]
+    )
+    identity = np.eye(B.shape[1])
+
+    def integrand(angle):
+        omega = np.tan(angle)
+        T = outputs @ np.linalg.solve(1j * omega * np.eye(len(A)) - A, B)
+        sign, logarithm = np.linalg.slogdet(identity - T.conj().T @ T)
+        assert sign.real > 0.0
+        return logarithm * (1.0 + omega**2)
+
+    integral = quad_vec(integrand, 0.0, np.pi / 2 - 1e-9, epsrel=1e-9)[0]
+    assert -design.tau * integral / (2 * np.pi) == pytest.approx(design.bound, rel=1e-6)
+
+
+def test_conditions_of_a_design_are_those_of_the_value(example):
+    v = entropy(example, "filtered")
+    for tau, multipliers in ((1.1e-6, [1, 0.45, 1e-2, 1e-2]), (1e-8, [1, 0.49, 1e-4, 1e-4])):
+        with pytest.raises(InfeasibleDesignError) as here:
+            v(tau / v.time * np.array(multipliers), np.zeros(0))
+        with pytest.raises(InfeasibleDesignError) as there:
+            design_smoother(example, tau, multipliers)
+        assert here.value.condition == there.value.condition
+
+
+def test_value_for_a_smaller_uncertainty_is_that_of_the_smaller_uncertainty(example):
+    smaller = homodyne.HomodyneParameters(9.14e3, 4e4, 1162.0, 1.0, 0.5 * 0.4)
+    theta = np.array([1.0, 0.5, 1e-4, 1e-4])
+    v = entropy(example, "filtered")
+    w = entropy(augment(smaller.uncertain_system(), 3.1e-6, 2), "filtered")
+    assert v.scaled(0.5)(theta, np.zeros(0))[0] == pytest.approx(w(theta, np.zeros(0))[0])

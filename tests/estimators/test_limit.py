@@ -1,0 +1,260 @@
+"""The limit of vanishing multipliers: against designs next to it, its structure, its guarantee."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from robsmooth import (
+    InfeasibleDesignError,
+    Nonlinearity,
+    Uncertainty,
+    augment,
+    design_smoother,
+    homodyne,
+)
+from robsmooth.analysis.covariance import closed_loop
+from robsmooth.estimators.limit import limiting_smoother
+from robsmooth.estimators.smoother import multiplier_level
+from tests.helpers.loops import two_channels
+from tests.helpers.strategies import admissible_delta, random_system
+
+COSTS = ("filtered", "smoothed")
+EXAMPLE = (1.1e-6, [1.0, 0.5, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def example():
+    return augment(homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
+
+
+def limit_of(plant, zero, cost="filtered", rates=None, seed=0):
+    """A limiting design at random multipliers, about the least tau that is feasible."""
+    rng = np.random.default_rng(seed)
+    multipliers = rng.uniform(0.3, 1.0, len(plant.M_i))
+    multipliers[plant.system.k + plant.system.g :] *= 0.3
+    multipliers[list(zero)] = 0.0
+    multipliers *= 0.9 / multiplier_level(plant, plant.M(multipliers))
+    for tau in np.geomspace(0.3, 1e3, 20):
+        try:
+            return limiting_smoother(plant, tau, multipliers, cost, rates=rates)
+        except InfeasibleDesignError:
+            continue
+    raise AssertionError("no limiting design found")
+
+
+def observer_plant(seed, g=1, l=2, C=0.0, B=1.0):  # noqa: E741 - the paper's letter
+    """A plant with little or no uncertainty but that of its nonlinearities."""
+    system = random_system(np.random.default_rng(seed), n=2, m=1, l=l, g=g)
+    return augment(
+        replace(
+            system,
+            uncertainties=[Uncertainty(u.B, C * u.C, u.D) for u in system.uncertainties],
+            nonlinearities=[replace(c, B=B * c.B) for c in system.nonlinearities],
+        ),
+        0.5,
+        1,
+    )
+
+
+def cascade(seed):
+    """A plant with X0 and b different from zero: uncertainty drives what vanishing noise enters."""
+    system = random_system(np.random.default_rng(seed), n=3, m=1, l=2, g=3)
+    A = np.array(system.A)
+    A[0, 1:] = 0.0
+    first, second, third = system.nonlinearities
+    return augment(
+        replace(
+            system,
+            A=A,
+            uncertainties=[Uncertainty(u.B, u.C * [1, 0, 0], u.D) for u in system.uncertainties],
+            nonlinearities=[
+                replace(first, B=first.B * [[0], [1], [1]]),
+                replace(second, B=second.B * [[0], [1], [1]]),
+                replace(third, C=third.C * [1, 0, 0]),
+            ],
+        ),
+        0.5,
+        1,
+    )
+
+
+CASES = {
+    "a nonlinearity that enters the state": (observer_plant(1), [3, 4], None),
+    "one measurement": (observer_plant(2, l=1), [3, 4], [0, 0, 0, 1.0, 0.2]),
+    "two at different rates": (observer_plant(3, g=2), [4, 5, 6, 7], [0, 0, 0, 0, 1, 3, 0.5, 2]),
+    "one of two": (observer_plant(3, g=2, B=0.0), [4, 6], None),
+    "with uncertainty": (observer_plant(7, g=2, C=0.1, B=0.0), [4, 6], None),
+    "cascade": (cascade(1), [5, 6, 8, 9], [0, 0, 0, 0, 0, 1.0, 0.4, 0, 0.7, 1.5, 0]),
+    "difference and nonlinearity": (observer_plant(6), [2, 3], None),
+    "difference and copy": (observer_plant(4, B=0.0), [2, 4], None),
+    "all of a nonlinearity": (observer_plant(6, l=1), [2, 3, 4], [0, 0, 1.0, 2.0, 0.5]),
+    "an uncertainty of the measurement": (observer_plant(6, C=0.5), [1], None),
+}
+
+
+def extrapolated(limit, rates, quantity, step=1e-4):
+    """A quantity of designs next to a limit, extrapolated to it."""
+    values = []
+    for epsilon in (step, step / 2, step / 4):
+        multipliers = limit.multipliers + epsilon * rates
+        design = design_smoother(limit.plant, limit.tau, multipliers, limit.cost)
+        values.append(quantity(design))
+    return (values[0] - 6 * values[1] + 8 * values[2]) / 3
+
+
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("case", CASES)
+def test_limit_is_that_of_designs_next_to_it(case, cost):
+    plant, zero, rates = CASES[case]
+    limit = limit_of(plant, zero, cost, rates)
+    approach = (limit.multipliers == 0.0) * 1.0 if rates is None else np.array(rates)
+    for name in ("bound", "A_c", "B_c", "C_c", "X", "Y"):
+        expected = extrapolated(limit, approach, lambda design, name=name: getattr(design, name))
+        size = np.abs(expected).max()
+        assert_allclose(getattr(limit, name), expected, rtol=0, atol=1e-6 * size + 1e-9)
+
+
+@pytest.mark.parametrize("cost", COSTS)
+def test_limit_of_the_example_is_that_of_designs_next_to_it(example, cost):
+    limit = limiting_smoother(example, *EXAMPLE, cost)
+    for name in ("bound", "A_c", "B_c", "C_c", "Y"):
+        expected = extrapolated(
+            limit,
+            np.array([0.0, -1.0, 1.0, 1.0]),
+            lambda design, name=name: getattr(design, name),
+            step=1e-5,
+        )
+        size = np.abs(expected).max()
+        assert_allclose(getattr(limit, name), expected, rtol=0, atol=1e-6 * size)
+    assert_allclose(limit.X, 0.0, atol=0)
+
+
+@pytest.mark.parametrize("case", ["one measurement", "two at different rates", "with uncertainty"])
+def test_limit_is_a_nonlinear_observer(case):
+    # the copy's output enters the estimator as the nonlinearity enters the system
+    plant, zero, rates = CASES[case]
+    limit = limit_of(plant, zero, "filtered", rates)
+    system, n = plant.system, plant.system.n
+    innovation = limit.B_c[:, : system.l]
+    for i, channel in enumerate(system.nonlinearities):
+        if system.k + system.g + i not in zero:
+            continue
+        expected = -innovation @ channel.D
+        expected[:n] += channel.B
+        assert_allclose(limit.B_c[:, [system.l + i]], expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("case", ["two at different rates", "cascade", "with uncertainty"])
+def test_the_guarantee_holds_in_the_limit(case, cost):
+    plant, zero, rates = CASES[case]
+    limit = limit_of(plant, zero, cost, rates)
+    rng = np.random.default_rng(0)
+    # with the smoothed cost the error is that against the delay model's output
+    C = plant.C_p0 if cost == "filtered" else plant.C_a
+    error = np.hstack([C, -limit.C_c[: plant.system.m]])
+    for _ in range(20):
+        P = closed_loop(limit, admissible_delta(rng, plant)).covariance()
+        assert np.trace(error @ P @ error.T) / 2 <= limit.bound
+
+
+def test_only_the_ratios_of_the_rates_matter_and_not_how_a_pair_shares_its_own():
+    plant, zero, rates = CASES["two at different rates"]
+    limit = limit_of(plant, zero, rates=rates)
+
+    def bound(*pairs):
+        weights = [0, 0, 0, 0, *pairs]
+        return limiting_smoother(plant, limit.tau, limit.multipliers, rates=weights).bound
+
+    assert bound(7, 21, 3.5, 14) == pytest.approx(limit.bound, rel=1e-12)
+    assert bound(1.5, 0, 0, 5) == pytest.approx(limit.bound, rel=1e-12)
+    assert abs(bound(1, 1, 1, 1) / limit.bound - 1) > 1e-6
+
+
+def test_where_M_stays_positive_the_limit_is_the_design(example):
+    multipliers = [0.9, 0.4, 0.0, 1e-4]
+    limit = limiting_smoother(example, 1.1e-6, multipliers)
+    design = design_smoother(example, 1.1e-6, multipliers)
+    assert limit.bound == design.bound
+    assert_allclose(limit.A_c, design.A_c, rtol=0)
+
+
+def test_ignoring_the_measurement_is_a_limit_too(example):
+    # as tau grows, the bound tends to half the variance of the phase itself, kappa/(2 lam)
+    bounds = [limiting_smoother(example, tau, [1.0, 0.0, 0.0, 0.0]).bound for tau in (1.0, 1e3)]
+    assert_allclose(bounds, 4e4 / (4 * 9.14e3), rtol=1e-3)
+    assert bounds[1] == pytest.approx(4e4 / (4 * 9.14e3), rel=1e-6)
+
+
+def test_limit_does_not_depend_on_the_unit_of_time(example):
+    unit = 1e-5
+    parameters = homodyne.HomodyneParameters(
+        lam=9.14e3 * unit, kappa=4e4 * unit, alpha=1162.0 * np.sqrt(unit), beta=1.0, gamma=0.4
+    )
+    other = augment(parameters.uncertain_system(), 3.1e-6 / unit, 2)
+    tau, multipliers = EXAMPLE
+    for cost in COSTS:
+        here = limiting_smoother(example, tau, multipliers, cost)
+        there = limiting_smoother(other, tau / unit, multipliers, cost)
+        assert there.bound == pytest.approx(here.bound, rel=1e-11)
+        assert_allclose(there.poles / unit, here.poles, rtol=1e-8)
+
+
+# --- refusals -----------------------------------------------------------------------------------
+
+
+def test_uncertainty_that_meets_the_vanishing_noise_is_refused():
+    plant = observer_plant(1, C=1.0)
+    multipliers = np.array([1.0, 1.0, 0.4, 0.0, 0.0])
+    multipliers *= 0.9 / multiplier_level(plant, plant.M(multipliers))
+    with pytest.raises(InfeasibleDesignError, match="grows without limit") as caught:
+        for tau in np.geomspace(0.3, 1e3, 20):
+            try:
+                limiting_smoother(plant, tau, multipliers)
+            except InfeasibleDesignError as error:
+                if not error.condition.startswith("Assumption 3.1"):
+                    raise
+    assert caught.value.condition.startswith("Assumption 3.2")
+
+
+def test_noise_without_bound_that_no_measurement_sees_is_refused(example):
+    with pytest.raises(InfeasibleDesignError, match="no measurement sees") as caught:
+        limiting_smoother(example, 1e-6, [0.0, 0.4, 1e-3, 1e-3])
+    assert caught.value.condition == "M(lambda) > 0"
+
+
+def test_a_plant_that_is_not_stable_with_its_own_nonlinearity_has_no_limit():
+    channel = Nonlinearity([[1.0]], [[1.1]], [[0.0]], lipschitz=1.0)
+    system = two_channels(nonlinearities=[channel])
+    with pytest.raises(InfeasibleDesignError, match=r"in the limit fails"):
+        limiting_smoother(augment(system, 0.0, 0), 100.0, [0.5, 0.5, 0.2, 0.0, 0.0])
+
+
+def test_multipliers_outside_the_constraint_are_refused(example):
+    with pytest.raises(InfeasibleDesignError, match=r"divide the multipliers by 1\.2"):
+        limiting_smoother(example, 1e-6, [1.2, 0.5, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    "rates, message",
+    [
+        ([0.0, 0.0, 0.0, 0.0], "rates must be positive for enough"),
+        ([1.0, 1.0, 0.0, 0.0], "rates must be positive for enough"),  # of what does not vanish
+        ([0.0, 0.0, -1.0, 1.0], "rates must not be negative"),
+        ([1.0, 1.0], r"rates must have k \+ 3g = 1 \+ 3\*1 = 4 entries"),
+    ],
+)
+def test_bad_rates_are_an_error(example, rates, message):
+    with pytest.raises(ValueError, match=message):
+        limiting_smoother(example, *EXAMPLE, rates=rates)
+
+
+def test_bad_arguments_are_those_of_a_design(example):
+    with pytest.raises(ValueError, match="tau must"):
+        limiting_smoother(example, 0.0, EXAMPLE[1])
+    with pytest.raises(ValueError, match="cost must be one of"):
+        limiting_smoother(example, *EXAMPLE, "both")
+    with pytest.raises(TypeError, match="plant must be an AugmentedSystem"):
+        limiting_smoother(example.system, *EXAMPLE)

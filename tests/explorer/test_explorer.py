@@ -1,0 +1,377 @@
+"""The explorer: its numbers are the library's, every setting gives panels or a sentence."""
+
+import asyncio
+import base64
+import io
+import threading
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import matplotlib as mpl
+import matplotlib.image
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.text import Text
+
+import robsmooth as rs
+from robsmooth.explorer import Explorer, Settings, experiments, explorer
+from robsmooth.explorer import snapshot as model
+from robsmooth.explorer import text as words
+from robsmooth.explorer.panels import NO_DESIGN, PREPARING, Panels
+from robsmooth.explorer.settings import DESIGNS, RANGES
+from robsmooth.workbench import parameters
+from tests.helpers import looks
+from tests.helpers.waiting import PATIENCE
+
+NOTEBOOK = Path(__file__).resolve().parents[2] / "notebooks" / "explore.ipynb"
+PAPER = Settings()
+ON_ITS_FACE = {"design": "by hand", "lambda1": 1.0, "lambda2": 0.5, "lambda3": 0.0, "lambda4": 0.0}
+INFEASIBLE = replace(PAPER, design="by hand")
+DESIGNED = {
+    "paper": PAPER,
+    "smoothed cost": Settings(cost="smoothed", lag=8e-6, gamma=0.3),
+    "by hand": Settings(**ON_ITS_FACE, tau=1.3e-6, order=1),
+    "other light": Settings(noise=0.5, lam=2e4, kappa=1e5, order=1),
+    "classical": Settings(design="classical", kappa=2e4),
+}
+
+
+def pixels(png):
+    return matplotlib.image.imread(io.BytesIO(png))
+
+
+# --- settings -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_a_slider_can_stand_at_its_default(name):
+    allowed = RANGES[name]
+    steps = (allowed.shown(getattr(PAPER, name)) - allowed.low) / allowed.step
+    assert steps == pytest.approx(round(steps), abs=1e-9)
+    assert allowed.si(allowed.shown(getattr(PAPER, name))) == getattr(PAPER, name)
+
+
+def test_the_defaults_are_the_paper():
+    assert PAPER.parameters == rs.homodyne.PAPER
+
+
+def test_noise_is_that_of_a_weaker_beam():
+    noisier = Settings(noise=4.0).parameters
+    assert noisier == replace(rs.homodyne.PAPER, alpha=rs.homodyne.PAPER.alpha / 2)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"lag": 1.0}, r"lag must be finite and in \[2e-07, 1.5e-05\], got 1.0"),
+        ({"order": 2.5}, "order must be a whole number, got 2.5"),
+        ({"cost": "low"}, "cost must be one of 'filtered', 'smoothed', got 'low'"),
+        ({"design": "good"}, "design must be one of 'robust', 'by hand', 'classical', got 'good'"),
+    ],
+    ids=lambda given: "-".join(given) if isinstance(given, dict) else "",
+)
+def test_bad_settings_are_refused_with_a_sentence(wrong, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        Settings(**wrong)
+
+
+def test_the_notebook_allows_what_the_sliders_do():
+    given = parameters.read(NOTEBOOK)
+    for name in given.keys() & RANGES.keys():
+        allowed, interval = RANGES[name], given[name].allowed
+        assert (interval.low, interval.high) == (allowed.si(allowed.low), allowed.si(allowed.high))
+    assert given["design"].allowed == DESIGNS
+    for name in given.keys() & asdict(PAPER).keys():
+        assert given[name].default == getattr(PAPER, name)
+
+
+# --- what is shown --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", DESIGNED)
+def test_the_code_finds_the_numbers_of_the_panels(name):
+    snapshot = model.look(DESIGNED[name])
+    simulated = model.simulate(snapshot)
+    found = {"print": lambda *_: None}
+    exec(words.code(snapshot.settings), found)
+    assert np.array_equal(found["filtered"], snapshot.sweep.filtered)
+    assert np.array_equal(found["smoothed"], snapshot.sweep.smoothed)
+    assert found["simulated"].smoothed == simulated.smoothed
+    assert found["simulated"].filtered == simulated.filtered
+    if snapshot.settings.design != "classical":
+        assert 2 * found["smoother"].bound == snapshot.guarantee.bound
+
+
+def test_where_there_is_no_design_the_code_raises_what_the_panels_say():
+    snapshot = model.look(INFEASIBLE)
+    with pytest.raises(rs.InfeasibleDesignError) as refusal:
+        exec(words.code(INFEASIBLE), {})
+    assert str(refusal.value) == snapshot.estimator == snapshot.sweep
+    assert model.simulate(snapshot) == snapshot.estimator
+    assert snapshot.estimator in words.summary(snapshot, snapshot.estimator)
+
+
+@pytest.mark.parametrize("cost", ["filtered", "smoothed"])
+@pytest.mark.parametrize("change", [{}, {"gamma": 0.7, "lag": 1e-6}, {"noise": 3.0, "order": 1}])
+def test_the_robust_design_has_the_least_bound(cost, change):
+    design = model.design(Settings(**change, cost=cost))
+    least = rs.minimize_bound(design.plant, cost)
+    assert design.bound == pytest.approx(least.bound_infimum, rel=1e-6)
+
+
+def test_the_bound_holds_on_its_panel():
+    for cost in ("filtered", "smoothed"):
+        guarantee = model.look(Settings(cost=cost)).guarantee
+        assert (guarantee.errors < guarantee.bound).all()
+        assert guarantee.errors.max() > 0.5 * guarantee.bound
+
+
+def test_references_are_the_best_that_there_are():
+    classical = model.look(Settings(design="classical", order=5))
+    assert classical.filtering == pytest.approx(classical.sweep.filtered[-1], rel=1e-6)
+    assert classical.optimum == pytest.approx(classical.sweep.smoothed[-1], rel=2e-3)
+    assert classical.optimum < classical.sweep.smoothed[-1]
+    robust = model.look(Settings(order=5))
+    assert np.array_equal(robust.classical.smoothed, classical.sweep.smoothed)
+
+
+def test_the_path_is_one_of_the_loop():
+    """Averaged over time, its errors are those of the simulation, as far as chance lets them."""
+    path = model.look(PAPER).path
+    lag = round(PAPER.lag / model.STEP)
+    filtered = np.mean((path.phase - path.filtered) ** 2)
+    smoothed = np.mean((path.phase[:-lag] - path.smoothed[lag:]) ** 2)
+    assert 0.03 < smoothed < filtered < 0.2
+    moved = model.look(replace(PAPER, lag=3.2e-6, order=3)).path
+    assert np.array_equal(moved.phase, path.phase)
+    assert np.abs(moved.smoothed - path.smoothed).max() < 0.2
+
+
+def positions(allowed):
+    """What a slider can be at."""
+    steps = round((allowed.high - allowed.low) / allowed.step)
+    return st.integers(0, steps).map(lambda k: allowed.si(allowed.low + k * allowed.step))
+
+
+all_settings = st.builds(
+    Settings,
+    **{name: positions(allowed) for name, allowed in RANGES.items()},
+    cost=st.sampled_from(["filtered", "smoothed"]),
+    design=st.sampled_from(DESIGNS),
+)
+
+
+@pytest.fixture(scope="module")
+def panels():
+    return Panels()
+
+
+@settings(max_examples=40)
+@given(all_settings)
+def test_every_setting_gives_panels_or_a_sentence(panels, chosen):
+    snapshot = model.look(chosen)
+    compiled = chosen.order == 2 or isinstance(snapshot.estimator, str)
+    simulated = model.simulate(snapshot) if compiled else PREPARING
+    panels.show(snapshot, simulated)
+    assert pixels(panels.png()).shape == (585, 910, 3)
+    assert words.summary(snapshot, simulated).endswith(".")
+    if isinstance(snapshot.estimator, str):
+        shown = [text.get_text().replace("\n", " ") for text in panels.figure.findobj(Text)]
+        assert snapshot.estimator in shown
+        assert shown.count(NO_DESIGN) == 4
+
+
+def test_words_say_where_theory_ends():
+    slipping = model.look(Settings(kappa=2.4e5, noise=2.0))
+    assert " of 128 slip by whole turns" in words.summary(slipping, model.simulate(slipping))
+    lost = replace(model.simulate(slipping), slipped_paths=128)
+    assert "every simulated path slips" in words.summary(slipping, lost)
+    weak = model.look(Settings(kappa=4e3, lam=5e4, noise=5.0, gamma=0.8))
+    assert "no better than not to measure at all, 0.0400 rad²" in words.summary(weak, PREPARING)
+    classical = model.look(Settings(design="classical"))
+    assert "no guarantee" in words.summary(classical, PREPARING)
+
+
+def test_too_long_a_lag_is_said_to_be_worse_than_none():
+    snapshot = model.look(Settings(lag=15e-6, order=1))
+    simulated = model.simulate(snapshot)
+    assert simulated.smoothed.mean_square > simulated.filtered.mean_square
+    assert "above the filter's" in words.summary(snapshot, simulated)
+
+
+def test_experiments_have_a_row_for_what_there_is_not():
+    cases = {"paper": PAPER, "no": INFEASIBLE, "classical": DESIGNED["classical"]}
+    paper, no, classical = experiments(cases, "Three.").rows
+    assert paper[2] < paper[1] < paper[4]
+    assert no == ("no", "no design", "no design", None, None, None)
+    assert classical[4] == "none"
+
+
+# --- the figure -----------------------------------------------------------------------------------
+
+
+def test_the_figure_fits_a_page_and_nothing_is_in_the_way_of_its_words():
+    figure = Explorer().figure
+    assert figure.get_figwidth() <= 7.0
+    assert looks.flaws(figure) == []
+
+
+def test_a_figure_depends_on_the_settings_alone(panels):
+    snapshot, other = model.look(PAPER), model.look(INFEASIBLE)
+    simulated = model.simulate(snapshot)
+    panels.show(snapshot, simulated)
+    first = panels.png()
+    panels.show(other, other.estimator)
+    assert panels.png() != first
+    with mpl.rc_context({"axes.prop_cycle": mpl.cycler(color=["k"]), "font.size": 20}):
+        panels.show(snapshot, simulated)
+        assert panels.png() == first
+
+
+def test_without_a_design_only_what_depends_on_it_changes(panels):
+    snapshot, other = model.look(PAPER), model.look(INFEASIBLE)
+    panels.show(snapshot, model.simulate(snapshot))
+    with_design = pixels(panels.png())
+    panels.show(other, other.estimator)
+    changed = (pixels(panels.png()) != with_design).any(axis=2)
+    for axes in panels.figure.axes:
+        box = axes.get_window_extent()
+        rows = slice(round(585 - box.y1), round(585 - box.y0))
+        inside = changed[rows, round(box.x0) : round(box.x1)]
+        assert inside.any()
+        changed[rows, round(box.x0) - 2 : round(box.x1) + 9] = False  # the star is on the edge
+    assert not changed.any()
+
+
+# --- controls, and what is drawn when -------------------------------------------------------------
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The settings that were drawn, in order."""
+    seen = []
+    monkeypatch.setattr(explorer, "look", lambda chosen: seen.append(chosen) or model.look(chosen))
+    return seen
+
+
+def test_a_slider_changes_the_panels_and_reset_brings_them_back():
+    shown = Explorer(replace(PAPER, lag=2e-6))
+    controls = shown.show_controls()
+    first = {name: getattr(controls, name).value for name in ("panels", "summary", "code")}
+    controls.inputs["lag"].value = 4.0
+    assert shown.settings == replace(PAPER, lag=4e-6) == shown.snapshot.settings
+    for name, value in first.items():
+        assert getattr(controls, name).value != value
+    controls.reset.click()
+    for name, value in first.items():
+        assert getattr(controls, name).value == value
+
+
+def test_reset_is_one_change(drawn):
+    shown = Explorer()
+    controls = shown.show_controls()
+    for name in ("lag", "gamma", "noise"):
+        controls.inputs[name].value *= 1.5
+    del drawn[:]
+    controls.reset.click()
+    assert drawn == [PAPER]
+
+
+def test_only_controls_that_matter_are_there():
+    controls = Explorer().show_controls()
+    *always, by_hand = controls.widget.children[0].children
+    assert controls.inputs["tau"] in by_hand.children[1].children
+    shown = {}
+    for design in ("robust", "by hand", "classical"):
+        controls.inputs["design"].value = design
+        shown[design] = (by_hand.layout.display != "none", not controls.inputs["cost"].disabled)
+        assert all(column.layout.display != "none" for column in always)
+    assert shown == {"robust": (False, True), "by hand": (True, True), "classical": (False, False)}
+
+
+def test_without_a_design_the_reason_is_said_and_escaped():
+    controls = Explorer().show_controls()
+    controls.inputs["design"].value = "by hand"
+    assert "Assumption 3.2 (Riccati equation for X) fails" in controls.summary.value
+    controls.inputs["lambda2"].value = 1.0
+    assert "M(lambda)^-1 &gt;= J J&#x27;" in controls.summary.value
+
+
+def test_the_code_is_copied_by_the_browser():
+    controls = Explorer().show_controls()
+    controls.copy.click()
+    controls.copy.click()
+    (output,) = controls._script.outputs  # not one more for each click
+    script = output["data"]["application/javascript"]
+    assert "clipboard.writeText" in script
+    (own,) = [name for name in controls.widget._dom_classes if f".{name} textarea" in script]
+    assert own != Explorer().show_controls().widget._dom_classes[-1]
+
+
+def test_of_many_events_the_newest_only_is_drawn(drawn, monkeypatch):
+    monkeypatch.setattr(explorer, "PATIENCE", PATIENCE)
+
+    async def drag():
+        shown = Explorer()
+        controls = shown.show_controls()
+        del drawn[:]
+        for lag in np.linspace(4.0, 5.0, 11):
+            controls.inputs["lag"].value = lag
+        while not drawn:
+            await asyncio.sleep(0.001)
+        return shown.snapshot.settings
+
+    assert asyncio.run(drag()) == replace(PAPER, lag=5e-6)
+    assert drawn == [replace(PAPER, lag=5e-6)]
+
+
+def test_a_slow_simulation_keeps_nothing_else_waiting(monkeypatch):
+    may_go_on, simulated = threading.Event(), []
+
+    def slow(snapshot):
+        may_go_on.wait(PATIENCE)
+        time.sleep(0.02)  # more than a drawing waits
+        simulated.append(snapshot.settings.lag)
+        return model.simulate(snapshot)
+
+    monkeypatch.setattr(explorer, "simulate", slow)
+    monkeypatch.setattr(explorer, "PATIENCE", 0.01)
+
+    async def explore():
+        controls = Explorer().show_controls()
+        assert "being prepared" in controls.summary.value
+        for lag in (4.0, 5.0):
+            before = controls.panels.value
+            controls.inputs["lag"].value = lag
+            while controls.panels.value == before:
+                await asyncio.sleep(0.001)
+        assert "being prepared" in controls.summary.value
+        may_go_on.set()
+        while "being prepared" in controls.summary.value and len(simulated) < 3:
+            await asyncio.sleep(0.001)
+
+    asyncio.run(explore())
+    assert simulated == [3.1e-6, 5e-6]
+
+
+def test_an_explorer_shows_itself_as_an_image_where_nobody_is():
+    shown = Explorer()
+    bundle = shown._repr_mimebundle_()
+    assert set(bundle) == {"image/png", "text/plain"}
+    assert pixels(base64.b64decode(bundle["image/png"])).shape == (585, 910, 3)
+    assert bundle["text/plain"] == words.summary(shown.snapshot, shown.simulated)
+    assert shown.controls is None
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_an_explorer_shows_its_sliders_to_who_can_move_them(monkeypatch, answers):
+    request = {"content": {"allow_stdin": answers}}
+    kernel = SimpleNamespace(get_parent=lambda channel: request if channel == "shell" else {})
+    monkeypatch.setattr(explorer, "get_ipython", lambda: SimpleNamespace(kernel=kernel))
+    bundle = Explorer()._repr_mimebundle_()
+    assert ("application/vnd.jupyter.widget-view+json" in bundle) == answers
+    assert "image/png" in bundle

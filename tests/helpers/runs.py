@@ -1,0 +1,36 @@
+"""`robsmooth` from the command line, with the quick profile; and what is done once a session."""
+
+import fcntl
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def quick(command: str, build: Path) -> subprocess.CompletedProcess:
+    """Run a command of robsmooth with the quick profile, in a folder of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "robsmooth.cli", command, "--profile", "quick", "--build", build],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def once(session: Path, name: str, make: Callable[[Path], None]) -> Path:
+    """Give a folder that `make` has filled, called by the first worker to ask for it.
+
+    `session` is the worker's own temporary folder, which is in that of all workers.
+    """
+    shared = session.parent if "PYTEST_XDIST_WORKER" in os.environ else session
+    folder, done = shared / name, shared / f"{name}.done"
+    with open(shared / f"{name}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            make(folder)
+            done.touch()
+    return folder

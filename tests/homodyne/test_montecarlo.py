@@ -1,0 +1,498 @@
+"""The Monte Carlo: the published protocol's kernel, its trust, and what a user sees.
+
+The kernel is compared with the loop's equations as they are written, on the same noise.
+"""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
+
+from robsmooth._support.errors import UnstableLoopError
+from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.homodyne.montecarlo import (
+    LossOfLockWarning,
+    MeanSquare,
+    euler,
+    monte_carlo,
+    run,
+    splitting,
+)
+from robsmooth.homodyne.montecarlo.euler import CHUNK, SLIPS
+from robsmooth.homodyne.montecarlo.noise import LANES
+from robsmooth.homodyne.montecarlo.protocols import ErgodicSimulation, PaperSimulation
+from tests.helpers.loops import (
+    PARAMETERS,
+    QUIET,
+    assert_within,
+    changed,
+    gaussians,
+    kalman_filter,
+    printed_smoother,
+    quiet,
+    same_numbers,
+    with_parameters,
+)
+
+# --- the kernel -----------------------------------------------------------------------------------
+
+
+def simulation(estimator, parameters=PARAMETERS, options=None, **arguments):
+    """The `Simulation` that `monte_carlo` would carry out."""
+    given = {"protocol": "paper", "runs": 64, "duration": 2e-5, "step": 1e-8} | arguments
+    return run.plan(homodyne_loop(parameters, estimator, **(options or {})), **given)
+
+
+def plain_euler(parameters, estimator, draws, step, options):
+    """The loop as its equations are written, one NumPy statement each: the squared errors."""
+    p, steps = parameters, len(draws)
+    delay = round(estimator.plant.delay / step)
+    first = steps - delay
+    looks = {*range(CHUNK, first, CHUNK), first, *range(first + CHUNK, steps, CHUNK), steps}
+    smoothed_oscillator = options.get("oscillator") == "smoothed"
+    copies = estimator.C_c.shape[0] == 2 and options.get("copy", True)
+    difference = 0.0 if options.get("nonlinearity") == "literal" else 1.0
+    strength = math.sqrt(options.get("shot_noise", 1.0))
+
+    def f(e):
+        return np.sin(e) - p.beta * e
+
+    phase = np.zeros(draws.shape[2])
+    x = np.zeros((estimator.A_c.shape[0], draws.shape[2]))
+    phases = []
+    turns, slips = np.zeros_like(phase), np.zeros_like(phase)
+    for step_index in range(steps + 1):
+        phases.append(phase)
+        w, w_smoothed = estimator.C_c[0] @ x, estimator.C_a[0] @ x
+        u = w_smoothed if smoothed_oscillator else w
+        if step_index in looks:
+            away = phase - u - 2 * np.pi * turns
+            turns += np.sign(away) * (np.abs(away) > 1.5 * np.pi)
+            slips += np.abs(away) > 1.5 * np.pi
+        if step_index == steps:
+            break
+        dW, dV = draws[step_index].astype(float) * math.sqrt(step)
+        reference = difference * u
+        photocurrent = 2 * p.alpha * np.sin(phase - reference) * step + strength * dW
+        dy = (photocurrent + 2 * p.alpha * p.beta * reference * step) / (2 * p.alpha * p.beta)
+        dx = estimator.A_c @ x * step + np.outer(estimator.B_c[:, 0], dy)
+        if copies:
+            nu = estimator.C_c[1] @ x - 2 * p.alpha * p.gamma * reference
+            mu = 2 * p.alpha * f(nu / (2 * p.alpha * p.gamma))
+            dx += np.outer(estimator.B_c[:, 1], mu) * step
+        phase = phase - p.lam * phase * step + math.sqrt(p.kappa) * dV
+        x = x + dx
+    return np.array([(phases[-1] - w) ** 2, (phases[-1 - delay] - w_smoothed) ** 2, slips])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"oscillator": "smoothed"},
+        {"copy": False},
+        {"nonlinearity": "literal"},
+        {"nonlinearity": "literal", "copy": False},
+        {"shot_noise": 30.0},
+        {"oscillator": "smoothed", "shot_noise": 5.0},
+    ],
+    ids=str,
+)
+def test_kernel_agrees_with_a_plain_euler_loop_on_the_same_noise(options):
+    estimator = printed_smoother()
+    given = simulation(estimator, options=options, seed=11)
+    expected = plain_euler(PARAMETERS, estimator, gaussians(11, LANES, 2000), 1e-8, options)
+    assert_allclose(given.simulate(1, 1)[0], expected, rtol=1e-7, atol=1e-9)
+
+
+def test_kernel_agrees_with_a_plain_euler_loop_that_loses_lock():
+    parameters = with_parameters(kappa=2e6, beta=0.8)
+    estimator = printed_smoother()
+    given = simulation(estimator, parameters, seed=1)
+    expected = plain_euler(parameters, estimator, gaussians(1, 0, 2000), 1e-8, {})
+    assert expected[SLIPS].sum() > 10
+    assert_allclose(given.simulate(0, 1)[0], expected, rtol=1e-6, atol=1e-8)
+
+
+def test_kernel_agrees_with_a_plain_euler_loop_for_one_state_without_a_copy():
+    given = simulation(kalman_filter(), seed=5)
+    expected = plain_euler(PARAMETERS, kalman_filter(), gaussians(5, 0, 2000), 1e-8, {})
+    assert_allclose(given.simulate(0, 1)[0], expected, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("protocol", ["paper", "ergodic"])
+@pytest.mark.parametrize("precision", ["mixed", "single"])
+def test_a_path_depends_on_seed_and_index_alone(protocol, precision):
+    how = {"protocol": protocol, "precision": precision, "step": 3.1e-8}
+    few = simulation(printed_smoother(), **how)
+    many = simulation(printed_smoother(), **how, runs=1000)
+    assert many.blocks == 8 and many.paths(7) == 1000 - 7 * LANES
+    whole = many.simulate(0, many.blocks)
+    assert_array_equal(few.simulate(0, 2), whole[:2])
+    parts = [many.simulate(0, 5), many.simulate(5, 1), many.simulate(6, 2)]
+    assert_array_equal(np.concatenate(parts), whole)
+    other = simulation(printed_smoother(), **how, seed=1).simulate(0, 2)
+    assert not np.isin(other[:, :2], whole[:, :2]).any()
+
+
+@pytest.mark.parametrize("protocol", ["paper", "ergodic"])
+@pytest.mark.parametrize("group", [1, 2, 64])
+def test_result_is_the_same_to_the_bit_for_any_threads(monkeypatch, protocol, group):
+    monkeypatch.setattr(run, "BLOCKS_OF_A_GROUP", group)
+    arguments = {"protocol": protocol, "runs": 1333, "duration": 2e-5, "seed": 4}
+    expected = same_numbers(monte_carlo(PARAMETERS, printed_smoother(), **arguments))
+    for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):
+        result = monte_carlo(PARAMETERS, printed_smoother(), threads=threads, **arguments)
+        assert same_numbers(result) == expected
+
+
+def test_result_is_the_same_to_the_bit_with_more_threads_than_cores():
+    script = (
+        "from robsmooth.homodyne.montecarlo import monte_carlo\n"
+        "from tests.homodyne.test_montecarlo import PARAMETERS, printed_smoother, same_numbers\n"
+        "r = monte_carlo(PARAMETERS, printed_smoother(), runs=1333, duration=2e-5, threads=7)\n"
+        "print(same_numbers(r))"
+    )
+    environment = dict(
+        os.environ, NUMBA_NUM_THREADS="7", PYTHONPATH=str(Path(__file__).resolve().parents[2])
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
+    )
+    here = monte_carlo(PARAMETERS, printed_smoother(), runs=1333, duration=2e-5)
+    assert done.stdout.strip() == same_numbers(here)
+
+
+def test_threads_are_set_back_after_an_interruption(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    before = numba.get_num_threads()
+    monkeypatch.setattr(ErgodicSimulation, "simulate", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        monte_carlo(PARAMETERS, printed_smoother(), threads=1)
+    assert numba.get_num_threads() == before
+
+
+@pytest.mark.parametrize("kernel", [euler.simulate_blocks, splitting.simulate_blocks])
+def test_compiled_code_is_kept_for_the_sources_that_it_was_made_from(monkeypatch, kernel):
+    for protocol in ("paper", "ergodic"):
+        simulation(printed_smoother(), protocol=protocol).simulate(0, 1)
+    cache = kernel._cache._cache_file
+    assert cache._load_index()
+    monkeypatch.setattr(cache, "_source_stamp", "of noise.py as it was yesterday")
+    assert not cache._load_index()
+
+
+# --- the numbers ----------------------------------------------------------------------------------
+
+
+def linear_loop(parameters, estimator, shot_noise):
+    """Drift and noise covariance rate of (phi, x_hat) for sin e = e, without a copy."""
+    n = estimator.A_c.shape[0]
+    b = estimator.B_c[:, :1]
+    A = np.zeros((1 + n, 1 + n))
+    A[0, 0] = -parameters.lam
+    A[1:, :1] = b
+    A[1:, 1:] = estimator.A_c
+    Q = np.zeros_like(A)
+    Q[0, 0] = parameters.kappa
+    Q[1:, 1:] = b @ b.T * shot_noise / (2 * parameters.alpha * parameters.beta) ** 2
+    return A, Q
+
+
+def signed(loop):
+    A, Q = loop
+    return A, -Q
+
+
+def linear_mean_squares(P, to_delayed, estimator):
+    """The filtered and the smoothed one from the stationary covariance of (phi, x_hat)."""
+    filtered = np.concatenate([[1.0], -estimator.C_c[0]])
+    smoothed = np.concatenate([[0.0], -estimator.C_a[0]])
+    lagged = P[0, 0] + 2 * smoothed @ to_delayed @ P[:, 0] + smoothed @ P @ smoothed
+    return filtered @ P @ filtered, lagged
+
+
+@pytest.mark.parametrize(
+    ("estimator", "step"),
+    [(kalman_filter(), 5e-8), (kalman_filter(delay=1e-6), 1e-7), (printed_smoother(), 3.1e-8)],
+    ids=["filter", "filter with a lag", "printed smoother"],
+)
+def test_linear_loop_has_the_variances_of_the_lyapunov_equation(estimator, step):
+    parameters = quiet(PARAMETERS)
+    estimator = changed(estimator, B_c=estimator.B_c[:, :1], C_c=estimator.C_c[:1])
+    A, Q = linear_loop(parameters, estimator, QUIET)
+    transition = np.eye(len(A)) + A * step
+    P = solve_discrete_lyapunov(transition, Q * step)
+    to_delayed = np.linalg.matrix_power(transition, round(estimator.plant.delay / step))
+    expected = linear_mean_squares(P, to_delayed, estimator)
+    result = monte_carlo(
+        parameters,
+        estimator,
+        "paper",
+        runs=20_000,
+        duration=3e-4,
+        step=step,
+        seed=2,
+        shot_noise=QUIET,
+    )
+    assert result.slips == 0
+    for error, value in zip((result.filtered, result.smoothed), expected, strict=True):
+        assert error.standard_error < 0.012 * value
+        assert_within(error.mean_square, value, error.standard_error)
+
+
+def test_euler_bias_is_of_first_order_in_the_step():
+    estimator = kalman_filter()
+    rate = -estimator.A_c[0, 0]
+    steps = np.array([0.2, 0.1, 0.05]) / rate
+    results = [
+        monte_carlo(
+            quiet(PARAMETERS),
+            estimator,
+            "paper",
+            runs=200_000,
+            duration=30 / rate,
+            step=step,
+            seed=3,
+            shot_noise=QUIET,
+        )
+        for step in steps
+    ]
+    exact, _ = linear_mean_squares(
+        solve_continuous_lyapunov(*signed(linear_loop(quiet(PARAMETERS), estimator, QUIET))),
+        np.eye(2),
+        estimator,
+    )
+    bias = np.array([result.filtered.mean_square for result in results]) / exact - 1
+    assert all(result.filtered.standard_error < 0.004 * exact for result in results)
+    # Of a scalar linear equation with this rate: 1 / (1 - rate step / 2) - 1.
+    expected = 1 / (1 - rate * steps / 2) - 1
+    assert_within(bias, expected, max(r.filtered.standard_error for r in results) / exact)
+
+
+@pytest.mark.parametrize("protocol", ["paper", "ergodic"])
+def test_single_and_mixed_precision_agree(protocol):
+    arguments = {"runs": 640, "duration": 2e-4, "step": 1e-8}
+    mixed, single = (
+        monte_carlo(PARAMETERS, printed_smoother(), protocol, precision=precision, **arguments)
+        for precision in ("mixed", "single")
+    )
+    assert mixed.filtered != single.filtered
+    for name in ("filtered", "smoothed"):
+        assert getattr(single, name).mean_square == pytest.approx(
+            getattr(mixed, name).mean_square, rel=2e-5
+        )
+
+
+def test_literal_nonlinearity_loses_lock():
+    arguments = {"runs": 500, "duration": 2e-4, "step": 3.1e-8}
+    with pytest.warns(LossOfLockWarning, match="cycle slips in"):
+        literal = monte_carlo(
+            PARAMETERS, printed_smoother(), "paper", nonlinearity="literal", **arguments
+        )
+    assert literal.slipped_paths > 100
+    assert literal.filtered.mean_square > 1
+
+
+def test_published_protocol_is_the_default_of_paper():
+    given = simulation(printed_smoother(), runs=None, duration=None, step=None)
+    assert given.runs == 50_000
+    assert given.steps == 100_000
+
+
+def test_default_step_divides_the_delay():
+    for delay in (3.1e-6, 1e-6 / 3, 7.77e-6):
+        for protocol in ("paper", "ergodic"):
+            estimator = printed_smoother(delay)
+            result = monte_carlo(PARAMETERS, estimator, protocol, runs=1, duration=2e-5)
+            assert delay / result.step == pytest.approx(round(delay / result.step), abs=1e-6)
+            assert result.step <= (1e-8 if protocol == "paper" else 4.5e-7) * (1 + 1e-9)
+
+
+def test_result_does_not_depend_on_the_unit_of_time():
+    parameters, estimator = PARAMETERS, printed_smoother()
+    arguments = {"runs": 64, "duration": 5e-5}
+    seconds = monte_carlo(parameters, estimator, **arguments)
+    unit = 2.0**-20
+    parameters = types.SimpleNamespace(
+        lam=parameters.lam * unit,
+        kappa=parameters.kappa * unit,
+        alpha=parameters.alpha * math.sqrt(unit),
+        beta=1.0,
+        gamma=0.4,
+    )
+    root = math.sqrt(unit)
+    estimator = changed(
+        estimator,
+        A_c=estimator.A_c * unit,
+        B_c=estimator.B_c * [unit, root],
+        C_c=estimator.C_c * [[1], [root]],
+        plant=types.SimpleNamespace(delay=3.1e-6 / unit),
+    )
+    other = monte_carlo(parameters, estimator, runs=64, duration=5e-5 / unit)
+    assert other.smoothed.mean_square == pytest.approx(seconds.smoothed.mean_square, rel=1e-9)
+
+
+# --- what a user sees -----------------------------------------------------------------------------
+
+
+def test_result_has_a_json_form():
+    result = monte_carlo(PARAMETERS, kalman_filter(), runs=1, duration=1e-5)
+    assert math.isnan(result.smoothed.standard_error)
+    text = json.dumps(result.to_dict(), allow_nan=False)
+    assert json.loads(text)["filtered"] == {
+        "mean_square": result.filtered.mean_square,
+        "standard_error": None,
+        "variance_reduction": 1.0,
+    }
+    assert json.loads(text)["provenance"]["parameters"]["kappa"] == 4e4
+
+
+def test_result_describes_itself():
+    result = monte_carlo(PARAMETERS, kalman_filter(), runs=40, duration=1e-5, seed=9)
+    assert isinstance(result.smoothed, MeanSquare)
+    assert result.smoothed == result.filtered  # no lag
+    assert result.path_steps == 40 * round((result.warm_up + result.duration) / result.step)
+    for part in ("ergodic: 40 runs", "seed 9", "mixed", "no slips"):
+        assert part in repr(result)
+
+
+def test_progress_bar_changes_nothing(terminal):
+    arguments = {"runs": 100, "duration": 1e-5}
+    silent = monte_carlo(PARAMETERS, kalman_filter(), **arguments)
+    assert terminal.readouterr().err == ""
+    shown = monte_carlo(PARAMETERS, kalman_filter(), progress=True, **arguments)
+    assert "100/100" in terminal.readouterr().err
+    assert same_numbers(shown) == same_numbers(silent)
+
+
+def test_filtered_row_is_used_where_there_is_one():
+    estimator = changed(printed_smoother(), C_f=np.array([[1.0, 0.0, 0.0]]))
+    assert_array_equal(homodyne_loop(PARAMETERS, estimator).oscillator, [1, 0, 0])
+
+
+def test_overflow_names_the_first_path():
+    with pytest.raises(RuntimeError) as caught:
+        monte_carlo(PARAMETERS, printed_smoother(0.0), "paper", runs=64, step=1e-5, duration=1e-2)
+    for part in ("path 0 of seed 0 overflowed", "kappa=40000", "alpha=1162", "step, 1e-05 s"):
+        assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_path_that_is_not_a_number_is_named_with_its_parameters(monkeypatch, bad):
+    whole = PaperSimulation.simulate
+
+    def spoilt(self, first, count):
+        results = whole(self, first, count)
+        results[2, 1, 7] = bad
+        return results
+
+    monkeypatch.setattr(PaperSimulation, "simulate", spoilt)
+    with pytest.raises(RuntimeError, match=f"path {2 * LANES + 7} of seed 5 overflowed, with lam="):
+        monte_carlo(PARAMETERS, kalman_filter(), "paper", runs=500, duration=1e-6, seed=5)
+
+
+def test_unstable_estimator_is_refused_or_overflows():
+    unstable = changed(kalman_filter(), A_c=np.array([[1e6]]))
+    with pytest.raises(UnstableLoopError, match="decay rate"):
+        monte_carlo(PARAMETERS, unstable)
+    with pytest.raises(RuntimeError, match="the estimator is unstable"):
+        monte_carlo(PARAMETERS, unstable, "paper", runs=1)
+
+
+def test_step_that_does_not_divide_the_delay_is_told_what_would():
+    with pytest.raises(ValueError) as caught:
+        monte_carlo(PARAMETERS, printed_smoother(), step=7e-9)
+    assert "442.857 steps" in str(caught.value)
+    for steps in (442, 443):
+        step = 3.1e-6 / steps
+        assert f"{step:.12g} ({steps} steps)" in str(caught.value)
+        monte_carlo(PARAMETERS, printed_smoother(), step=float(f"{step:.12g}"), runs=1)
+    with pytest.raises(ValueError, match=r"3\.1e-06 \(1 steps\)"):
+        monte_carlo(PARAMETERS, printed_smoother(), step=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"protocol": "Paper"}, ValueError, "protocol must be one of 'ergodic', 'paper'"),
+        ({"precision": "double"}, ValueError, "precision must be one of 'mixed', 'single'"),
+        ({"oscillator": "w"}, ValueError, "oscillator must be one of"),
+        ({"nonlinearity": "sin"}, ValueError, "nonlinearity must be one of"),
+        ({"copy": 1}, TypeError, "copy must be True or False, got 1"),
+        ({"progress": "yes"}, TypeError, "progress must be True or False"),
+        ({"runs": 0}, ValueError, "runs must be an integer of at least 1, got 0"),
+        ({"runs": 10.0}, TypeError, "runs must be an integer, got 10.0"),
+        ({"runs": True}, TypeError, "runs must be an integer"),
+        ({"duration": -1e-3}, ValueError, "duration must be"),
+        ({"duration": math.inf}, ValueError, "duration must be finite"),
+        ({"duration": "1ms"}, TypeError, "duration must be a real number"),
+        ({"duration": 1e-6}, ValueError, r"at least the smoother's delay, 3.1e-06 s, got 1e-06"),
+        ({"step": 0.0}, ValueError, "step must be"),
+        ({"step": math.nan}, ValueError, "step must be finite"),
+        ({"step": 1 + 0j}, TypeError, "step must be a real number"),
+        ({"seed": -1}, ValueError, "seed must be an integer of at least 0, got -1"),
+        ({"seed": 1.5}, TypeError, "seed must be an integer"),
+        ({"seed": 2**64}, ValueError, r"seed must be below 2\*\*64"),
+        ({"shot_noise": -1.0}, ValueError, "shot_noise must be"),
+        ({"shot_noise": math.nan}, ValueError, "shot_noise must be finite"),
+        ({"threads": 0}, ValueError, "threads must be an integer of at least 1"),
+        ({"threads": 10_000}, ValueError, "threads must be at most"),
+        ({"threads": 1.0}, TypeError, "threads must be an integer"),
+    ],
+    ids=str,
+)
+def test_bad_arguments_are_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        monte_carlo(PARAMETERS, printed_smoother(), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("matrices", "error", "message"),
+    [
+        ({"A_c": np.full((3, 3), np.nan)}, ValueError, "smoother.A_c must be finite"),
+        ({"A_c": np.eye(3) * 1j}, ValueError, "smoother.A_c must be real"),
+        ({"A_c": np.zeros((3, 2))}, ValueError, "smoother.A_c must be square"),
+        ({"B_c": np.zeros((2, 2))}, ValueError, "smoother.B_c must have shape"),
+        ({"B_c": np.zeros((3, 1))}, ValueError, "one measurement"),
+        ({"B_c": np.zeros((3, 3)), "C_c": np.zeros((3, 3))}, ValueError, "one measurement"),
+        ({"C_c": np.zeros(3)}, ValueError, "smoother.C_c must have 2 dimension"),
+        ({"C_a": np.zeros((2, 3))}, ValueError, "one output"),
+        ({"C_f": np.zeros((2, 3))}, ValueError, "one output"),
+        ({"plant": types.SimpleNamespace(delay=-1.0)}, ValueError, "plant.delay must be"),
+        ({"plant": None}, TypeError, "smoother must be an estimator"),
+    ],
+    ids=str,
+)
+def test_bad_estimators_are_refused(matrices, error, message):
+    with pytest.raises(error, match=message):
+        monte_carlo(PARAMETERS, changed(printed_smoother(), **matrices))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error"),
+    [
+        ("lam", -1.0, ValueError),
+        ("kappa", math.inf, ValueError),
+        ("alpha", 0.0, ValueError),
+        ("beta", "1", TypeError),
+        ("gamma", 0.0, ValueError),
+    ],
+)
+def test_bad_parameters_are_refused(name, value, error):
+    parameters = with_parameters(**{name: value})
+    with pytest.raises(error, match=rf"parameters\.{name} must be"):
+        monte_carlo(parameters, printed_smoother())
+    with pytest.raises(TypeError, match="parameters must be HomodyneParameters"):
+        monte_carlo({"lam": 1}, printed_smoother())

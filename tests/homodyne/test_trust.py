@@ -1,0 +1,430 @@
+"""What a long Monte Carlo can be trusted with: interruptions, damage, threads and clusters.
+
+Whatever happens to it, a computation ends with the bits that it would have had on its own, or with
+one clear error. The loop here is so noisy that some paths slip: their counts are at stake, too.
+"""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import types
+import warnings
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import numba
+import pytest
+
+import robsmooth as rs
+from robsmooth._support import cluster as executors
+from robsmooth._support.checkpoint import CheckpointError
+from robsmooth.homodyne.montecarlo import LossOfLockWarning, run
+from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK, PROTOCOLS, ErgodicSimulation
+from robsmooth.simulation.statistics import Tally
+from tests.helpers.clusters import cluster_of_threads, start_cluster
+from tests.helpers.loops import changed, printed_smoother, same_numbers, with_parameters
+from tests.helpers.waiting import PATIENCE, wait_until
+
+NOISY = with_parameters(kappa=4e5)
+RUNS, BLOCKS = 1333, 11  # the last block is not a whole one
+MORE_THREADS = min(numba.config.NUMBA_NUM_THREADS, 2)
+
+each_protocol = pytest.mark.parametrize("protocol", ["paper", "ergodic"])
+
+
+def simulate(protocol="ergodic", parameters=NOISY, estimator=None, **arguments):
+    """The numbers of a small run, as a text of all their bits."""
+    arguments = {"runs": RUNS, "duration": 2e-5} | arguments
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LossOfLockWarning)
+        result = rs.monte_carlo(parameters, estimator or printed_smoother(), protocol, **arguments)
+    return same_numbers(result)
+
+
+@pytest.fixture(autouse=True)
+def block_by_block(monkeypatch):
+    """A group for each block, a call for each group of a thread, and a record for each call."""
+    monkeypatch.setattr(run, "BLOCKS_OF_A_GROUP", 1)
+    monkeypatch.setattr(run, "GROUPS_OF_A_CALL", 1)
+    monkeypatch.setattr(run, "CHECKPOINT_EVERY", 0.0)
+
+
+@pytest.fixture
+def simulated(monkeypatch):
+    """The blocks that are simulated in this process, in order."""
+    blocks = []
+    for simulation in PROTOCOLS.values():
+
+        def noted(self, first, count, simulate=simulation.simulate):
+            blocks.extend(range(first, first + count) if first != PILOT_BLOCK else ())
+            return simulate(self, first, count)
+
+        monkeypatch.setattr(simulation, "simulate", noted)
+    return blocks
+
+
+@pytest.fixture
+def merging(monkeypatch):
+    """Counts the blocks that are merged, wherever simulated; calls `before[n]()` before block n."""
+    merging = types.SimpleNamespace(count=0, before={})
+
+    def noted(*arguments, merge=Tally.merge):
+        merging.before.pop(merging.count, lambda: None)()
+        merging.count += 1
+        merge(*arguments)
+
+    monkeypatch.setattr(Tally, "merge", noted)
+    return merging
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "run.checkpoint"
+
+
+def interrupt():
+    raise KeyboardInterrupt
+
+
+def records(path):
+    """Number of records in a checkpoint; 0 where there is none yet."""
+    return max(path.read_bytes().count(b"\n") - 1, 0) if path.exists() else 0
+
+
+# --- resuming -------------------------------------------------------------------------------------
+
+
+@each_protocol
+def test_some_paths_slip_so_that_every_number_is_at_stake(protocol):
+    with pytest.warns(LossOfLockWarning):
+        result = rs.monte_carlo(NOISY, printed_smoother(), protocol, runs=RUNS, duration=2e-5)
+    assert 0 < result.slipped_paths < RUNS
+
+
+@each_protocol
+def test_a_checkpoint_changes_no_bit_and_a_finished_one_needs_no_simulation(
+    protocol, path, simulated
+):
+    expected = simulate(protocol)
+    assert simulate(protocol, checkpoint=path) == expected
+    assert simulated == [*range(BLOCKS)] * 2
+    assert simulate(protocol, checkpoint=str(path)) == expected
+    assert len(simulated) == 2 * BLOCKS
+
+
+@each_protocol
+def test_a_run_that_is_interrupted_before_every_block_has_the_same_bits(
+    protocol, path, simulated, merging
+):
+    expected = simulate(protocol)
+    for done in range(1, BLOCKS):
+        simulated.clear()
+        merging.count, merging.before = done - 1, {done: interrupt}
+        with pytest.raises(KeyboardInterrupt):
+            simulate(protocol, checkpoint=path, threads=1)
+        assert records(path) == done
+        assert simulated == [done - 1, done], "no finished block is simulated again"
+    simulated.clear()
+    assert simulate(protocol, checkpoint=path, threads=MORE_THREADS) == expected
+    assert simulated == [BLOCKS - 1]
+
+
+@each_protocol
+def test_other_threads_may_resume(protocol, path, merging):
+    expected = simulate(protocol)
+    for before, after in [(1, MORE_THREADS), (MORE_THREADS, 1)]:
+        path.unlink(missing_ok=True)
+        merging.count, merging.before = 0, {5: interrupt}
+        with pytest.raises(KeyboardInterrupt):
+            simulate(protocol, checkpoint=path, threads=before)
+        merging.count = 0
+        assert simulate(protocol, checkpoint=path, threads=after) == expected
+        assert BLOCKS - 5 <= merging.count < BLOCKS
+
+
+def test_a_run_that_is_killed_resumes_with_the_same_bits(path, simulated):
+    program = """
+import sys, time
+from robsmooth._support.checkpoint import Journal
+from tests.homodyne import test_trust
+
+def slowly(*arguments, append=Journal.append):
+    append(*arguments)
+    time.sleep(0.02)
+
+Journal.append = slowly
+test_trust.run.BLOCKS_OF_A_GROUP, test_trust.run.CHECKPOINT_EVERY = 1, 0.0
+test_trust.simulate(runs=50_000, checkpoint=sys.argv[1], threads=1)
+"""
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, path],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+    )
+    try:
+        wait_until(lambda: records(path) > 5 or process.poll() is not None)
+    finally:
+        process.kill()
+    assert process.wait() == -signal.SIGKILL
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*was damaged, as when a run is ended while it writes")
+        resumed = simulate(runs=50_000, checkpoint=path)
+    assert simulated[0] > 5
+    assert resumed == simulate(runs=50_000)
+
+
+@contextmanager
+def largest_file(size):
+    """A limit that holds for the files of this process, as on a disk that is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@each_protocol
+def test_a_full_disk_is_a_clear_error_and_the_run_resumes_once_there_is_room(
+    protocol, path, simulated
+):
+    expected = simulate(protocol)
+    with (
+        pytest.raises(OSError, match=r"run\.checkpoint takes no more: .* the same run resumes"),
+        largest_file(3000),
+    ):
+        simulate(protocol, checkpoint=path, threads=1)
+    kept = records(path)
+    assert 1 < kept < BLOCKS
+    simulated.clear()
+    assert simulate(protocol, checkpoint=path) == expected
+    assert simulated == [*range(kept, BLOCKS)]
+
+
+@pytest.mark.parametrize(
+    ("damage", "kept"),
+    [
+        (lambda lines: [*lines[:-1], lines[-1][:-1]], BLOCKS - 1),
+        (lambda lines: [*lines[:-1], lines[-1][:20]], BLOCKS - 1),
+        (lambda lines: [*lines[:4], lines[4][:50], b"\0" * 500], 3),
+        (lambda lines: [*lines[:6], lines[6].replace(b"0.", b"1.", 1), *lines[7:]], 5),
+        (lambda lines: [lines[0], b"torn"], 0),
+    ],
+    ids=["no end of line", "half a line", "power failure", "a changed digit", "no record"],
+)
+def test_blocks_of_a_torn_tail_are_simulated_again(path, simulated, damage, kept):
+    expected = simulate(checkpoint=path, threads=1)
+    path.write_bytes(b"".join(damage(path.read_bytes().splitlines(keepends=True))))
+    simulated.clear()
+    with pytest.warns(RuntimeWarning, match=rf"line\(s\) after record {kept} are cut off"):
+        assert simulate(checkpoint=path) == expected
+    assert simulated == [*range(kept, BLOCKS)]
+
+
+def test_progress_goes_on_from_where_it_was(path, merging, terminal):
+    merging.before = {4: interrupt}
+    with pytest.raises(KeyboardInterrupt):
+        simulate(checkpoint=path, threads=1)
+    simulate(checkpoint=path, progress=True)
+    first, *_ = terminal.readouterr().err.strip("\r").split("\r")
+    assert "512/1.33k" in first
+
+
+# --- checkpoints that are refused -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "difference"),
+    [
+        ({"seed": 1}, "seed is 0 there and 1 here"),
+        ({"runs": RUNS - 1}, f"runs is {RUNS} there and {RUNS - 1} here"),
+        ({"duration": 4e-5}, "duration is .* there and .* here"),
+        ({"step": 3.1e-6 / 9}, r"step is 3\.875e-07 there and 3\.4\d*e-07 here"),
+        ({"precision": "single"}, 'precision is "mixed" there and "single" here'),
+        ({"protocol": "paper"}, 'protocol is "ergodic" there and "paper" here'),
+        ({"parameters": with_parameters(kappa=4.1e5)}, r"\.kappa is 400000\.0 there and 410000\.0"),
+        ({"estimator": printed_smoother(6.2e-6)}, "delay is 3.1e-06 there and 6.2e-06 here"),
+        ({"shot_noise": 2.0}, r"shot_noise is 1\.0 there and 2\.0 here"),
+        ({"oscillator": "smoothed"}, 'oscillator is "filtered" there and "smoothed" here'),
+        ({"copy": False}, "copy is true there and false here"),
+    ],
+    ids=str,
+)
+def test_a_checkpoint_of_another_run_is_refused_with_the_difference(
+    path, simulated, change, difference
+):
+    simulate(checkpoint=path)
+    content = path.read_bytes()
+    simulated.clear()
+    with pytest.raises(CheckpointError, match=f"of another computation: .*{difference}"):
+        simulate(**change, checkpoint=path)
+    assert simulated == []
+    assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("matrix", ["A_c", "B_c", "C_c", "C_a"])
+def test_a_checkpoint_of_another_estimator_is_refused(path, simulated, matrix):
+    simulate(checkpoint=path)
+    simulated.clear()
+    other = printed_smoother()
+    other = changed(other, **{matrix: getattr(other, matrix) * (1 + 1e-15)})
+    with pytest.raises(CheckpointError, match=r"estimator_sha256 is .* there and .* here"):
+        simulate(estimator=other, checkpoint=path)
+    assert simulated == []
+
+
+@pytest.mark.parametrize("name", ["python", "numpy", "numba", "scipy", "robsmooth"])
+def test_a_checkpoint_of_another_version_is_refused(monkeypatch, path, simulated, name):
+    simulate(checkpoint=path)
+    simulated.clear()
+    other = {**executors.software(), name: "0.0.1"}
+    monkeypatch.setattr(executors, "software", lambda: other)
+    with pytest.raises(CheckpointError, match=rf'software\.{name} is .* there and "0\.0\.1" here'):
+        simulate(checkpoint=path)
+    assert simulated == []
+
+
+def test_a_checkpoint_that_cannot_be_one_is_refused_before_anything_is_simulated(
+    tmp_path, simulated
+):
+    notes = tmp_path / "notes.txt"
+    notes.write_text("of a user\n")
+    for checkpoint, error, message in [
+        (tmp_path, CheckpointError, "cannot be opened: Is a directory; give another path"),
+        (notes, CheckpointError, "is not a checkpoint"),
+        (notes / "run", CheckpointError, "cannot be opened"),
+        ("", TypeError, "checkpoint must be the path of a file"),
+        (True, TypeError, "checkpoint must be the path of a file"),
+    ]:
+        with pytest.raises(error, match=message):
+            simulate(checkpoint=checkpoint)
+    assert simulated == []
+    assert notes.read_text() == "of a user\n"
+
+
+# --- on a cluster ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Workers of several threads, with the pool that ends a process which two of them enter."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NUMBA_THREADING_LAYER", "workqueue")
+        with start_cluster(threads_per_worker=2) as cluster:
+            yield cluster
+
+
+@pytest.fixture
+def client(cluster):
+    with executors.connect(cluster.scheduler_address, timeout=PATIENCE) as client:
+        yield client
+
+
+@each_protocol
+def test_a_cluster_gives_the_same_bits(protocol, client, simulated, monkeypatch):
+    pids = client.run(os.getpid)
+    for runs in (1, 128, RUNS):
+        expected = simulate(protocol, runs=runs)
+        simulated.clear()
+        assert simulate(protocol, runs=runs, client=client) == expected
+        assert simulated == []
+    monkeypatch.setattr(run, "GROUPS_OF_A_CALL", 4)  # 11 blocks are not a multiple of that
+    monkeypatch.setattr(run, "CALLS_OF_A_THREAD", 0.5)
+    assert simulate(protocol, client=client) == expected
+    assert client.run(os.getpid) == pids, "no worker has crashed"
+
+
+@each_protocol
+def test_groups_of_several_blocks_change_no_bit(protocol, client, path, merging, monkeypatch):
+    monkeypatch.setattr(run, "BLOCKS_OF_A_GROUP", 3)
+    expected = simulate(protocol, threads=1)
+    assert merging.count == 4, "the last of them is not a whole one"
+    assert simulate(protocol, threads=MORE_THREADS) == expected
+    assert simulate(protocol, client=client) == expected
+    merging.count, merging.before = 0, {2: interrupt}
+    with pytest.raises(KeyboardInterrupt):
+        simulate(protocol, checkpoint=path, threads=1)
+    assert simulate(protocol, client=client, checkpoint=path) == expected
+    assert merging.count == 4
+
+
+def test_workers_have_the_weights_of_the_control_variates_from_here(monkeypatch):
+    def noted(self, first, count, simulate=ErgodicSimulation.simulate):
+        if first == PILOT_BLOCK:
+            pilots.append(threading.current_thread())
+        return simulate(self, first, count)
+
+    pilots = []
+    monkeypatch.setattr(ErgodicSimulation, "simulate", noted)
+    with cluster_of_threads() as (_, client):
+        simulate(client=client)
+    assert pilots == [threading.main_thread()]
+
+
+def test_a_killed_worker_changes_no_bit(client, merging):
+    # Each worker once: Dask gives up one that is lost twice within a quarter of a minute.
+    pids = client.run(os.getpid).values()
+    for protocol, pid in zip(PROTOCOLS, pids, strict=True):
+        expected = simulate(protocol, runs=10 * RUNS)
+        merging.count, merging.before = 0, {20: partial(os.kill, pid, signal.SIGKILL)}
+        assert simulate(protocol, runs=10 * RUNS, client=client) == expected
+        assert merging.before == {}
+    wait_until(lambda: not {*pids} & {*client.run(os.getpid, on_error="ignore").values()})
+
+
+@each_protocol
+def test_a_run_moves_between_this_machine_and_a_cluster(protocol, client, path, merging):
+    expected = simulate(protocol)
+    merging.count, merging.before = 0, {3: interrupt, 8: interrupt}
+    with pytest.raises(KeyboardInterrupt):
+        simulate(protocol, client=client, checkpoint=path)
+    assert records(path) == 3
+    with pytest.raises(KeyboardInterrupt):
+        simulate(protocol, checkpoint=path, threads=1)
+    assert records(path) == 8
+    assert simulate(protocol, client=client, checkpoint=path) == expected
+    assert merging.count == BLOCKS
+    assert simulate(protocol, client=client, checkpoint=path) == expected
+    assert merging.count == BLOCKS
+
+
+def test_a_path_that_overflows_is_named_from_a_cluster_as_from_here(client):
+    errors = []
+    for where in (None, client):
+        with pytest.raises(RuntimeError, match=r"path 0 of seed 0 overflowed, with lam=") as caught:
+            simulate("paper", step=3.1e-6, duration=1e-2, client=where)
+        errors.append(str(caught.value))
+    assert errors[0] == errors[1]
+
+
+def test_a_cluster_that_is_lost_leaves_a_checkpoint_to_resume_from(path, merging):
+    expected = simulate(runs=10 * RUNS)
+    blocks = merging.count
+    with cluster_of_threads() as (cluster, client):
+        merging.count, merging.before = 0, {30: cluster.close}
+        with pytest.raises(ConnectionError, match="no connection to the Dask scheduler"):
+            simulate(runs=10 * RUNS, client=client, checkpoint=path)
+    kept = records(path)
+    assert 30 <= kept < blocks
+    merging.count = 0
+    assert simulate(runs=10 * RUNS, checkpoint=path) == expected
+    assert merging.count == blocks - kept
+
+
+def test_what_is_no_client_is_refused(simulated):
+    with pytest.raises(TypeError, match=r"client must be a distributed\.Client or None, got 'tcp"):
+        simulate(client="tcp://127.0.0.1:8786")
+    assert simulated == []
+
+
+def test_threads_of_this_machine_and_a_cluster_are_not_asked_for_together(cluster, simulated):
+    with (
+        executors.connect(cluster.scheduler_address) as client,
+        pytest.raises(ValueError, match="give either threads or client, not both"),
+    ):
+        simulate(client=client, threads=1)
+    assert simulated == []

@@ -1,0 +1,396 @@
+"""Records in files: the rows that memory would give, in any format and chunks."""
+
+import os
+import pickle
+import re
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+
+from robsmooth.estimators import baselines
+from robsmooth.io import records
+from robsmooth.io.records import smooth_record
+from tests.helpers.strategies import random_system
+
+DT = 0.1
+
+
+def discrete(copies=False):
+    """A smoother of two measurements and two outputs, with a nonlinearity."""
+    system = random_system(np.random.default_rng(3), m=2, l=2)
+    channels = [replace(c, function=np.sin) for c in system.nonlinearities]
+    system = replace(system, nonlinearities=channels)
+    return baselines.fixed_lag_smoother(system, 0.5, 2, copies=copies).discretize(DT)
+
+
+def record(rows=50, columns=2, seed=0):
+    y = np.random.default_rng(seed).standard_normal((rows, columns))
+    y[np.random.default_rng(seed + 1).random(y.shape) < 0.1] = np.nan
+    return y
+
+
+def csv_text(values, header=None, delimiter=",", gap="nan"):
+    lines = [] if header is None else [delimiter.join(header)]
+    for row in values:
+        lines.append(delimiter.join(gap if np.isnan(v) else repr(float(v)) for v in row))
+    return "\n".join(lines) + "\n"
+
+
+def read_csv(path):
+    return np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+
+
+def smoothed(folder, name, content, smoother=None, target="out.npy", **options):
+    """The rows that are written for a source of this content."""
+    source = folder / name
+    if isinstance(content, np.ndarray):
+        np.save(source, content)
+    else:
+        source.write_bytes(content.encode() if isinstance(content, str) else content)
+    smooth_record(smoother or discrete(), source, folder / target, **options)
+    return np.load(folder / target) if target.endswith(".npy") else read_csv(folder / target)
+
+
+# --- the same as in memory -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 50, 1000])
+@pytest.mark.parametrize("gap", ["nan", "", "NaN"])
+def test_a_csv_file_is_the_record(tmp_path, chunk, gap):
+    y = record()
+    found = smoothed(tmp_path, "y.csv", csv_text(y, gap=gap), chunk=chunk)
+    assert_array_equal(found, discrete().run(y))
+
+
+@pytest.mark.parametrize("chunk", [7, 1000])
+@pytest.mark.parametrize("kind", [np.float64, np.float32, ">f8", np.int16])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_an_npy_file_is_the_record(tmp_path, chunk, kind, order):
+    y = np.asarray(10 * np.nan_to_num(record()), dtype=kind, order=order)
+    found = smoothed(tmp_path, "y.npy", y, chunk=chunk)
+    assert_array_equal(found, discrete().run(y))
+
+
+def test_one_column_may_be_a_vector_in_a_file(tmp_path):
+    system = random_system(np.random.default_rng(0))
+    y = record(30, 1)
+    found = smoothed(tmp_path, "y.npy", y[:, 0], baselines.kalman_bucy(system).discretize(DT))
+    assert_array_equal(found, baselines.kalman_bucy(system).discretize(DT).run(y))
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(-1e300, 1e300) | st.just(np.nan)] * 2), min_size=1, max_size=30),
+    st.integers(1, 31),
+    st.sampled_from(["\n", "\r\n"]),
+    st.sampled_from([",", ";", "\t"]),
+    st.booleans(),
+)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_numbers_are_read_to_the_last_bit(tmp_path, rows, chunk, end, delimiter, header):
+    text = csv_text(rows, ["a", "b"] if header else None, delimiter, gap="")
+    path = tmp_path / "y.csv"
+    path.write_bytes(text.replace("\n", end).encode())
+    reader = records._Csv(path, delimiter)
+    chunks = list(reader.chunks([0, 1], chunk))
+    assert_array_equal(np.concatenate([values for values, _ in chunks]), rows)
+    assert sum(size for _, size in chunks) == reader.size - len(f"a,b{end}") * header
+
+
+def test_estimates_are_written_to_the_last_bit_with_their_times(tmp_path):
+    y, smoother = record(), discrete()
+    found = smoothed(tmp_path, "y.csv", csv_text(y), smoother, "deep/er/out.csv", chunk=8)
+    expected = discrete().run(y)
+    assert_array_equal(found[:, 1:], expected)
+    np.testing.assert_allclose(found[:, 0], smoother.times(len(y)), rtol=1e-14, atol=1e-14)
+    assert (tmp_path / "deep/er/out.csv").read_text().startswith("time,w[0],w[1]\n-0.4,")
+
+
+def test_the_filtered_estimates_have_their_own_times(tmp_path):
+    y, smoother = record(), discrete()
+    found = smoothed(tmp_path, "y.csv", csv_text(y), smoother, "out.csv", output="filtered")
+    assert_array_equal(found[:, 1:], discrete().run(y, output="filtered"))
+    np.testing.assert_allclose(found[:, 0], DT * np.arange(1, 51))
+
+
+def test_a_record_goes_on_in_the_next_file(tmp_path):
+    y, smoother = record(), discrete()
+    parts = [smoothed(tmp_path, "y.npy", part, smoother, "out.csv") for part in (y[:20], y[20:])]
+    found = np.concatenate(parts)
+    assert_array_equal(found[:, 1:], discrete().run(y))
+    np.testing.assert_allclose(np.diff(found[:, 0]), DT)
+
+
+def test_rows_are_counted(tmp_path):
+    np.save(tmp_path / "y.npy", record())
+    assert smooth_record(discrete(), tmp_path / "y.npy", tmp_path / "out.npy", chunk=7) == 50
+
+
+@pytest.mark.parametrize("name", ["y.csv", "y.npy"])
+def test_a_record_without_rows(tmp_path, name):
+    content = "I,Q\n" if name == "y.csv" else np.empty((0, 2))
+    assert smoothed(tmp_path, name, content).shape == (0, 2)
+
+
+# --- columns -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "choice", [{"columns": ["Q", "I"]}, {"columns": (3, 1)}, {"columns": ["Q", np.int64(1)]}]
+)
+def test_columns_are_chosen_by_name_or_index(tmp_path, choice):
+    y = record(columns=4)
+    text = csv_text(y, ["t", "I", "note", "Q"]).replace("nan", "")
+    lines = text.split("\n")
+    lines[1:-1] = [
+        ",".join(c if i != 2 else "a word" for i, c in enumerate(line.split(",")))
+        for line in lines[1:-1]
+    ]
+    found = smoothed(tmp_path, "y.csv", "\n".join(lines), **choice)
+    assert_array_equal(found, discrete().run(y[:, [3, 1]]))
+
+
+def test_the_rest_is_measurements(tmp_path):
+    values = np.column_stack([DT * np.arange(50), np.full(50, 0.3), record()])
+    text = csv_text(values, ["t", "phase", "I", "Q"])
+    found = smoothed(tmp_path, "y.csv", text, discrete(True), time="t", reference="phase", chunk=9)
+    assert_array_equal(found, discrete(True).run(values[:, 2:], reference=values[:, [1]]))
+    assert not np.array_equal(found, discrete(True).run(values[:, 2:]))
+    found = smoothed(tmp_path, "y.npy", values, discrete(True), time=0, reference=[1])
+    assert_array_equal(found, discrete(True).run(values[:, 2:], reference=values[:, [1]]))
+
+
+@pytest.mark.parametrize(
+    ("text", "header"),
+    [
+        ("\ufeffI,Q\n1,2\n", ["I", "Q"]),
+        (" I , Q\n1,2\n", ["I", "Q"]),
+        ('"I (A, rms)",Q\n1,2\n', ["I (A, rms)", "Q"]),
+        (",Q\n1,2\n", ["", "Q"]),
+        ("1,2\n", []),
+        ("2026-11-22,2\n", []),
+        (",\n1,2\n", []),
+        ("nan,nan\n1,2\n", []),
+    ],
+)
+def test_a_first_line_without_numbers_is_a_header(tmp_path, text, header):
+    (tmp_path / "y.csv").write_text(text, encoding="utf-8")
+    assert records._Csv(tmp_path / "y.csv", ",").header == header
+
+
+# --- time ----------------------------------------------------------------------------------------
+
+
+def with_times(times):
+    return np.column_stack([times, np.ones((len(times), 2))])
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        1e9 + DT * np.arange(200),
+        np.round(DT * np.arange(200), 1) + 0.024 * (-1.0) ** np.arange(200),
+        (1 + 5e-4) * DT * np.arange(200),
+    ],
+    ids=["any begin", "jitter", "another clock"],
+)
+def test_good_times_are_let_through(tmp_path, times):
+    assert len(smoothed(tmp_path, "y.npy", with_times(times), time=0, chunk=30)) == 200
+
+
+@pytest.mark.parametrize(
+    ("times", "row", "message"),
+    [
+        (np.delete(DT * np.arange(200), 150), 150, "is 2 samples after that of the row before"),
+        (np.insert(DT * np.arange(200), 60, 60 * DT), 61, "is 0 samples after"),
+        (1.01 * DT * np.arange(200), 56, r"\+0.56 samples off"),
+        (2 * DT * np.arange(5), 1, "is 2 samples after"),
+        (np.delete(DT * np.arange(2000), 1900), 1900, "is 2 samples after"),
+    ],
+    ids=["a row is missing", "a row twice", "another dt", "twice the dt", "missing late"],
+)
+def test_rows_out_of_time_are_refused(tmp_path, times, row, message):
+    with pytest.raises(ValueError, match=rf"y.npy, row {row}, column 0: the time .*{message}"):
+        smoothed(tmp_path, "y.npy", with_times(times), time=0, chunk=30)
+
+
+# --- refusals ------------------------------------------------------------------------------------
+
+CSV_ERRORS = {
+    "word": ("I,Q\n1,2\n3,x\n", r"line 3, column 1 \('Q'\): 'x' is not a number"),
+    "no header": ("1,2\n3,x\n", r"line 2, column 1: 'x' is not a number"),
+    "thousands": ("1,2\n3,1_000\n", "line 2, column 1: '1_000' is not a number"),
+    "infinity": ("1,2\n-inf,4\n", "line 2, column 0: -inf where there must be a finite number"),
+    "infinity below a header": ("I,Q\n1,inf\n", r"line 2, column 1 \('Q'\): inf where"),
+    "infinity beside a gap": ("1,2\n,inf\n", "line 2, column 1: inf where"),
+    "too few cells": ("1,2\n3,4\n5\n", "line 3: 1 cells, where the first line has 2"),
+    "too many cells": ("1,2\n3,4,5\n", "line 2: 3 cells, where the first line has 2"),
+    "blank line": ("1,2\n\n3,4\n", "line 2: blank"),
+    "blank lines": ("1,2\n3,4\n\n \n\n5,6\n", "line 3: blank"),
+    "empty": ("", "must begin with a header or a row of numbers"),
+    "decimal comma": ("1,5,2,5\n", r"2 of the columns of .*, one for each of the measurements"),
+    "long cell": ("1,2\n3," + 140_000 * "9" + "x\n", "line 2: field larger than"),
+    "utf-16": ("1,2\n".encode("utf-16"), r"line \d"),
+}
+
+
+@pytest.mark.parametrize("chunk", [1, 2, 1000])
+@pytest.mark.parametrize(("content", "message"), CSV_ERRORS.values(), ids=CSV_ERRORS)
+def test_what_is_wrong_in_a_csv_file_is_named(tmp_path, content, message, chunk):
+    with pytest.raises(ValueError, match=message) as error:
+        smoothed(tmp_path, "y.csv", content, chunk=chunk)
+    assert str(tmp_path / "y.csv") in str(error.value)
+    assert os.listdir(tmp_path) == ["y.csv"]
+
+
+@pytest.mark.parametrize("chunk", [1, 2, 3, 1000])
+def test_blank_lines_at_the_end_do_not_matter(tmp_path, chunk):
+    found = smoothed(tmp_path, "y.csv", "1,2\n3,4\n\n\r\n \n\n", chunk=chunk)
+    assert_array_equal(found, discrete().run([[1.0, 2.0], [3.0, 4.0]]))
+
+
+NPY_ERRORS = {
+    "objects": (np.array([[1.0, None]], dtype=object), ValueError, "are never unpickled"),
+    "words": (np.array([["a", "b"]]), TypeError, "must hold real numbers, got entries of <U1"),
+    "complex": (np.ones((2, 2), complex), TypeError, "got entries of complex128"),
+    "booleans": (np.ones((2, 2), bool), TypeError, "got entries of bool"),
+    "scalar": (np.array(1.0), ValueError, r"an array \(N, columns\), got shape \(\)"),
+    "cube": (np.ones((2, 2, 2)), ValueError, r"got shape \(2, 2, 2\)"),
+    "not one": ("1,2\n", ValueError, "must be an NPY file of plain numbers"),
+    "three columns": (np.ones((2, 3)), ValueError, r"got 3 \(column 0, column 1, column 2\)"),
+    "infinity": (np.array([[1, 2], [3, np.inf]]), ValueError, r"y.npy, row 1, column 1: inf"),
+}
+
+
+@pytest.mark.parametrize(("content", "error", "message"), NPY_ERRORS.values(), ids=NPY_ERRORS)
+def test_what_is_wrong_in_an_npy_file_is_named(tmp_path, content, error, message):
+    with pytest.raises(error, match=message):
+        smoothed(tmp_path, "y.npy", content)
+    assert os.listdir(tmp_path) == ["y.npy"]
+
+
+DAMAGES = {
+    "cut off": lambda content: content[:-8],
+    "no array": lambda content: content[:40],
+    "open bracket": lambda content: content.replace(b"}", b"(", 1),
+    "unknown type": lambda content: content.replace(b"<f8", b",f8", 1),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_npy_file_is_refused(tmp_path, damage):
+    np.save(tmp_path / "whole.npy", record())
+    content = damage((tmp_path / "whole.npy").read_bytes())
+    with pytest.raises(ValueError, match=re.escape("y.npy must be an NPY file")):
+        smoothed(tmp_path, "y.npy", content)
+
+
+def test_nothing_is_unpickled(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "sprung"),)
+
+    with pytest.raises(ValueError, match="never unpickled"):
+        smoothed(tmp_path, "y.npy", pickle.dumps(Trap()))
+    np.save(tmp_path / "trap.npy", np.array([Trap()], dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match="never unpickled"):
+        smooth_record(discrete(), tmp_path / "trap.npy", tmp_path / "out.npy")
+    assert not (tmp_path / "sprung").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"columns": ["I", "J"]}, ValueError, "columns: 'J' is not in .*, which has 'I', 'Q', 'Q'"),
+        ({"columns": ["I", "Q"]}, ValueError, "columns: 'Q' is twice in"),
+        ({"columns": [0, 3]}, ValueError, "has 3 columns, there is no 3"),
+        ({"columns": [0, -1]}, ValueError, "columns must be an integer of at least 0"),
+        ({"columns": [0, 1.0]}, TypeError, "columns must be an integer"),
+        ({"columns": "I"}, ValueError, r"columns must name 2 .* got 1 \(column 0 \('I'\)\)"),
+        ({"columns": [0, 1], "reference": [0, 1]}, ValueError, "reference must name 1"),
+        ({"columns": [0, 1], "time": [0, 1]}, ValueError, "time must name 1"),
+        ({"columns": [0, 1], "reference": 2}, ValueError, "column 2 .*nan where there must"),
+        ({"delimiter": ""}, ValueError, "delimiter must be one character"),
+        ({"delimiter": '"'}, ValueError, "delimiter must be one character, not a quote"),
+        ({"chunk": 0}, ValueError, "chunk must be an integer of at least 1"),
+        ({"progress": 1}, TypeError, "progress must be True or False"),
+        ({"columns": [0, 1], "output": "both"}, ValueError, "output must be one of"),
+        ({"target": "out.txt"}, ValueError, "target must end in .csv or .npy, got 'out.txt'"),
+        ({"target": "y.csv"}, ValueError, "target must be another file than source"),
+    ],
+)
+def test_wrong_calls_are_refused(tmp_path, options, error, message):
+    with pytest.raises(error, match=message):
+        smoothed(tmp_path, "y.csv", "I,Q,Q\n1,2,\n", **options)
+    assert os.listdir(tmp_path) == ["y.csv"]
+
+
+def test_names_want_a_header(tmp_path):
+    with pytest.raises(ValueError, match=r"'I' is not in .*, which has no header"):
+        smoothed(tmp_path, "y.npy", record(), columns=["I", "Q"])
+
+
+def test_wrong_sources_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"source must end in .csv or .npy, got 'y.npz'"):
+        smooth_record(discrete(), tmp_path / "y.npz", tmp_path / "out.npy")
+    with pytest.raises(FileNotFoundError, match=r"y\.csv"):
+        smooth_record(discrete(), tmp_path / "y.csv", tmp_path / "out.npy")
+    with pytest.raises(TypeError, match="smoother must be a DiscreteSmoother, got int"):
+        smooth_record(1, tmp_path / "y.csv", tmp_path / "out.npy")
+
+
+# --- interruption, memory, progress --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("target", ["out.npy", "out.csv"])
+def test_an_interruption_leaves_all_as_it_was(tmp_path, monkeypatch, target):
+    smoother = discrete()
+    smoother.run(record(5))
+    state = smoother.state
+    (tmp_path / target).write_text("old")
+    run = type(smoother).run
+
+    def interrupted(self, y, **options):
+        if self.samples > 20:
+            raise KeyboardInterrupt
+        return run(self, y, **options)
+
+    monkeypatch.setattr(type(smoother), "run", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        smoothed(tmp_path, "y.npy", record(), smoother, target, chunk=10)
+    assert sorted(os.listdir(tmp_path)) == [target, "y.npy"]
+    assert (tmp_path / target).read_text() == "old"
+    assert smoother.samples == 5
+    assert_array_equal(smoother.state, state)
+
+
+@pytest.mark.parametrize("name", ["y.csv", "y.npy"])
+def test_memory_is_that_of_a_chunk(tmp_path, name):
+    """64 MB of numbers in memory would show, as would all lines of 8 MB of text."""
+    rows = 4_000_000 if name == "y.npy" else 400_000
+    source = tmp_path / name
+    if name == "y.npy":
+        np.lib.format.open_memmap(source, "w+", np.float64, (rows, 2)).flush()
+    else:
+        source.write_text("0.25,-0.125\n" * rows)
+    smoother = discrete()
+    smoother.run(record(5))  # compiles
+    tracemalloc.start()
+    try:
+        smooth_record(smoother, source, tmp_path / "out.npy", chunk=10_000)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 4e6
+    assert np.load(tmp_path / "out.npy", mmap_mode="r").shape == (rows, 2)
+
+
+def test_progress_is_shown_where_asked_for(tmp_path, terminal):
+    smoothed(tmp_path, "y.csv", csv_text(record()))
+    assert terminal.readouterr().err == ""
+    smoothed(tmp_path, "y.csv", csv_text(record()), progress=True)
+    assert "100%" in terminal.readouterr().err

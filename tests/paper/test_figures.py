@@ -1,0 +1,358 @@
+"""The figures: what they plot, and how they are saved."""
+
+import itertools
+import re
+from dataclasses import replace
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from matplotlib.text import Text
+
+from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne, sample_paths
+from robsmooth.analysis.lag import lag_sweep
+from robsmooth.analysis.worst_case import worst_dynamic_case
+from robsmooth.estimators import baselines
+from robsmooth.estimators.limit import limiting_smoother
+from robsmooth.homodyne.certificate import scalar_bound
+from robsmooth.homodyne.comparison import compare
+from robsmooth.homodyne.montecarlo import MeanSquare
+from robsmooth.homodyne.study import QUANTITIES, Study
+from robsmooth.paper import figures
+from robsmooth.paper.figures import diagrams
+from robsmooth.paper.figures.maps import shade
+from tests.helpers import looks
+
+SLOPES = np.linspace(-1.0, 0.0, 11)
+CURVES = {"NGCF": 0.1 - 0.05 * SLOPES, "robust smoother": 0.06 - 0.04 * SLOPES}
+CASES = ["as written", "with a stronger noise of the detector"]
+RESULTS = {
+    "smoother": [MeanSquare(0.05, 0.001), MeanSquare(0.06, 0.001)],
+    "NGCF": [MeanSquare(0.09, 0.002), MeanSquare(0.1, 0.002)],
+}
+
+FRACTIONS = np.geomspace(1e-6, 1e-2, 7)  # lambda_3 = lambda_4 of a landscape
+LAGS, NOISES = (0.3e-6, 3e-6, 3.1e-6, 30e-6), (0.1, 1.0, 6.0)
+SHAPE = (1, len(NOISES), 2, len(LAGS))
+ERRORS = dict.fromkeys(QUANTITIES, np.full(SHAPE, 0.04)) | {
+    "filtered": np.full(SHAPE, 0.088),
+    "smoothed": np.linspace(0.045, 0.1, np.prod(SHAPE)).reshape(SHAPE),
+}
+STUDY = Study((0.4,), NOISES, (1, 2), LAGS, ERRORS, {})
+NOISY = {"all runs": [0.09, 0.2, 9.0], "moments": [0.09, 0.19, np.nan]}
+
+SYSTEM = homodyne.PAPER.uncertain_system()
+CLASSICAL = baselines.fixed_lag_smoother(SYSTEM, 3.1e-6, 2, copies=True)
+LIMITS = {
+    cost: limiting_smoother(augment(SYSTEM, 3.1e-6, 1), 1e-6, [1.0, 0.5, 0.0, 0.0], cost)
+    for cost in ("filtered", "smoothed")
+}
+BESTS = {cost: replace(limit, limit=limit) for cost, limit in LIMITS.items()}
+SWEEPS = {"classical": lag_sweep(SYSTEM, [1e-6, 3e-6, 1e-5], [1, 2])}
+COMPARED = compare(
+    {"classical": (CLASSICAL, "smoothed"), "Kalman": (CLASSICAL, "filtered")},
+    homodyne.PAPER,
+    (0.0, -1.0),
+    runs=128,
+    duration=1e-5,
+)
+DYNAMIC = worst_dynamic_case(CLASSICAL, copy_noise=False)
+PATHS = sample_paths(CLASSICAL, runs=1, duration=3.1e-5, step=3.1e-7)
+OMEGA = np.geomspace(0.1, 10.0, 50)
+
+MAKERS = {
+    "fig1": diagrams.smoother_loop,
+    "fig2": diagrams.homodyne_loop,
+    "fig3": lambda: figures.sector(homodyne.PAPER, 0.088),
+    "fig4": lambda: figures.delta_sweep(SLOPES, CURVES, {"floor": (0.0, 0.05)}),
+    "delay": lambda: figures.delay_error(3.1e-6, (1, 2), 4.6e5),
+    "monte_carlo": lambda: figures.mean_squares(CASES, RESULTS, {"smoother": 0.06, "NGCF": 0.1}),
+    "routes": lambda: figures.routes(CASES, RESULTS, [0.05, 0.06]),
+    "loss_of_lock": lambda: figures.loss_of_lock((1, 3, 10), NOISY, (0.0, 0.0, 1e3)),
+    "where_smoothing_pays": lambda: figures.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
+    "two_landscapes": lambda: figures.two_landscapes(BESTS, points=5),
+    "all_designs": lambda: figures.all_designs(
+        homodyne.PAPER, LIMITS["filtered"], (0.485, 1.13e-6)
+    ),
+    "lag_and_order": lambda: figures.lag_and_order(SWEEPS, 3.1e-6),
+    "worst_spectra": lambda: figures.worst_spectra(DYNAMIC, (1, 1)),
+    "side_by_side": lambda: figures.side_by_side(COMPARED, (0.0, -1.0), limit=0.085),
+    "sample_path": lambda: figures.sample_path(PATHS, "µs", 1e6, "phase (rad)"),
+    "gap": lambda: figures.gap(PATHS, PATHS.smoothed[0], slice(40, 60)),
+    "smoother_response": lambda: figures.smoother_response(OMEGA, 1 / (1 + 1j * OMEGA), 0.5),
+}
+
+
+@pytest.fixture(autouse=True)
+def style():
+    with mpl.rc_context():
+        mpl.use("Agg")
+        figures.use_style()
+        yield
+    plt.close("all")
+
+
+@pytest.fixture(scope="module", params=MAKERS)
+def saved(request, tmp_path_factory):
+    """Each figure, drawn and saved twice: the files of both, by suffix."""
+    folders = tmp_path_factory.mktemp("one"), tmp_path_factory.mktemp("two")
+    with mpl.rc_context():
+        mpl.use("Agg")
+        figures.use_style()
+        for folder in folders:
+            figures.save_figure(MAKERS[request.param](), folder, request.param)
+    plt.close("all")
+    return tuple(
+        {suffix: (folder / f"{request.param}.{suffix}").read_bytes() for suffix in figures.FORMATS}
+        for folder in folders
+    )
+
+
+def test_a_figure_drawn_twice_is_the_same_bytes(saved):
+    first, second = saved
+    assert first == second
+    assert min(map(len, first.values())) > 1000
+
+
+def test_text_stays_text_and_a_pdf_has_its_fonts(saved):
+    pdf, svg = saved[0]["pdf"], saved[0]["svg"]
+    assert b"/Type3" not in pdf
+    assert pdf.count(b"/FontFile2") == pdf.count(b"/Type /FontDescriptor") > 0  # TrueType
+    assert b"<text" in svg
+    assert b"DejaVuSans-" not in svg  # the outlines of letters
+
+
+def test_files_hold_no_date_and_no_release(tmp_path):
+    figures.save_figure(MAKERS["fig4"](), tmp_path, "fig4")
+    pdf, svg, png = ((tmp_path / f"fig4.{s}").read_bytes() for s in figures.FORMATS)
+    for content in (pdf, svg, png):
+        assert not re.search(rb"20\d\d-\d\d-\d\d|CreationDate|dc:date", content)
+        assert mpl.__version__.encode() not in content
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_a_figure_fits_a_column_and_can_be_read_there(name):
+    figure = MAKERS[name]()
+    assert figure.get_figwidth() <= 3.4
+    assert looks.flaws(figure) == []
+
+
+def test_what_cannot_be_read_is_found():
+    figure, axes = plt.subplots(layout="none")
+    axes.plot([0, 1], [0, 1], color="#d55e00", linestyle="-", label="red")
+    axes.plot([0, 1], [1, 0], color="#809000", linestyle="-", label="green")
+    axes.set_yticks([])
+    axes.legend(loc="center")
+    axes.text(0.2, 0.9, "under")
+    axes.text(0.2, 0.9, "$a_b$", fontsize=7)
+    axes.text(0.25, 0.73, "crossed")
+    axes.text(0.9, 0.5, "far away from here")
+    assert sorted(set(looks.flaws(figure))) == [
+        "'$a_b$' has letters of 4.9 points",
+        "'far away from here' leaves the figure",
+        "'red' and 'green' look alike: in grey",
+        "'red' and 'green' look alike: with deuteranopia",
+        "'red' and 'green' look alike: with protanopia",
+        "'under' and '$a_b$' overlap",
+        "an axis has numbers and no unit: ''",
+        "the line 'green' crosses 'crossed'",
+        "the line 'green' crosses 'green'",
+        "the line 'green' crosses a legend",
+        "the line 'red' crosses 'red'",
+        "the line 'red' crosses a legend",
+    ]
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_nothing_leaves_the_figure(name):
+    figure = MAKERS[name]()
+    figure.canvas.draw()
+    drawn = figure.get_tightbbox()
+    width, height = figure.get_size_inches()
+    assert drawn.x0 > -0.02 and drawn.y0 > -0.02
+    assert drawn.x1 < width + 0.02 and drawn.y1 < height + 0.02
+
+
+def test_the_sweep_plots_what_it_is_given():
+    (axes,) = MAKERS["fig4"]().axes
+    lines = {line.get_label(): line for line in axes.lines}
+    for label, values in CURVES.items():
+        assert np.array_equal(lines[label].get_xdata(), SLOPES)
+        assert np.array_equal(lines[label].get_ydata(), values)
+    assert lines["NGCF"].get_linestyle() == "-"  # solid and dashed, as the paper says
+    assert lines["robust smoother"].get_linestyle() == "--"
+    assert "rad" in axes.get_ylabel() and r"\Delta_2" in axes.get_xlabel()
+
+
+def test_an_estimator_beyond_the_scale_is_said_to_be():
+    figure = MAKERS["side_by_side"]()  # the filter's error is just below the limit, at first
+    assert not [text for text in figure.findobj(Text) if "off the scale" in text.get_text()]
+    figure = figures.side_by_side(COMPARED, (0.0, -1.0), limit=0.08)
+    (text,) = (text for text in figure.findobj(Text) if "off the scale" in text.get_text())
+    assert text.get_text() == f"off the scale: {COMPARED['Kalman'].at[0]:.2f}"
+
+
+def test_the_smoothed_path_is_drawn_at_the_time_that_it_is_for():
+    (axes,) = MAKERS["sample_path"]().axes
+    lines = {line.get_label(): line for line in axes.lines}
+    shift = lines["true"].get_xdata() - lines["smoothed"].get_xdata()
+    assert np.allclose(shift, 3.1)  # µs
+
+
+def hatched(axes, label):
+    """A function that tells whether a point of the axes is hatched with a label, as it is drawn."""
+    for patch in axes.patches:
+        seen = patch.get_label() == label
+        patch.set(hatch=None, facecolor="#00ff00" if seen else "#ff0000", antialiased=False)
+    for line in axes.lines:
+        line.set_visible(False)
+    axes.figure.canvas.draw()
+    pixels = np.asarray(axes.figure.canvas.buffer_rgba())
+
+    def tell(x, y):
+        place = (axes.transData - axes.transAxes).transform((x, y))
+        place = np.clip(place, 0.03, 0.97)  # on the edge is a line
+        column, row = axes.transAxes.transform(place).astype(int)
+        return tuple(pixels[len(pixels) - 1 - row, column, :3]) == (0, 255, 0)
+
+    return tell
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_map_is_hatched_at_the_points_of_its_grid_without_a_value_and_no_others(seed):
+    rng = np.random.default_rng(seed)
+    x, y = np.geomspace(1.0, 10.0, 7), np.linspace(1.0, 2.0, 5)
+    values = np.where(rng.random((5, 7)) < 0.3, np.nan, rng.uniform(0.0, 9.0, (5, 7)))
+    _, axes = plt.subplots()
+    axes.set(xscale="log")
+    shade(axes, x, y, values, [0.0, 1.0, 4.0], missing="nothing")
+    tell = hatched(axes, "nothing")
+    found = [[tell(a, b) for a in x] for b in y]
+    assert np.array_equal(found, np.isnan(values))
+    assert axes.get_xlim() == (1.0, 10.0) and axes.get_ylim() == (1.0, 2.0)
+    assert axes.patch.get_hatch() is None
+
+
+def test_a_map_with_all_its_values_has_no_hatch():
+    _, axes = plt.subplots()
+    shade(axes, np.arange(3.0), np.arange(2.0), np.ones((2, 3)), [0.0, 2.0], missing="nothing")
+    assert not axes.patches
+
+
+def test_landscapes_are_hatched_where_there_is_no_design_and_nowhere_else():
+    plant = augment(SYSTEM, 3.1e-6, 2)
+    bests = {}
+    for cost, tau in (("filtered", 1.0987e-6), ("smoothed", 0.7023e-6)):
+        limit = limiting_smoother(plant, tau, [1.0, 0.5, 0.0, 0.0], cost)
+        bests[cost] = replace(limit, limit=limit)
+    figure = figures.two_landscapes(bests, points=7)
+    for axes, (cost, best) in zip(figure.axes[:2], bests.items(), strict=True):
+        tell = hatched(axes, "no design")
+
+        def there(tau, fraction, best=best, cost=cost):
+            try:
+                multipliers = [1.0, 0.5 - fraction / 2, fraction, fraction]
+                return design_smoother(best.plant, tau, multipliers, cost).bound > 0.0
+            except InfeasibleDesignError:
+                return False
+
+        for tau in (2.2e-6, 2.5e-6, 3.2e-6, 5e-6):
+            assert there(tau, 1e-6)
+            assert not tell(1e-6, 1e6 * tau)
+        low, high = axes.get_ylim()
+        tried = [there(1e-6 * t, f) for t in np.geomspace(low, high, 7) for f in FRACTIONS]
+        drawn = [tell(f, t) for t in np.geomspace(low, high, 7) for f in FRACTIONS]
+        assert [not each for each in tried] == drawn
+        assert 0 < sum(tried) < len(tried)
+
+
+def test_all_designs_are_hatched_where_the_bound_is_infinite():
+    (axes, _) = MAKERS["all_designs"]().axes
+    tell = hatched(axes, "no design")
+    for p, tau in itertools.product((0.2, 0.3, 0.45, 0.49, 0.51), (0.42, 0.55, 0.7, 2.0, 9.0)):
+        assert tell(p, tau) == np.isinf(scalar_bound(homodyne.PAPER, p, 1e-6 * tau))
+
+
+def test_no_gain_and_no_design_are_told_apart():
+    smoothed = ERRORS["smoothed"].copy()
+    smoothed[:, 0] = np.nan  # at the least noise there is no design
+    errors = ERRORS | {"smoothed": smoothed}
+    figure = figures.where_smoothing_pays(replace(STUDY, quantities=errors), 0.4, 3.1e-6)
+    no_design = hatched(figure.axes[0], "no design or lock")
+    ratio = (smoothed / ERRORS["filtered"])[0, :, -1]
+    points = [(1e6 * lag, noise) for noise in NOISES for lag in LAGS]
+    assert [no_design(*point) for point in points] == list(np.isnan(ratio).ravel())
+    no_gain = hatched(figure.axes[0], "no gain")
+    assert [no_gain(*point) for point in points] == list((ratio > 1).ravel())
+    assert (ratio > 1).any()
+
+
+def test_optimum_of_the_linear_loop_is_relative_to_the_filter_of_the_linear_loop():
+    def drawn(study):
+        axes = figures.where_smoothing_pays(study, 0.4, 3.1e-6).axes[1]
+        (line,) = (line for line in axes.lines if "linear loop" in line.get_label())
+        return line.get_ydata()
+
+    optimal = np.linspace(0.08, 0.04, np.prod(SHAPE)).reshape(SHAPE)
+    errors = ERRORS | {"optimal": optimal, "optimal_filtered": np.full(SHAPE, 0.08)}
+    study = replace(STUDY, quantities=errors)
+    assert np.array_equal(drawn(study), optimal[0, 1, -1] / 0.08)
+    noisier = replace(STUDY, quantities=errors | {"filtered": np.full(SHAPE, 0.2)})
+    assert np.array_equal(drawn(noisier), drawn(study))
+
+
+def test_curves_differ_by_more_than_their_colour():
+    cycle = list(mpl.rcParams["axes.prop_cycle"])
+    assert len({str(look["linestyle"]) for look in cycle}) == len(cycle) >= 5
+    first = [look["color"] for look in cycle[:3]]
+    for one, other in itertools.combinations(first, 2):
+        assert list(looks.seen_alike(one, other)) == []
+
+
+def test_what_is_in_several_figures_looks_the_same_in_all():
+    def line(figure, label):
+        for handle, name in zip(*figure.axes[-1].get_legend_handles_labels(), strict=True):
+            if name == label:
+                return getattr(handle, "lines", [handle])[0]
+        raise AssertionError(label)
+
+    for name in ("NGCF", "smoother"):
+        swept = figures.delta_sweep(SLOPES, {"other": SLOPES, name: SLOPES})
+        simulated = MAKERS["monte_carlo"]()
+        assert line(swept, name).get_color() == line(simulated, name).get_color()
+    errors = figures.delay_error(3.1e-6, (2, 1), 4.6e5)
+    assert line(errors, "order 2").get_color() == line(MAKERS["delay"](), "order 2").get_color()
+
+
+def test_names_without_a_look_of_their_own_get_what_is_left():
+    names = ["mine", "smoothed", "yours", "filtered"]
+    found = figures.styles(names, markers=True)
+    assert found[1::2] == figures.styles(["smoothed", "filtered"], markers=True)
+    for key in ("color", "linestyle", "marker"):
+        assert len({str(look[key]) for look in found}) == len(names)
+    many = figures.styles(range(100, 120))
+    assert len(many) == 20
+
+
+def test_the_sector_figure_marks_where_the_sine_leaves_the_sector():
+    top, _ = MAKERS["fig3"]().axes
+    marks = [line.get_xdata()[0] for line in top.lines if np.ptp(line.get_xdata()) == 0]
+    reach = max(marks)
+    assert np.sin(reach) == pytest.approx(homodyne.PAPER.lower_slope * reach, rel=1e-9)
+
+
+def test_a_failed_save_leaves_the_old_figure(tmp_path, monkeypatch):
+    path = tmp_path / "fig4.pdf"
+    path.write_bytes(b"yesterday")
+    figure = MAKERS["fig4"]()
+
+    def fail(target, **_):
+        target.write_bytes(b"half")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(figure, "savefig", fail)
+    with pytest.raises(OSError, match="disk full"):
+        figures.save_figure(figure, tmp_path, "fig4")
+    assert path.read_bytes() == b"yesterday"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["fig4.pdf"]

@@ -1,0 +1,240 @@
+"""The benchmark: its peers simulate what robsmooth does, and the README says what was measured."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from benchmarks import __main__ as bench
+from benchmarks import race, report, throughput
+from benchmarks.peers import PEERS, cpp, numpy_vectorised, octave, robsmooth_kernel
+from benchmarks.problem import Sample, Unavailable, literal_problem
+from robsmooth import cli
+
+ROOT = Path(__file__).resolve().parents[2]
+BY_NAME = {peer.name: peer for peer in PEERS}
+# Paths that each simulates in about a second, whatever the machine's speed is.
+# JAX and diffrax are not in the development environment.
+TESTED = {
+    "C++, single": 16_000,
+    "C++, mixed": 16_000,
+    "NumPy, float32": 4000,
+    "NumPy, float64": 4000,
+    "numba, scalar loop": 1400,
+    "Python loop": 100,
+    "Octave, vectorised": 4000,
+}
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return literal_problem()
+
+
+@pytest.fixture(scope="module")
+def reference(problem):
+    simulate = robsmooth_kernel.prepare(problem, "mixed")
+    return simulate(100_000, race.CHECKED_STEPS, race.REFERENCE_SEED)
+
+
+@pytest.fixture(scope="module")
+def results():
+    return json.loads((report.FOLDER / "results.json").read_text(encoding="utf-8"))
+
+
+def prepared(name, problem):
+    try:
+        return BY_NAME[name].prepare(problem)
+    except Unavailable as reason:
+        pytest.skip(str(reason))
+
+
+# --- the peers -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "paths"), TESTED.items(), ids=str)
+def test_a_peer_finds_the_same_errors(name, paths, problem, reference, monkeypatch):
+    monkeypatch.setattr(race, "FEWEST_PATHS", paths)
+    peer = BY_NAME[name]
+    simulate = prepared(name, problem)
+    check = race.checked(peer, simulate, reference, seconds=0)
+    assert check["agrees"], check["standard_errors_off"]
+
+
+@pytest.mark.parametrize("precision", ["single", "mixed"])
+@pytest.mark.parametrize("paths", [1, 200])
+def test_the_cpp_simulates_the_very_same_paths(precision, paths, problem):
+    simulate = prepared(f"C++, {precision}", problem)
+    ours = robsmooth_kernel.prepare(problem, precision)(paths, 1000, 7)
+    theirs = np.mean(cpp.simulator(problem, precision)(paths, 1000, 7), axis=1)
+    assert_allclose(theirs, [ours.filtered.mean_square, ours.smoothed.mean_square], rtol=1e-4)
+    if paths > 1:
+        assert simulate(paths, 1000, 7).filtered.mean_square == theirs[0]
+
+
+def test_the_cpp_knows_other_orders(problem):
+    prepared("C++, mixed", problem)
+    fewer = {
+        name: getattr(problem, name)[..., :2]
+        for name in ("reference", "copy", "sine_gain", "copy_gain", "noise_gain")
+    }
+    # the third state takes no part once nothing leads from it to the others
+    drift = problem.drift.copy()
+    drift[:2, 2] = 0
+    large = replace(problem, drift=drift, smoothed=problem.filtered)
+    small = replace(
+        problem,
+        **fewer,
+        drift=drift[:2, :2],
+        filtered=large.filtered[:2],
+        smoothed=large.smoothed[:2],
+    )
+    expected = cpp.simulator(large, "mixed")(10, 1000, 7)
+    assert_allclose(cpp.simulator(small, "mixed")(10, 1000, 7), expected, rtol=1e-9)
+
+
+class Given:
+    """A generator that gives what it was given."""
+
+    def __init__(self, draws):
+        self.draws = iter(draws)
+
+    def standard_normal(self, dtype, out):
+        out[:] = next(self.draws)
+
+
+def test_numpy_takes_the_steps_of_the_problem(problem):
+    k, draws = problem, np.random.default_rng(1).standard_normal((400, 2, 5))
+    phase, x = np.zeros(5), np.zeros((k.order, 5))
+    for g1, g2 in draws:
+        measured, predicted = np.sin(phase - k.reference @ x), np.sin(k.copy @ x)
+        x = x + k.drift @ x + np.outer(k.sine_gain, measured)
+        x += np.outer(k.copy_gain, predicted) + np.outer(k.noise_gain, g1)
+        phase = phase + k.decay * phase + k.diffusion * g2
+
+    arguments, step = numpy_vectorised.matrices(problem)
+    now = np.zeros((step.shape[1], 5))
+    now = numpy_vectorised.advance(arguments, step, now, len(draws), Given(draws))
+    assert_allclose(now[0], phase, rtol=1e-12)
+    assert_allclose(now[1 : 1 + k.order], x, rtol=1e-9, atol=1e-15)
+
+
+def test_a_peer_that_cannot_run_says_why(monkeypatch, problem):
+    for module in (cpp, octave):
+        monkeypatch.setattr(module.shutil, "which", lambda name: None)
+    cpp.compiled.cache_clear()
+    with pytest.raises(Unavailable, match="no C\\+\\+ compiler"):
+        BY_NAME["C++, single"].prepare(problem)
+    with pytest.raises(Unavailable, match="octave is not installed"):
+        BY_NAME["Octave, vectorised"].prepare(problem)
+
+
+def test_a_wrong_peer_is_found_out(problem, reference):
+    peer = BY_NAME["NumPy, float32"]
+    simulate = peer.prepare(replace(problem, diffusion=1.5 * problem.diffusion))
+    assert not race.checked(peer, simulate, reference, seconds=0)["agrees"]
+
+
+def test_a_wrong_contender_is_found_out(monkeypatch):
+    def doubled():
+        return {throughput.OURS: lambda y: y, "the same": lambda y: y, "other": lambda y: 2 * y}
+
+    monkeypatch.setattr(throughput, "contenders", doubled)
+    found = throughput.throughput(throughput.Effort(rounds=1, seconds=1e-6))["contenders"]
+    assert [name for name, row in found.items() if not row["agrees"]] == ["other"]
+
+
+def test_a_workload_takes_the_time_it_is_given():
+    peer = replace(BY_NAME["NumPy, float32"], width=1000)
+    assert race.workload(peer, rate=1e9, seconds=0.5) == (5000, 100_000)
+    assert race.workload(peer, rate=1e7, seconds=0.5) == (1000, 5000)
+
+
+def test_statistics_are_of_the_squares():
+    sample = Sample.of(np.array([1.0, 3.0]), np.array([2.0, 2.0]))
+    assert sample.filtered.mean_square == 2.0
+    assert sample.filtered.standard_error == 1.0
+    assert sample.smoothed.standard_error == 0.0
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def test_bench_measures_and_prints(capfd):
+    kept = [ROOT / "README.md", *report.FOLDER.glob("results.*"), *report.FOLDER.glob("scaling.*")]
+    before = [path.stat().st_mtime_ns for path in kept]
+    assert cli.main(["bench", "--quick", "--peers", "NumPy,Octave"]) == 0
+    printed = capfd.readouterr().out
+    for text in ("| NumPy, float64 |", "| threads |", "| order |", "runs^", "steps^", "lfilter |"):
+        assert text in printed
+    skipped = "skipped: Octave, vectorised: octave is not installed"
+    assert ("| Octave, vectorised |" in printed) != (skipped in printed)
+    assert [path.stat().st_mtime_ns for path in kept] == before
+
+
+def test_a_quick_run_is_not_written(capfd):
+    with pytest.raises(SystemExit, match="2"):
+        bench.main(["--quick", "--write"])
+    assert "leave out --quick" in capfd.readouterr().err
+
+
+def test_an_incomplete_run_is_not_written(results, capsys):
+    peers = {name: peer for name, peer in results["race"]["peers"].items() if "JAX" not in name}
+    bench.keep({**results, "race": {**results["race"], "peers": peers}})
+    assert "nothing is written" in capsys.readouterr().out
+
+
+def test_a_peer_that_disagrees_is_marked(results):
+    peers = results["race"]["peers"]
+    wrong = {
+        **results["race"],
+        "peers": {**peers, "Python loop": {**peers["Python loop"], "agrees": False}},
+    }
+    changed = {**results, "race": wrong}
+    assert report.disagreeing(changed) == ["Python loop"]
+    assert "DISAGREES" in report.peers_table(changed).markdown()
+    assert not report.is_complete(changed)
+
+
+def test_a_design_that_takes_too_long_is_said_to(results):
+    slow = {**results, "design": {"design": 0.02, "sweep": 0.06, "both": 0.08}}
+    assert report.shortfalls(slow) == ["design and sweep take 80 ms; the aim is 50 ms"]
+
+
+# --- the record ----------------------------------------------------------------------------------
+
+
+def test_the_readme_quotes_the_record(results):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert f"{report.BEGIN}\n{report.readme_block(results)}{report.END}" in text
+
+
+def test_the_report_is_of_the_record(results):
+    assert (report.FOLDER / "results.md").read_text(encoding="utf-8") == report.markdown(results)
+
+
+def test_the_record_is_complete_and_meets_the_aims(results):
+    assert report.is_complete(results)
+    assert report.shortfalls(results) == []
+
+
+def test_the_record_scales(results):
+    scales = results["scales"]
+    for what in ("runs", "steps"):
+        assert abs(scales[what]["exponent"] - 1) < 0.05
+    assert scales["memory"][-1]["megabytes"] < 1.1 * scales["memory"][0]["megabytes"]
+    assert scales["first_call"]["call"] < 1.0
+    for row in scales["orders"][1:]:
+        assert row["relative"] < 1 + row["order"]  # no order falls off a cliff
+    (two,) = [row for row in scales["threads"] if row["threads"] == 2]
+    assert two["speed_up"] > 1.8
+
+
+def test_the_record_smooths_millions_of_samples_a_second(results):
+    records = results["records"]["contenders"]
+    for name in ("robsmooth", "robsmooth, a gap in ten", "robsmooth, compiled copies"):
+        assert records[name]["rate"] > 1e6, name
+    assert records["scipy.signal.lfilter"]["ratio"] > 0.5

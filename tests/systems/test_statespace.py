@@ -1,0 +1,484 @@
+"""To python-control and back: its objects, and what it computes with ours, against own formulas."""
+
+import subprocess
+import sys
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.linalg import expm
+
+from robsmooth import (
+    Nonlinearity,
+    UncertainSystem,
+    Uncertainty,
+    augment,
+    error_covariance,
+    homodyne,
+)
+from robsmooth.analysis.covariance import closed_loop
+from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
+from robsmooth.systems.statespace import Blocks
+from tests.helpers.strategies import (
+    admissible_delta,
+    designs,
+    feasible_design,
+    plants,
+    random_system,
+    seeds,
+    stable_matrix,
+    systems,
+)
+
+few = settings(max_examples=20)
+MATRICES = ("A", "B1", "C0", "C2", "D21")
+
+
+def assert_same_system(given, expected):
+    for name in MATRICES:
+        assert_array_equal(getattr(given, name), getattr(expected, name), strict=True)
+    for kind, names in (("uncertainties", "BCD"), ("nonlinearities", "BCD")):
+        pairs = zip(getattr(given, kind), getattr(expected, kind), strict=True)
+        for one, other in pairs:
+            for name in names:
+                assert_array_equal(getattr(one, name), getattr(other, name), strict=True)
+    for one, other in zip(given.nonlinearities, expected.nonlinearities, strict=True):
+        for name in ("lipschitz", "function", "reference"):
+            assert getattr(one, name) == getattr(other, name)
+
+
+def lipschitz(system):
+    return [c.lipschitz for c in system.nonlinearities]
+
+
+def a_design(seed=1, g=2, delay=0.4):
+    rng = np.random.default_rng(seed)
+    return feasible_design(rng, augment(random_system(rng, n=2, m=2, l=2, g=g), delay, 2))
+
+
+def transfer(A, B, C, s):
+    return C @ np.linalg.solve(s * np.eye(len(A)) - A, B)
+
+
+def random_plant(rng, n=3, p=2, l=2, D=False):  # noqa: E741 - the paper's letter
+    feedthrough = rng.standard_normal((l, p)) if D else np.zeros((l, p))
+    B, C = rng.standard_normal((n, p)), rng.standard_normal((l, n))
+    return control.ss(stable_matrix(rng, n), B, C, feedthrough)
+
+
+def random_intensity(rng, n):
+    root = rng.standard_normal((n, n + 1))
+    return root @ root.T
+
+
+# --- systems out and in ---------------------------------------------------------------------------
+
+
+@given(systems())
+def test_a_system_that_goes_out_and_in_is_the_same(system):
+    assert_same_system(
+        UncertainSystem.from_statespace(system.to_statespace(), lipschitz(system)), system
+    )
+
+
+@given(systems(), seeds)
+@few
+def test_signals_may_come_in_any_order(system, seed):
+    sys = system.to_statespace()
+    rng = np.random.default_rng(seed)
+    shuffled = sys[
+        list(rng.permutation(sys.output_labels)), list(rng.permutation(sys.input_labels))
+    ]
+    assert_same_system(UncertainSystem.from_statespace(shuffled, lipschitz(system)), system)
+
+
+def test_what_a_linear_system_does_not_hold_is_given_by_hand():
+    system = homodyne.PAPER.uncertain_system()
+    sys = system.to_statespace()
+    by_hand = [1.0], [homodyne.PAPER.channel], ["filtered"]
+    assert_same_system(UncertainSystem.from_statespace(sys, *by_hand), system)
+    (bare,) = UncertainSystem.from_statespace(sys, [1.0]).nonlinearities
+    assert (bare.function, bare.reference) == (None, None)
+
+
+def test_channels_without_columns_or_rows_keep_their_places():
+    empty = Uncertainty(np.zeros((1, 0)), np.zeros((0, 1)), np.zeros((1, 0)))
+    only_zeta = Uncertainty(np.zeros((1, 0)), [[0.5]], np.zeros((1, 0)))
+    full = Uncertainty([[1.0]], [[0.0]], [[0.0]])
+    system = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.1]], [only_zeta, full])
+    assert_same_system(UncertainSystem.from_statespace(system.to_statespace()), system)
+    gap = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.1]], [empty, full])
+    with pytest.raises(ValueError, match="numbered from 0, got xi_1 or zeta_1 without xi_0"):
+        UncertainSystem.from_statespace(gap.to_statespace())
+
+
+@given(systems(), st.floats(0.01, 100.0))
+@few
+def test_each_named_part_has_the_transfer_function_of_its_matrices(system, omega):
+    sys, s = system.to_statespace(), 1j * omega
+    parts = {
+        ("y[0]", "W[1]"): transfer(system.A, system.B1[:, [1]], system.C2[[0]], s)[0, 0]
+        + system.D21[0, 1],
+        ("w[0]", "W[0]"): transfer(system.A, system.B1[:, [0]], system.C0[[0]], s)[0, 0],
+    }
+    second = system.uncertainties[1]
+    parts["y[0]", "xi_1[0]"] = transfer(system.A, second.B, system.C2, s)[0, 0] + second.D[0, 0]
+    parts["zeta_0[2]", "xi_1[0]"] = transfer(system.A, second.B, system.uncertainties[0].C, s)[2, 0]
+    for i, channel in enumerate(system.nonlinearities):
+        parts["y[0]", f"mu[{i}]"] = (
+            transfer(system.A, channel.B, system.C2, s)[0, 0] + channel.D[0, 0]
+        )
+        parts[f"nu[{i}]", "W[0]"] = transfer(system.A, system.B1, channel.C, s)[0, 0]
+    for names, expected in parts.items():
+        assert control.evalfr(sys[names], s) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def test_whole_signals_are_chosen_by_their_names():
+    system = random_system(np.random.default_rng(0), n=2, m=2, l=2, g=2)
+    sys = system.to_statespace(inputs="W", outputs=["y", "zeta_1"])
+    assert sys.input_labels == [f"W[{i}]" for i in range(4)]
+    assert sys.output_labels == ["y[0]", "y[1]", "zeta_1[0]"]
+    assert_array_equal(sys.D, np.vstack([system.D21, np.zeros((1, 4))]))
+    assert_array_equal(sys.C, np.vstack([system.C2, system.uncertainties[1].C]))
+    for selection in (dict(inputs="xi_2"), dict(outputs=["y", "smoothed"]), dict(inputs=0)):
+        with pytest.raises(ValueError, match=r"^(inputs|outputs) must be among .*, got ('|0)"):
+            system.to_statespace(**selection)
+
+
+def test_what_goes_out_is_in_continuous_time_a_copy_and_keeps_all_states(monkeypatch):
+    monkeypatch.setitem(control.config.defaults, "control.default_dt", 1.0)
+    monkeypatch.setitem(control.config.defaults, "statesp.remove_useless_states", True)
+    system = UncertainSystem(
+        np.diag([-1.0, -2.0]), [[1.0], [0.0]], [[1.0, 0.0]], [[1.0, 0.0]], [[1.0]]
+    )
+    sys = system.to_statespace()
+    assert sys.dt == 0
+    assert sys.nstates == 2
+    sys.A[0, 0] = 5.0
+    assert system.A[0, 0] == -1.0
+
+
+def test_a_static_gain_is_a_system_too():
+    sys = Blocks(
+        np.zeros((0, 0)),
+        {"w": np.zeros((0, 2))},
+        {"w_a": np.zeros((2, 0))},
+        {("w_a", "w"): np.eye(2)},
+    ).to_control()
+    assert sys.dt == 0
+    assert_array_equal(sys.D, np.eye(2))
+
+
+NAMED = homodyne.PAPER.uncertain_system().to_statespace()
+
+
+def renamed(old, new):
+    return control.ss(
+        NAMED.A,
+        NAMED.B,
+        NAMED.C,
+        NAMED.D,
+        inputs=[new if label == old else label for label in NAMED.input_labels],
+        outputs=[new if label == old else label for label in NAMED.output_labels],
+    )
+
+
+@pytest.mark.parametrize(
+    "sys, given, words",
+    [
+        (control.rss(2, 1, 1), (), "input 'u' must be one of W, mu, xi_0, xi_1, .*from_plant"),
+        (renamed("y[0]", "yy[0]"), (), "output 'yy' must be one of w, y, nu, zeta_0"),
+        (renamed("y[0]", "zeta_1[0]"), (), "must have an output 'y', got w, zeta_1, zeta_0, nu"),
+        (renamed("W[1]", "W[2]"), (), r"input 'W' has 2 component\(s\), but none is .*'W\[1\]'"),
+        (renamed("W[1]", "W"), (), "input 'W' has its component 0 twice"),
+        (renamed("xi_0[0]", "xi_2[0]"), (), "got xi_2 or zeta_2 without xi_1"),
+        (NAMED, (), "lipschitz must have as many entries as sys's input 'mu', 1, got 0"),
+        (NAMED, ([1.0], []), "functions must have as many .*, 1, got 0"),
+        (NAMED, ([1.0], None, []), "references must have as many .*, 1, got 0"),
+        (NAMED, ([1.0], None, ["phase"]), "Nonlinearity reference must be one of 'filtered'"),
+        (NAMED, ([0.0],), "lipschitz must be finite and in"),
+        (NAMED[["w[0]", "y[0]"], :], ([1.0],), "output 'nu' must have as many .*, 1, got 0"),
+        (control.ss(-1, 1, 1, 1, inputs="W", outputs="w"), (), "must have an output 'y'"),
+        (
+            control.ss(-1, 1, [[1], [1]], [[1], [0]], inputs="W", outputs=["w", "y"]),
+            (),
+            "must have feedthrough to 'y' only, got 'W' to 'w'",
+        ),
+        (control.ss(-1, 1, 1, 0, 0.1), (), r"sys must be in continuous time, got .*dt=0\.1"),
+        (control.ss([], [], [], [[1.0]]), (), "sys must have a state, got a static gain"),
+    ],
+)
+def test_what_cannot_come_in_is_one_clear_error(sys, given, words):
+    with pytest.raises(ValueError, match=f"^(?!.*\n).*{words}"):
+        UncertainSystem.from_statespace(sys, *given)
+
+
+@pytest.mark.parametrize(
+    "make", [UncertainSystem.from_statespace, lambda s: UncertainSystem.from_plant(s, 1, 1)]
+)
+@pytest.mark.parametrize(
+    "sys, words",
+    [
+        (
+            control.tf([1.0], [1.0, 1.0]),
+            r"got TransferFunction; control\.ss\(\.\.\.\) makes it one",
+        ),
+        (np.eye(2), "must be a control.StateSpace, got ndarray$"),
+        (None, "got NoneType"),
+    ],
+)
+def test_another_kind_of_object_is_refused(make, sys, words):
+    with pytest.raises(TypeError, match=words):
+        make(sys)
+
+
+def test_a_single_function_is_not_a_sequence_of_functions():
+    with pytest.raises(TypeError, match="functions must be a Sequence, got ufunc"):
+        UncertainSystem.from_statespace(NAMED, [1.0], np.sin)
+
+
+def test_importing_the_package_does_not_import_python_control():
+    code = "import sys, robsmooth; sys.exit('control' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- plants with noise, as control.lqe has them ---------------------------------------------------
+
+
+@given(seeds)
+def test_the_filter_of_a_plant_is_that_of_lqe(seed):
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng)
+    Q, R = random_intensity(rng, 2), random_intensity(rng, 2) + 0.1 * np.eye(2)
+    drive = plant.B @ Q @ plant.B.T  # lqe(plant, Q, R) wants this symmetric to the last bit
+    L, P, poles = control.lqe(plant.A, np.eye(3), plant.C, (drive + drive.T) / 2, R)
+    system = UncertainSystem.from_plant(plant, Q, R, outputs=np.eye(3))
+    kalman = kalman_bucy(system)
+    assert_allclose(kalman.B_c, L, rtol=0, atol=1e-7 * (1 + np.abs(L).max()))
+    errors = error_covariance(kalman, np.zeros((4, 2)), "filtered")
+    assert_allclose(errors, P, rtol=0, atol=1e-7 * np.trace(P))
+    assert_allclose(np.sort_complex(kalman.poles), np.sort_complex(poles), rtol=1e-6)
+
+
+@given(seeds)
+@few
+def test_lqe_of_the_exported_system_is_its_kalman_filter(seed):
+    rng = np.random.default_rng(seed)
+    B, noise = rng.standard_normal((3, 2)), np.diag(rng.uniform(0.3, 1.0, 2))
+    system = UncertainSystem(
+        A=stable_matrix(rng, 3),
+        B1=np.hstack([B, np.zeros((3, 2))]),  # independent of the measurement's, as lqe wants it
+        C0=np.eye(3),
+        C2=rng.standard_normal((2, 3)),
+        D21=np.hstack([np.zeros((2, 2)), noise]),
+    )
+    L, _, _ = control.lqe(system.to_statespace("W", "y"), np.eye(4), system.D21 @ system.D21.T)
+    assert_allclose(kalman_bucy(system).B_c, L, rtol=0, atol=1e-7 * (1 + np.abs(L).max()))
+
+
+@given(seeds)
+def test_a_plant_comes_with_its_noises_and_their_channels(seed):
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, D=True)
+    Q, R = random_intensity(rng, 2), random_intensity(rng, 2)
+    bound, own = (
+        rng.standard_normal((4, 3)),
+        Uncertainty(np.ones((3, 1)), np.ones((1, 3)), [[0.0]] * 2),
+    )
+    system = UncertainSystem.from_plant(plant, Q, R, process_uncertainty=bound, uncertainties=[own])
+    for name, expected in (("A", plant.A), ("C0", plant.C), ("C2", plant.C)):
+        assert_array_equal(getattr(system, name), expected)
+    joint = np.vstack([system.B1, system.D21])
+    into = np.vstack([plant.B, plant.D])
+    expected = into @ Q @ into.T
+    expected[3:, 3:] += R
+    assert_allclose(joint @ joint.T, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    process, measurement, third = system.uncertainties
+    assert_array_equal(process.C, bound)
+    assert_array_equal(measurement.C, np.zeros((1, 3)))
+    assert third is own
+    channels = np.hstack([np.vstack([c.B, c.D]) for c in (process, measurement)])
+    assert_array_equal(channels, joint)
+    augment(system, 0.0, 0)  # Assumption 1 holds
+
+
+def test_noise_intensities_of_very_different_units_keep_their_digits():
+    plant = control.ss(-np.eye(2), np.eye(2), [[1.0, 1.0]], [[0.0, 0.0]])
+    scale = np.diag([1e-9, 1e9])
+    Q = scale @ np.array([[2.0, 1.0], [1.0, 3.0]]) @ scale
+    system = UncertainSystem.from_plant(plant, Q, 4.0)
+    assert_allclose(system.B1 @ system.B1.T, Q, rtol=1e-12)
+    assert_array_equal(system.D21, [[0.0, 0.0, 2.0]])
+
+
+def test_a_robust_design_for_a_plant_holds_its_bound():
+    plant = control.tf2ss([1.0], [1.0, 0.8, 4.0])
+    system = UncertainSystem.from_plant(
+        plant,
+        1.0,
+        0.01,
+        outputs=np.vstack([plant.C, plant.C @ plant.A]),  # position and velocity
+        process_uncertainty=0.2 * plant.C,
+    )
+    design = feasible_design(np.random.default_rng(0), augment(system, 0.5, 3))
+    assert design is not None
+    for value in (-1.0, 0.0, 1.0):
+        error = error_covariance(design, design.plant.structured_delta([value, 0.0]), "filtered")
+        assert 0.5 * np.trace(error) <= design.bound
+
+
+PLANT = control.ss(-1.0, [[1.0, 2.0]], 1.0, [[0.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    "change, error, words",
+    [
+        (dict(process_noise=-1.0), ValueError, "process_noise must be finite and in"),
+        (dict(process_noise=np.eye(3)), ValueError, r"process_noise must have shape \(2, 2\)"),
+        (dict(process_noise=[[1, 2], [2, 1]]), ValueError, "process_noise must be nonneg.*-1"),
+        (dict(process_noise=[[1, 0.5], [0, 1]]), ValueError, "process_noise must be symmetric"),
+        (dict(measurement_noise=[[-1e-30]]), ValueError, "measurement_noise must not be negative"),
+        (dict(measurement_noise="1"), TypeError, "measurement_noise must be a real number"),
+        (dict(outputs=[[1.0, 0.0]]), ValueError, r"C0 must have shape \(any, 1\)"),
+        (dict(process_uncertainty=[[1, 2]]), ValueError, r"uncertainties\[0\]\.C must have shape"),
+        (dict(measurement_uncertainty=[[1, 2]]), ValueError, r"uncertainties\[1\]\.C must have"),
+        (dict(uncertainties=[3]), TypeError, r"uncertainties\[0\] must be an Uncertainty"),
+        (dict(plant=control.ss(-1, 1, 1, 0, True)), ValueError, "plant must be in continuous"),
+        (dict(plant=control.ss([], [], [], [[1.0]])), ValueError, "plant must have a state"),
+    ],
+)
+def test_what_makes_no_system_of_a_plant_is_one_clear_error(change, error, words):
+    arguments = {"plant": PLANT, "process_noise": 1.0, "measurement_noise": 1.0, **change}
+    with pytest.raises(error, match=f"^(?!.*\n).*{words}"):
+        UncertainSystem.from_plant(**arguments)
+
+
+# --- estimators out -------------------------------------------------------------------------------
+
+
+@given(designs(), st.floats(0.01, 100.0))
+@few
+def test_an_estimator_has_the_response_of_its_matrices(design, omega):
+    sys, system = design.to_statespace(), design.plant.system
+    C = np.vstack([design.C_a, design.C_f, design.C_c[system.m :]])
+    expected = transfer(design.A_c, design.B_c, C, 1j * omega)
+    assert_allclose(
+        sys.frequency_response([omega]).complex.reshape(expected.shape),
+        expected,
+        rtol=0,
+        atol=1e-9 * (1 + np.abs(expected).max()),
+    )
+    assert_allclose(
+        np.sort_complex(sys.poles()), np.sort_complex(design.poles), rtol=1e-6, atol=1e-9
+    )
+    copies = [f"mu_copy[{i}]" for i in range(system.g)]
+    assert sys.input_labels == [*(f"y[{j}]" for j in range(system.l)), *copies]
+
+
+def test_step_and_forced_response_are_those_of_the_exponential():
+    design = a_design()
+    slopes = [0.3, -0.2]
+    sys = design.to_statespace(slopes, outputs="smoothed")
+    A = design.A_c + design.B_c[:, 2:] @ np.diag(slopes) @ design.C_c[2:]
+    times = np.linspace(0.0, 2.0, 9)
+    step = control.step_response(sys, times)
+    ramp = control.forced_response(sys, times, np.vstack([times, 0 * times]))
+    for i, t in enumerate(times):
+        settled = np.linalg.solve(A, (expm(A * t) - np.eye(len(A))) @ design.B_c[:, :2])
+        assert_allclose(step.outputs[:, :, i], design.C_a @ settled, atol=1e-9)
+        growing = np.linalg.solve(A, settled - t * design.B_c[:, :2])
+        assert_allclose(ramp.outputs[:, i], (design.C_a @ growing)[:, 0], atol=1e-9)
+
+
+def test_closing_the_copies_by_python_control_is_closing_them_by_slopes():
+    design = a_design()
+    slopes = np.array([0.4, 0.1])
+    sys = design.to_statespace()
+    y, smoothed = ["y[0]", "y[1]"], ["smoothed[0]", "smoothed[1]"]
+    gain = np.zeros((4, 6))
+    gain[2:, 4:] = np.diag(slopes)
+    closed = control.feedback(sys, control.ss([], [], [], gain), sign=1)
+    assert_allclose(closed.A, design.to_statespace(slopes).A, rtol=1e-12)
+    s = 0.7j
+    assert_allclose(
+        control.evalfr(design.to_statespace(slopes, "smoothed"), s),
+        control.evalfr(closed, s)[:2, :2],
+        rtol=1e-9,
+    )
+    nominal = control.evalfr(design.to_statespace([0.0, 0.0], "smoothed"), s)
+    assert_allclose(control.evalfr(sys[smoothed, y], s), nominal, rtol=1e-12)
+
+
+@given(designs(), seeds, st.floats(0.01, 100.0))
+@few
+def test_python_control_joins_system_and_estimator_by_the_names_of_their_signals(
+    design, seed, omega
+):
+    plant, system = design.plant, design.plant.system
+    Delta = admissible_delta(np.random.default_rng(seed), plant)
+    parts = system.to_statespace(), design.to_statespace()
+    labels = [label for part in parts for label in part.output_labels]
+    zeta = [label for label in labels if label.startswith(("zeta", "nu"))]
+    xi = [label for part in parts for label in part.input_labels if label.startswith(("xi", "mu"))]
+    uncertainty = control.ss([], [], [], Delta, 0, inputs=zeta, outputs=xi)
+    loop = control.interconnect(
+        [*parts, uncertainty],
+        inputs=[f"W[{i}]" for i in range(system.q)],
+        outputs=[f"smoothed[{i}]" for i in range(system.m)],
+        check_unused=False,
+    )
+    expected = closed_loop(design, Delta)
+    read_out = np.hstack([np.zeros_like(plant.C_p0), design.C_a])
+    response = transfer(expected.A, expected.B[:, : system.q], read_out, 1j * omega)
+    assert_allclose(
+        loop.frequency_response([omega]).complex.reshape(response.shape),
+        response,
+        rtol=0,
+        atol=1e-8 * (1e-3 + np.abs(response).max()),
+    )
+
+
+def test_estimators_stand_side_by_side():
+    system = homodyne.PAPER.uncertain_system()
+    pair = [fixed_lag_smoother(system, 3.1e-6, 2), kalman_bucy(system)]
+    both = control.append(*(estimator.to_statespace([0.0]) for estimator in pair))
+    poles = np.concatenate([estimator.poles for estimator in pair])
+    assert_allclose(np.sort_complex(both.poles()), np.sort_complex(poles), rtol=1e-9)
+
+
+def test_slopes_and_outputs_of_an_estimator_are_checked():
+    design = a_design()
+    with pytest.raises(ValueError, match="slopes must have 2 entries, got 1"):
+        design.to_statespace([0.0])
+    with pytest.raises(ValueError, match="slopes must be finite"):
+        design.to_statespace([0.0, np.inf])
+    with pytest.raises(ValueError, match="outputs must be among smoothed, filtered, nu_copy, got"):
+        design.to_statespace(outputs="w")
+
+
+def test_nonlinearities_of_the_same_name_do_not_mix():
+    # eleven components: mu[10] comes after mu[9], not after mu[1]
+    channels = [Nonlinearity([[float(i)]], [[1.0]], [[0.0]], 1.0 + i) for i in range(11)]
+    system = UncertainSystem([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.1]], (), channels)
+    sys = system.to_statespace()
+    order = sorted(sys.input_labels)
+    back = UncertainSystem.from_statespace(sys[:, order], lipschitz(system))
+    assert_same_system(back, system)
+
+
+@given(plants(), st.floats(0.01, 100.0))
+@few
+def test_a_plant_and_its_delay_model_go_out_too(plant, omega):
+    s, delay = 1j * omega, plant.delay_model
+    if len(delay.F):
+        response = control.evalfr(delay.to_statespace(), s, squeeze=False)
+        assert_allclose(response, delay.response(omega), rtol=1e-9, atol=1e-12)
+    noise = plant.B_p1[:, : plant.system.q]
+    out = plant.to_statespace()
+    rows = [i for i, label in enumerate(out.output_labels) if label.startswith("w_a[")]
+    columns = [j for j, label in enumerate(out.input_labels) if label.startswith("W[")]
+    response = control.evalfr(out, s, squeeze=False)[np.ix_(rows, columns)]
+    assert_allclose(response, transfer(plant.A_p, noise, plant.C_a, s), rtol=1e-9, atol=1e-12)
