@@ -96,10 +96,10 @@ def write_report(root: Path, places: Places, changed: bool) -> None:
 def verdicts(options: argparse.Namespace) -> int:
     """Print every printed number of the paper with its verdict."""
     from robsmooth.paper import report
-    from robsmooth.paper import verdicts as reproduction
+    from robsmooth.paper import verdicts as paper_verdicts
 
     try:
-        print(report.markdown(reproduction.verdicts(_project() / "data")))
+        print(report.markdown(paper_verdicts.verdicts(_project() / "data")))
     except ValueError as error:  # no Monte Carlo results, or damaged ones
         raise PipelineError(str(error)) from error
     return 0

@@ -20,9 +20,9 @@ cannot be negative,
              + C_s \mathbf W C_s', \qquad
     \mathbf W = \mathbf P - e^{\mathbf A\delta}\mathbf P e^{\mathbf A'\delta}:
 
-what the state one lag back contributes, and the noise since then (`robsmooth._numerics.lyapunov` finds `W`
-without the subtraction). The state is :math:`[x_p;\; x_p - \hat x_p]`, so that a small error is
-small from the start.
+what the state one lag back contributes, and the noise since then (`robsmooth._numerics.lyapunov`
+finds `W` without the subtraction). The state is :math:`[x_p;\; x_p - \hat x_p]`, so that a small
+error is small from the start.
 
 The paper drives the copies with the fictitious noise of the design. A real loop has no such noise:
 `copy_noise=False` leaves it out.

@@ -1,17 +1,17 @@
 r"""The least bound: minimisation of V over tau and lambda.
 
-The search follows paths of barrier problems (`robsmooth.estimators.bound_search`). It knows of the structure of the
-minimiser:
+The search follows paths of barrier problems (`robsmooth.estimators.bound_search`). It knows of the
+structure of the minimiser:
 
 - :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`, so that the least bound lies on the boundary of
   the constraint :math:`M(\lambda)^{-1} \ge JJ'`, and the step onto it is exact.
 - Multipliers that fall to zero along a path are zero at its end, and the search goes on with them
   at zero, on a *face*. Where :math:`M(\lambda)` is positive there, the bound is attained. Where it
   is singular, the least bound is an infimum that no design attains: the search goes on with the
-  limit itself (`robsmooth.estimators.limit`), and its answer is a design next to it. So it is in the paper's
-  example, for both costs: the multipliers of the nonlinearity and of its copy vanish, and the
-  others are the largest that are allowed, :math:`\lambda = (1, \tfrac12, 0, 0)`. Then X is zero,
-  and a search over :math:`\tau` is all that is left.
+  limit itself (`robsmooth.estimators.limit`), and its answer is a design next to it. So it is in
+  the paper's example, for both costs: the multipliers of the nonlinearity and of its copy vanish,
+  and the others are the largest that are allowed, :math:`\lambda = (1, \tfrac12, 0, 0)`. Then X is
+  zero, and a search over :math:`\tau` is all that is left.
 - Where the copy is of no use, it is the multiplier of the difference that vanishes, and where a
   measurement is, the multiplier of its uncertainty.
 - V has more than one local minimum: to ignore the measurement may be one. Several starts are

@@ -20,9 +20,10 @@ the estimation error, :math:`H = \tilde B_1 - K\tilde D_{21}`, and
     \Bigr\rangle - \Bigl\langle M_i,\ M^{-1}\bigl[H'(\Lambda_Y - \tfrac12Z)H
       + \tilde B_1'(X\Lambda_XX + \tfrac12 Z)\tilde B_1\bigr]M^{-1}\Bigr\rangle .
 
-Where multipliers vanish, the same is done for the reduced system of `robsmooth.estimators.limit`, and the term
-of x is added. Time, states and measurements are brought to units of order one; the equations are
-solved fast and not certified: the design that a search ends with is, by `design_smoother`.
+Where multipliers vanish, the same is done for the reduced system of `robsmooth.estimators.limit`,
+and the term of x is added. Time, states and measurements are brought to units of order one; the
+equations are solved fast and not certified: the design that a search ends with is, by
+`design_smoother`.
 """
 
 from dataclasses import dataclass, replace

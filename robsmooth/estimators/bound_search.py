@@ -5,11 +5,11 @@ The constraint :math:`M(\lambda)^{-1} \ge JJ'` is the linear matrix inequality
 
 .. math:: \log V - \mu\bigl[\log\det(I - J'M(\lambda)J) + \textstyle\sum_i\log\lambda_i\bigr]
 
-is minimised by Newton's method, with the gradient of `robsmooth.estimators.bound_function`. Its minimum is within
-about :math:`\mu` times the number of constraints of one of :math:`\log V`, and tends to it as a
-smooth function of :math:`\sqrt\mu`. Multipliers that fall to zero with it do so in proportion to
-:math:`\mu`, or to its root: a little of a difference multiplier acts, to first order, as more of
-the other two, so that the bound is flat where it vanishes.
+is minimised by Newton's method, with the gradient of `robsmooth.estimators.bound_function`. Its
+minimum is within about :math:`\mu` times the number of constraints of one of :math:`\log V`, and
+tends to it as a smooth function of :math:`\sqrt\mu`. Multipliers that fall to zero with it do so in
+proportion to :math:`\mu`, or to its root: a little of a difference multiplier acts, to first order,
+as more of the other two, so that the bound is flat where it vanishes.
 """
 
 import math

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from robsmooth._support import files
 from robsmooth._support.tables import Table
-from robsmooth.paper import verdicts as reproduction
+from robsmooth.paper import verdicts as paper_verdicts
 from robsmooth.paper.results import MonteCarloTable
-from robsmooth.paper.verdicts import OUTCOMES, Verdict, table
+from robsmooth.paper.verdicts import NOT_REPRODUCED, OUTCOMES, WITH_FLIPPED_SIGN, Verdict, table
 from robsmooth.workbench import provenance
 
 NAME = "reproduction"
@@ -33,7 +33,7 @@ def write(figures: Path | str, data: Path | str) -> list[Verdict]:
         What was written.
     """
     started = time.perf_counter()
-    verdicts = reproduction.verdicts(data)
+    verdicts = paper_verdicts.verdicts(data)
     files.write_text(Path(figures) / f"{NAME}.md", markdown(verdicts))
     files.write_text(Path(figures) / f"{NAME}.csv", table(verdicts).csv())
     digests = _digests(Path(figures), Path(data))
@@ -90,7 +90,7 @@ def markdown(verdicts: Sequence[Verdict]) -> str:
         "values that round to the printed ones. Matrix entries are counted from zero.",
         scorecard(verdicts).markdown(),
     ]
-    for outcome in (reproduction.NOT_REPRODUCED, reproduction.WITH_FLIPPED_SIGN):
+    for outcome in (NOT_REPRODUCED, WITH_FLIPPED_SIGN):
         chosen = [verdict for verdict in verdicts if verdict.verdict == outcome]
         parts += [
             f"## {outcome.capitalize()}",

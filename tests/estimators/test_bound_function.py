@@ -9,7 +9,7 @@ from scipy.linalg import sqrtm
 from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne
 from robsmooth.estimators.bound_function import entropy
 from robsmooth.estimators.limit import limiting_smoother
-from tests.estimators.test_limit import CASES, limit_of
+from tests.helpers.limits import CASES, limit_of
 from tests.helpers.strategies import feasible_design, random_system
 
 COSTS = ("filtered", "smoothed")

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from robsmooth import augment, homodyne
 from robsmooth.estimators.bound_search import face_where
 from robsmooth.estimators.smoother import multiplier_level
-from tests.estimators.test_limit import CASES, limit_of
+from tests.helpers.limits import CASES, limit_of
 
 
 def example_face(cost="filtered"):

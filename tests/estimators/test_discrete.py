@@ -307,7 +307,7 @@ def test_a_copy_without_effect_needs_no_function():
 
 
 def test_the_homodyne_copy_acts_on_the_difference_to_the_oscillator():
-    """As `robsmooth.homodyne.loop` has it: psi(nu) of nu less 2 alpha gamma times the oscillator's phase."""
+    """As `robsmooth.homodyne.loop` has it: psi of nu less 2 alpha gamma times its phase."""
     p = homodyne.PAPER
     estimator = baselines.kalman_bucy(p.uncertain_system(), copies=True)
     dt, scale = 1e-9, 2 * p.alpha * p.gamma

@@ -12,9 +12,9 @@ import pytest
 
 import robsmooth as rs
 from robsmooth.workbench import parameters
+from tests.helpers.public import PUBLIC
 from tests.helpers.runs import quick
 from tests.helpers.site import read_pages
-from tests.project.test_package import PUBLIC
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = sorted(ROOT.glob("notebooks/*.ipynb"))

@@ -3,32 +3,32 @@
 import ast
 import inspect
 import re
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 import robsmooth
-from robsmooth import homodyne
-from robsmooth.estimators import baselines
+from tests.helpers.public import PUBLIC
 
 SOURCES = Path(robsmooth.__file__).parent
-# Each module imports only from those to its left.
-ORDER = """
-    blas errors files progress notation tables validation steps statespace systems delay augmented
-    riccati lyapunov exponential discrete records estimator smoother limit storage entropy barrier
-    bound linearisation interconnection covariance analysis worst_case homodyne certificate
-    baselines lag loop journal executors galerkin montecarlo nonlinear study comparison published
-    provenance simulations statements reproduction report figures diagrams summaries
-    explorer
-""".split()  # noqa: SIM905 - one a line would be long
-
-PUBLIC = {
-    name: member
-    for module in (robsmooth, baselines, homodyne)
-    for name, member in vars(module).items()
-    if (inspect.isclass(member) or inspect.isfunction(member))
-    and not name.startswith("_")
-    and member.__module__.startswith("robsmooth" if module is robsmooth else module.__name__)
+# A room is a folder. It imports from rooms of lower floors only.
+FLOORS = {
+    "robsmooth": 7,
+    "robsmooth.explorer": 7,
+    "robsmooth.paper": 6,
+    "robsmooth.paper.figures": 6,
+    "robsmooth.paper.tables": 6,
+    "robsmooth.homodyne": 5,
+    "robsmooth.homodyne.montecarlo": 5,
+    "robsmooth.analysis": 4,
+    "robsmooth.io": 4,
+    "robsmooth.simulation": 4,
+    "robsmooth.estimators": 3,
+    "robsmooth._numerics": 2,
+    "robsmooth.systems": 2,
+    "robsmooth.workbench": 2,
+    "robsmooth._support": 1,
 }
 
 
@@ -80,32 +80,48 @@ def test_every_field_of_a_public_class_is_documented(name):
         assert field in documented_names or field in of_the_base, f"{name}.{field}"
 
 
-def imported_modules(path):
-    """The modules of robsmooth that a source file imports."""
-    for node in ast.walk(ast.parse(path.read_text())):
+MODULES = {
+    ".".join(path.relative_to(SOURCES.parent).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in SOURCES.rglob("*.py")
+}
+
+
+def room(module):
+    """The folder that a module stands in; that of a folder's face is the folder."""
+    return module if MODULES[module].name == "__init__.py" else module.rpartition(".")[0]
+
+
+def imported_modules(module):
+    """The modules of robsmooth that a module imports, now or when a function of it is called."""
+    for node in ast.walk(ast.parse(MODULES[module].read_text())):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path.name} has a relative import"
-            names = [node.module]
-            if node.module == "robsmooth":
-                names = [f"robsmooth.{alias.name}" for alias in node.names]
+            assert node.level == 0, f"{module} has a relative import"
+            full = [f"{node.module}.{alias.name}" for alias in node.names]
+            names = [name if name in MODULES else node.module for name in full]
         else:
             continue
-        yield from (n.split(".")[1] for n in names if n.startswith("robsmooth."))
+        yield from (name for name in names if name.partition(".")[0] == "robsmooth")
 
 
-@pytest.mark.parametrize("name", ORDER)
-def test_imports_run_downwards_only(name):
-    allowed = ORDER[: ORDER.index(name)]
-    module, package = SOURCES / f"{name}.py", SOURCES / name
-    if package.is_dir():
-        allowed = [*allowed, name]  # the modules of a package import each other
-    for path in package.glob("*.py") if package.is_dir() else [module]:
-        for imported in imported_modules(path):
-            assert imported in allowed, f"{path.name} imports {imported}"
+def imported_rooms(name):
+    """What the modules of a room import from other rooms: pairs of a module and an imported one."""
+    inside = [module for module in MODULES if room(module) == name]
+    pairs = [(module, other) for module in inside for other in imported_modules(module)]
+    return [(module, other) for module, other in pairs if room(other) != name]
 
 
-def test_every_module_of_the_library_has_its_place_in_the_order():
-    modules = {path.stem for path in SOURCES.glob("*.py")} - {"__init__", "cli"}
-    assert modules <= set(ORDER)
+def test_every_folder_is_a_room_with_a_floor():
+    assert {room(module) for module in MODULES} == set(FLOORS)
+
+
+@pytest.mark.parametrize("name", FLOORS)
+def test_a_room_imports_from_lower_floors_only(name):
+    for module, other in imported_rooms(name):
+        inside_the_same = other.startswith(f"{name}.") or name.startswith(f"{room(other)}.")
+        assert inside_the_same or FLOORS[room(other)] < FLOORS[name], f"{module} imports {other}"
+
+
+def test_modules_do_not_import_each_other_in_a_circle():
+    tuple(TopologicalSorter({m: set(imported_modules(m)) for m in MODULES}).static_order())

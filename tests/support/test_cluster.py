@@ -336,9 +336,10 @@ def test_a_worker_without_this_package_and_then_a_scheduler_that_is_killed(tmp_p
             )
         )
 
-    package = tmp_path / "robsmooth"  # found there instead of this one
-    package.mkdir()
-    (package / "__init__.py").touch()
+    package = tmp_path / "robsmooth" / "_support"  # found there instead of this one
+    package.mkdir(parents=True)
+    for folder in (package, package.parent):
+        (folder / "__init__.py").touch()
     with closing(socket.socket()) as bound:
         bound.bind(("127.0.0.1", 0))
         port = bound.getsockname()[1]
@@ -348,10 +349,10 @@ def test_a_worker_without_this_package_and_then_a_scheduler_that_is_killed(tmp_p
         start("scheduler", "--port", str(port))
         start("worker", address, "--no-nanny", "--nthreads", "1")
         with connect(address, timeout=PATIENCE) as client:
-            with pytest.raises(RuntimeError, match=r"cannot import robsmooth\.executors: start"):
+            with pytest.raises(RuntimeError, match=r"cannot import robsmooth\._support\.cluster:"):
                 list(in_order(abs, numbers(1), client, timeout=PATIENCE))
             sleeps = "import time\ndef _compute(*_): time.sleep(0.05)"
-            (package / "executors.py").write_text(sleeps)
+            (package / "cluster.py").write_text(sleeps)
             results = in_order(abs, repeat((1,)), client, timeout=2 * PATIENCE)
             next(results)
             started[0].kill()

@@ -168,9 +168,9 @@ def monte_carlo(
 ) -> MonteCarloResult:
     r"""Simulate an estimator in the nonlinear adaptive homodyne loop and measure its errors.
 
-    The loop is that in the docstring of `robsmooth.homodyne.loop`. The same numbers, to the last bit, come
-    for any number of threads, on a cluster, and after an interruption; the noise of path i depends
-    on the seed and i alone.
+    The loop is that in the docstring of `robsmooth.homodyne.loop`. The same numbers, to the last
+    bit, come for any number of threads, on a cluster, and after an interruption; the noise of path
+    i depends on the seed and i alone.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def monte_carlo(
     precision : {"mixed", "single"}
         Noise is always drawn in single precision; "mixed" keeps the state in double precision.
     client : distributed.Client, optional
-        A Dask cluster to compute on, see `robsmooth._support.cluster.connect`. Default: this machine.
+        A Dask cluster to compute on, see `robsmooth.workbench.connect`. Default: this machine.
     checkpoint : path, optional
         A file to which progress is saved every few seconds, and from which the same call resumes
         after an interruption. One of other parameters, seed or version is refused.

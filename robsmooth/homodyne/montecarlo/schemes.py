@@ -49,7 +49,7 @@ class EulerStep:
 
 @dataclass(frozen=True, eq=False)
 class SplittingStep:
-    """A step of `robsmooth.homodyne.montecarlo.splitting`, its start, and what is known of its control.
+    """A step of `robsmooth.homodyne.montecarlo.splitting`, its start, and its control's means.
 
     Attributes
     ----------

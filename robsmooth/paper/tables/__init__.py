@@ -1,5 +1,7 @@
 """The tables of the notebooks."""
 
+from robsmooth._support.notation import matrix
+from robsmooth._support.tables import Table
 from robsmooth.paper.tables.beyond import gains, lag_choices, optima, side_by_side, study, tightness
 from robsmooth.paper.tables.design import (
     approach_to_infimum,
@@ -20,6 +22,7 @@ from robsmooth.paper.tables.simulation import (
 )
 
 __all__ = [
+    "Table",
     "approach_to_infimum",
     "change_needed",
     "copy_noise",
@@ -28,6 +31,7 @@ __all__ = [
     "gains",
     "in_units",
     "lag_choices",
+    "matrix",
     "noise_sweep",
     "noise_table",
     "optima",

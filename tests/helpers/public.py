@@ -1,0 +1,15 @@
+"""The public classes and functions: what the package, `baselines` and `homodyne` hand out."""
+
+import inspect
+
+import robsmooth
+from robsmooth import baselines, homodyne
+
+PUBLIC = {
+    name: member
+    for module in (robsmooth, baselines, homodyne)
+    for name, member in vars(module).items()
+    if (inspect.isclass(member) or inspect.isfunction(member))
+    and not name.startswith("_")
+    and member.__module__.startswith("robsmooth" if module is robsmooth else module.__name__)
+}
