@@ -53,8 +53,8 @@ test: $(DEVELOPMENT)  ## lint, format check, and all tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 test-browser: $(DEVELOPMENT)  ## the notebooks and the report in chromium, which apt installs if need be
-	@$(BIN)/python -m tests.browser.chromium
-	$(BIN)/python -m pytest tests/browser
+	@$(BIN)/python -m tests.interface.browser.chromium
+	$(BIN)/python -m pytest tests/interface/browser
 
 report: $(DEVELOPMENT)  ## all of it to read, as one offline site in build/PROFILE/site
 	@$(BIN)/robsmooth figures --profile '$(PROFILE)'

@@ -172,7 +172,8 @@ _NEW = {
 import json, time
 started = time.perf_counter()
 import robsmooth
-from robsmooth import homodyne, published
+from robsmooth import homodyne
+from robsmooth.paper import published
 imported = time.perf_counter()
 smoother = published.recomputed_estimator()
 designed = time.perf_counter()
@@ -183,7 +184,8 @@ print(json.dumps({"import": imported - started, "call": called - designed}))
     "memory": """
 import json, resource, sys
 import robsmooth
-from robsmooth import homodyne, published
+from robsmooth import homodyne
+from robsmooth.paper import published
 smoother, unit = published.recomputed_estimator(), 1 if sys.platform == "darwin" else 1024
 
 def forget():

@@ -28,7 +28,7 @@ from robsmooth.homodyne.study import Study, parameter_study
 from robsmooth.io.designs import load, save
 from robsmooth.io.records import smooth_record
 from robsmooth.paper.verdicts import verdicts
-from robsmooth.simulation import (
+from robsmooth.simulation.simulate import (
     InadmissibleWarning,
     SamplePaths,
     SimulatedError,

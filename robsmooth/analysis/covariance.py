@@ -331,8 +331,9 @@ def statistical_linearisation(
     r"""Predict the errors of the nonlinear loop, from slopes that belong to its own variances.
 
     The nonlinearity, and the copy of it, are replaced by slopes that depend on the variances of
-    their arguments, which are those of the linear loop with these slopes (`robsmooth._numerics.linearisation`
-    iterates). In the homodyne loop the argument is the filtered error, of variance P = P(slope(P)).
+    their arguments, which are those of the linear loop with these slopes
+    (`robsmooth._numerics.linearisation` iterates). In the homodyne loop the argument is the
+    filtered error, of variance P = P(slope(P)).
 
     Parameters
     ----------

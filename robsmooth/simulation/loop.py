@@ -14,13 +14,13 @@ With :math:`z = [x; \hat x_p]` and the paper's channels, uncertainties, nonlinea
 where :math:`\tilde B_c = [B_y\ B_\mu]`. Below them are the rows of the measurement y, on which
 nothing depends. In :math:`R` are the references, rows of the estimator's state: a nonlinearity acts
 on :math:`\nu_i - r_i`, and its copy on :math:`\tilde\nu_i - r_i`. The homodyne loop of
-`robsmooth.homodyne.loop` is this equation with one reference, :math:`2\alpha\gamma` times the phase of the
-local oscillator.
+`robsmooth.homodyne.loop` is this equation with one reference, :math:`2\alpha\gamma` times the phase
+of the local oscillator.
 
 :math:`\Delta` holds the constant uncertainties and, for each nonlinearity and each copy, the slope
-that is statistically equivalent to it in the loop (`robsmooth._numerics.linearisation`). What is left, and
-uncertainties that are functions, are in :math:`\rho`. Any slopes describe the same loop, but the
-nearer the linear loop, the better the start and the smaller the error of a step.
+that is statistically equivalent to it in the loop (`robsmooth._numerics.linearisation`). What is
+left, and uncertainties that are functions, are in :math:`\rho`. Any slopes describe the same loop,
+but the nearer the linear loop, the better the start and the smaller the error of a step.
 """
 
 from collections.abc import Callable, Sequence

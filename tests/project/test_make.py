@@ -100,7 +100,7 @@ def bare_machine(tmp_path, monkeypatch):
 
 
 def look_for_chromium():
-    command = [sys.executable, "-m", "tests.browser.chromium"]
+    command = [sys.executable, "-m", "tests.interface.browser.chromium"]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
@@ -132,7 +132,7 @@ def test_a_browser_that_is_named_is_the_one(bare_machine, tmp_path, monkeypatch)
 
 
 def test_browser_tests_say_why_they_are_skipped():
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "tests/browser"]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "tests/interface/browser"]
     environment = os.environ | {"CHROMIUM": "none"}
     run = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert run.returncode == 0, run.stdout

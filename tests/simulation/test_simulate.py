@@ -27,10 +27,10 @@ from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import monte_carlo
 from robsmooth.paper import published
-from robsmooth.simulation import InadmissibleWarning, sample_paths, simulate
 from robsmooth.simulation import simulate as run
 from robsmooth.simulation.integrator import Walk
 from robsmooth.simulation.loop import Function, NonlinearLoop, nonlinear_loop
+from robsmooth.simulation.simulate import InadmissibleWarning, sample_paths, simulate
 from robsmooth.systems.augmented import augment, compact
 from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
 from tests.helpers.loops import assert_within

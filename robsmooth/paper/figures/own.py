@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from robsmooth._support.style import NOWHERE, TRUTH, styles
-from robsmooth.simulation import SamplePaths
+from robsmooth.simulation.simulate import SamplePaths
 
 
 def sample_path(paths: SamplePaths, unit: str, scale: float, quantity: str) -> Figure:

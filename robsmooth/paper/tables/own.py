@@ -12,7 +12,7 @@ from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne.parameters import PAPER
 from robsmooth.paper.published import DELAY, ORDER
-from robsmooth.simulation import SimulationResult
+from robsmooth.simulation.simulate import SimulationResult
 from robsmooth.systems.augmented import augment
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from playwright.sync_api import Page
 
-from tests.browser.waiting import eventually
+from tests.interface.browser.waiting import eventually
 
 # Narrow and wide fonts, whatever a machine has: letters that are set closer together or apart.
 # MathJax follows the height of the letters around, and fonts differ in it, too.

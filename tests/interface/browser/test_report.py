@@ -3,7 +3,7 @@
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.faults import faults, in_each_font
+from tests.interface.browser.faults import faults, in_each_font
 
 
 @pytest.fixture

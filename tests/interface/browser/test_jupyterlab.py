@@ -11,11 +11,11 @@ from papermill.parameterize import parameterize_notebook
 from playwright.sync_api import expect
 
 from robsmooth.workbench import runner
-from tests.browser import notebook
-from tests.browser.faults import faults, in_each_font
-from tests.browser.panels import Panels
-from tests.browser.waiting import eventually
 from tests.helpers.labs import ROOT, running_lab
+from tests.interface.browser import notebook
+from tests.interface.browser.faults import faults, in_each_font
+from tests.interface.browser.panels import Panels
+from tests.interface.browser.waiting import eventually
 
 NUMBERED = sorted(path.stem for path in ROOT.glob("notebooks/[0-9][0-9]_*.ipynb"))
 

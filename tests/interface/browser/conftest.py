@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Error, Page, expect, sync_playwright
 
-from tests.browser import chromium
 from tests.helpers.waiting import PATIENCE
+from tests.interface.browser import chromium
 
-SCREENSHOTS = Path(__file__).resolve().parents[2] / "build" / "browser"
+SCREENSHOTS = Path(__file__).resolve().parents[3] / "build" / "browser"
 QUIET = [
     "--disable-background-networking",
     "--disable-component-update",
