@@ -4,7 +4,7 @@ import csv
 import html
 import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -36,6 +36,17 @@ class Table:
     rows: Sequence[Sequence[Cell]]
     caption: str
     digits: int = 4
+
+    @classmethod
+    def of_records(
+        cls, records: Iterable[Mapping[str, Cell]], caption: str, digits: int = 4
+    ) -> "Table":
+        """Return the table of rows that map column headers to cells; one may lack some of them."""
+        records = list(records)
+        fullest_first = sorted(records, key=len, reverse=True)  # it has the columns in their order
+        columns = tuple(dict.fromkeys(column for record in fullest_first for column in record))
+        rows = [tuple(record.get(column) for column in columns) for record in records]
+        return cls(columns, rows, caption, digits)
 
     def markdown(self) -> str:
         """Return the table for Markdown."""

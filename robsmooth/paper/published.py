@@ -7,6 +7,7 @@ knows nothing of that.
 """
 
 import itertools
+import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
@@ -25,6 +26,13 @@ from robsmooth.systems.delay import DelayModel
 
 DELAY = 3.1e-6  # s
 ORDER = 2
+LAMBDA = ("lambda_1", "lambda_2", "lambda_3", "lambda_4")
+
+_REQUIRED = {
+    "quantity": ("id", "place", "kind", "printed"),
+    "statement": ("id", "place", "kind", "text"),
+}
+_NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
 
 def data_folder() -> Path:
@@ -52,11 +60,7 @@ def read_published(path: Path) -> dict:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ValueError(f"{path.name} cannot be read: {error}") from None
-    fields = {
-        "quantity": ("id", "place", "kind", "printed"),
-        "statement": ("id", "place", "kind", "text"),
-    }
-    for section, required in fields.items():
+    for section, required in _REQUIRED.items():
         entries = content.get(section)
         if not isinstance(entries, list) or not entries:
             raise ValueError(f"{path.name} has no [[{section}]]")
@@ -65,30 +69,33 @@ def read_published(path: Path) -> dict:
                 if field not in entry:
                     name = entry.get("id", "without id")
                     raise ValueError(f"{path.name}: [[{section}]] {name} lacks {field!r}")
-    numbers = [
-        (f"{entry['id']}{index}", text)
+    texts = {
+        f"{entry['id']}{index}": text
         for entry in content["quantity"]
         for index, text in each_entry(entry["printed"])
-    ]
-    for statement in content["statement"]:
-        for field in statement.keys() - set(fields["statement"]):
-            numbers.append((f"{field} of {statement['id']}", statement[field]))
-    for name, text in numbers:
-        try:
-            float(text)
-        except (TypeError, ValueError):
-            raise ValueError(
-                f"{path.name}: {name} must be a number in quotes, got {text!r}"
-            ) from None
+    } | {
+        f"{field} of {statement['id']}": statement[field]
+        for statement in content["statement"]
+        for field in statement
+        if field not in _REQUIRED["statement"]
+    }
+    for name, text in texts.items():
+        if not (isinstance(text, str) and _NUMBER.fullmatch(text)):
+            raise ValueError(f"{path.name}: {name} must be a number in quotes, got {text!r}")
     return content
+
+
+def printed_text(name: str) -> str | list:
+    """Return a quantity as printed, a matrix as its rows, e.g. ``printed_text("tau")``."""
+    quantities = {entry["id"]: entry["printed"] for entry in published()["quantity"]}
+    if name not in quantities:
+        raise KeyError(f"the paper prints no {name!r}; it has {', '.join(quantities)}")
+    return quantities[name]
 
 
 def printed(name: str) -> float | Matrix:
     """Return a printed quantity as a number or array, e.g. ``printed("A_c")``."""
-    quantities = {entry["id"]: entry["printed"] for entry in published()["quantity"]}
-    if name not in quantities:
-        raise KeyError(f"the paper prints no {name!r}; it has {', '.join(quantities)}")
-    value = np.array(quantities[name], dtype=float)
+    value = np.array(printed_text(name), dtype=float)
     return float(value) if value.ndim == 0 else value
 
 
@@ -108,7 +115,7 @@ def stated(name: str, field: str) -> str:
 
 def printed_multipliers() -> np.ndarray:
     """Return the printed lambda_1 ... lambda_4."""
-    return np.array([printed(f"lambda_{i}") for i in (1, 2, 3, 4)])
+    return np.array([printed(name) for name in LAMBDA])
 
 
 def each_entry(value: str | list) -> Iterator[tuple[tuple[int, ...], str]]:
@@ -142,9 +149,8 @@ def agrees(text: str, low: float, high: float, zero: float = 0.0) -> bool:
 
 def rounding_box() -> list[tuple[float, np.ndarray]]:
     """Return the printed tau and lambda and the corners of what rounds to them."""
-    names = ("tau", "lambda_1", "lambda_2", "lambda_3", "lambda_4")
-    texts = {entry["id"]: entry["printed"] for entry in published()["quantity"]}
-    half = np.array([last_digit(texts[name]) / 2 for name in names])
+    names = ("tau", *LAMBDA)
+    half = np.array([last_digit(printed_text(name)) / 2 for name in names])
     middle = np.array([printed(name) for name in names])
     corners = [middle + half * np.array(signs) for signs in itertools.product((-1, 1), repeat=5)]
     return [(corner[0], corner[1:]) for corner in (middle, *corners)]
@@ -173,31 +179,24 @@ def paper_plant() -> AugmentedSystem:
     return AugmentedSystem(homodyne.PAPER.uncertain_system(), model, np.eye(1))
 
 
+def _estimator(A_c: Matrix, B_c: Matrix, C_c: Matrix) -> Estimator:
+    """Return an estimator of the example; C_a reads out its smoothed estimate (none is printed)."""
+    plant = paper_plant()
+    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_c[:1])
+
+
 @cache
 def printed_estimator() -> Estimator:
-    """Return the estimator with the very digits that the paper prints.
-
-    The paper prints no read-out of the smoothed estimate; it is C_a.
-    """
-    plant, C_c = paper_plant(), printed("C_c")
-    return Estimator(
-        plant=plant,
-        A_c=printed("A_c"),
-        B_c=printed("B_c"),
-        C_c=C_c,
-        C_a=plant.C_a,
-        C_f=C_c[:1],
-    )
+    """Return the estimator with the very digits that the paper prints."""
+    return _estimator(*(printed(name) for name in ("A_c", "B_c", "C_c")))
 
 
 def flipped_design(tau: float, multipliers: np.ndarray) -> tuple[Estimator, float]:
     """Return estimator and V with the quadratic term of the X equation negated."""
-    plant = paper_plant()
-    equations = design_equations(plant, tau, multipliers)
+    equations = design_equations(paper_plant(), tau, multipliers)
     X, Y = equations.solve_X(quadratic_sign=-1.0), equations.solve_Y()
-    A_c, B_c, C_c, bound = equations.gains(X.X, Y.X)
-    estimator = Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_c[:1])
-    return estimator, bound
+    *matrices, bound = equations.gains(X.X, Y.X)
+    return _estimator(*matrices), bound
 
 
 @cache
@@ -232,6 +231,11 @@ def designs() -> dict[str, Estimator]:
         "NGCF": ngcf(),
         "Kalman-Bucy": kalman_filter(),
     }
+
+
+def boundary_multipliers(vanishing: float) -> list[float]:
+    """Return the example's lambda on the edge of its constraint, with lambda_3 = lambda_4 given."""
+    return [1.0, 0.5 - vanishing / 2, vanishing, vanishing]
 
 
 def x_discriminant(tau: float, multipliers: np.ndarray) -> float:

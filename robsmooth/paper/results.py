@@ -4,55 +4,48 @@ import json
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from robsmooth._support import files
-from robsmooth.homodyne.montecarlo import MonteCarloResult
+from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.workbench import provenance
 
+NAME = "monte_carlo.json"
 NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that verdicts are about
 _NOT_RESULTS = ("wall_time", "provenance")
 
+# From the name of a design to its "smoothed" and its "filtered" error.
+SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]
 
-@dataclass(frozen=True)
-class MonteCarloTable:
-    """Mean square errors by design and output.
 
-    Attributes
-    ----------
-    cases : dict
-        From the name of the case to its "smoothed" and "filtered" results, each with
-        "mean_square" and "standard_error".
+def read(folder: Path) -> SimulatedErrors:
+    """Read the mean square errors of monte_carlo.json.
+
+    Raises
+    ------
+    ValueError
+        Where the file is missing or corrupt.
     """
+    try:
+        cases = json.loads((folder / NAME).read_text(encoding="utf-8"))["cases"]
+        if missing := set(NEEDED) - set(cases):
+            raise ValueError(f"no result for {', '.join(sorted(missing))}")
+        return {
+            name: {output: _mean_square(case[output]) for output in ("smoothed", "filtered")}
+            for name, case in cases.items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"{NAME} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
+            "make figures ONLY=04 writes it anew"
+        ) from None
 
-    cases: dict[str, dict[str, dict[str, float]]]
 
-    NAME = "monte_carlo.json"
-
-    @classmethod
-    def read(cls, folder: Path) -> "MonteCarloTable":
-        """Read monte_carlo.json; ValueError where it is missing or corrupt."""
-        path = folder / cls.NAME
-        try:
-            cases = json.loads(path.read_text(encoding="utf-8"))["cases"]
-            if missing := set(NEEDED) - set(cases):
-                raise ValueError(f"no result for {', '.join(sorted(missing))}")
-            for case in cases.values():
-                for output in ("smoothed", "filtered"):
-                    for field in ("mean_square", "standard_error"):
-                        if not 0.0 <= case[output][field] < math.inf:
-                            raise ValueError(f"{field} is not a finite number of at least zero")
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ValueError(
-                f"{path.name} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
-                "make figures ONLY=04 writes it anew"
-            ) from None
-        return cls(cases)
-
-    def mean_square(self, design: str, output: str) -> float:
-        """Return the mean square error of a case, rad^2."""
-        return self.cases[design][output]["mean_square"]
+def _mean_square(stored: Mapping[str, float]) -> MeanSquare:
+    for field in ("mean_square", "standard_error"):
+        if not 0.0 <= stored[field] < math.inf:
+            raise ValueError(f"{field} is not a finite number of at least zero")
+    return MeanSquare(stored["mean_square"], stored["standard_error"])
 
 
 def write(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) -> None:
@@ -69,11 +62,11 @@ def write(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) 
     seed : int
         For the provenance.
     """
-    path = Path(data) / MonteCarloTable.NAME
-    cases = {}
-    for name, result in results.items():
-        case = result.to_dict()
-        cases[name] = {key: value for key, value in case.items() if key not in _NOT_RESULTS}
+    path = Path(data) / NAME
+    cases = {
+        name: {key: value for key, value in result.to_dict().items() if key not in _NOT_RESULTS}
+        for name, result in results.items()
+    }
     files.write_json(path, {"cases": cases})
     provenance.write(
         path,

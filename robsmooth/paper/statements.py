@@ -18,17 +18,19 @@ from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.paper import published
 from robsmooth.paper.published import agrees, paper_plant, printed, printed_multipliers, stated
-from robsmooth.paper.results import MonteCarloTable
+from robsmooth.paper.results import SimulatedErrors
 from robsmooth.systems.augmented import AugmentedSystem
 
 Finding = tuple[bool, str, str]
 Check = Callable[[], Finding]
 Sweep = Callable[[str, str], np.ndarray]
 
+# The errors that the paper compares, by the names that it has for them: design and output.
+_COMPARED = {"smoother": ("smoother, as printed", "smoothed"), "NGCF": ("NGCF", "filtered")}
 _EQUAL = 1e-9  # relative: two numbers that rounding alone keeps apart
 
 
-def checks(simulation: MonteCarloTable | None) -> dict[str, Check]:
+def checks(simulation: SimulatedErrors | None) -> dict[str, Check]:
     """Return the check of each statement: whether it holds, our value in words, and why."""
     parameters, plant = homodyne.PAPER, paper_plant()
     slopes = np.linspace(-1.0, 0.0, 21)
@@ -76,19 +78,17 @@ def sector(parameters: HomodyneParameters) -> Finding:
     """
     m, gamma, beta = parameters.sector_slope, parameters.gamma, parameters.beta
     error = np.linspace(0.0, np.pi, 5001)[1:]
-    error = error[np.sin(error) >= m * error]
-    ratio = float(np.abs(parameters.remainder(error) / error).max())
+    ratio = _largest_ratio(parameters, error[np.sin(error) >= m * error])
     value = (
         f"m = {m:.3g}; where sin(mu_1)/mu_1 is in [m, 1], |f| is up to {ratio:.3g} |mu_1|, and "
         f"gamma is {gamma:g}"
     )
     if ratio <= gamma * (1.0 + _EQUAL):
         return True, value, ""
-    loop = statistical_linearisation(
-        baselines.ngcf(parameters.uncertain_system()), parameters.equivalent_slope
-    )
+    ngcf = baselines.ngcf(parameters.uncertain_system())
+    variance = statistical_linearisation(ngcf, parameters.equivalent_slope).filtered
     reach = parameters.sector_range()
-    outside = 1.0 - homodyne.fraction_inside(reach, loop.filtered)
+    outside = 1.0 - homodyne.fraction_inside(reach, variance)
     reason = (
         f"gamma = (1 - m)/2 is for a sector around its middle slope (1 + m)/2 = {(1 + m) / 2:.3g}, "
         f"but the design has beta = {beta:g}, so that its sector is [{beta - gamma:.3g}, "
@@ -101,8 +101,7 @@ def sector(parameters: HomodyneParameters) -> Finding:
 def scaled_nonlinearity(parameters: HomodyneParameters) -> Finding:
     """Test with which power of gamma f~ = f gamma^power gives gamma f~ = f, in the unit sector."""
     gamma = parameters.gamma
-    error = np.linspace(0.0, parameters.sector_range(), 501)[1:]
-    ratio = float(np.abs(parameters.remainder(error) / error).max())
+    ratio = _largest_ratio(parameters, np.linspace(0.0, parameters.sector_range(), 501)[1:])
 
     def fits(power: float) -> bool:
         recovered = gamma * gamma**power
@@ -121,6 +120,11 @@ def scaled_nonlinearity(parameters: HomodyneParameters) -> Finding:
         "the measurement needs, and is in the unit sector"
     )
     return False, value, reason
+
+
+def _largest_ratio(parameters: HomodyneParameters, error: np.ndarray) -> float:
+    """Return the largest |f(e)/e|."""
+    return float(np.abs(parameters.remainder(error) / error).max())
 
 
 def inverse_of_M(plant: AugmentedSystem) -> Finding:
@@ -193,57 +197,44 @@ def _refusal(plant: AugmentedSystem, tau: float, multipliers: np.ndarray) -> str
 
 def grows(sweep: Sweep) -> Finding:
     """Test that both errors rise at each step from Delta_2 = 0 to -1."""
-    values, rising = [], True
-    for name, output in _SWEPT.items():
-        errors = sweep(name, output)[::-1]
-        rising &= bool((np.diff(errors) > 0.0).all())
-        values.append(f"the {_SHORT[name]}'s from {errors[0]:.3f} to {errors[-1]:.3f} rad^2")
-    return rising, f"from Delta_2 = 0 to -1 {' and '.join(values)}", ""
+    errors = {name: sweep(*error)[::-1] for name, error in _COMPARED.items()}
+    rising = all((np.diff(values) > 0.0).all() for values in errors.values())
+    rises = [f"the {name}'s from {e[0]:.3f} to {e[-1]:.3f} rad^2" for name, e in errors.items()]
+    return rising, f"from Delta_2 = 0 to -1 {' and '.join(rises)}", ""
 
 
 def below(sweep: Sweep) -> Finding:
     """Test that the smoother's error is the smaller one at each Delta_2."""
-    smoothed, filtered = (sweep(name, output) for name, output in _SWEPT.items())
-    share = 100 * (1 - smoothed / filtered)
-    return bool((share > 0).all()), f"{share.min():.0f}% to {share.max():.0f}% below", ""
+    smoothed, filtered = (sweep(*error) for error in _COMPARED.values())
+    share = 1 - smoothed / filtered
+    return bool((share > 0).all()), f"{share.min():.0%} to {share.max():.0%} below", ""
 
 
 def less_sensitive(sweep: Sweep) -> Finding:
     """Compare the rises of the errors from Delta_2 = 0 to -1, also relative to their values."""
-    rises = {}
-    for name, output in _SWEPT.items():
-        worst, nominal = sweep(name, output)[[0, -1]]
-        rises[name] = worst - nominal, worst / nominal - 1.0
-    (rise, share), (ngcf_rise, ngcf_share) = rises.values()
+    ends = [sweep(*error)[[0, -1]] for error in _COMPARED.values()]
+    rise, ngcf_rise = (worst - nominal for worst, nominal in ends)
+    share, ngcf_share = (worst / nominal - 1.0 for worst, nominal in ends)
     value = (
-        f"from Delta_2 = 0 to -1 the smoother's rises by {rise:.3f} rad^2 "
-        f"({100 * share:.0f}%), the NGCF's by {ngcf_rise:.3f} rad^2 ({100 * ngcf_share:.0f}%)"
+        f"from Delta_2 = 0 to -1 the smoother's rises by {rise:.3f} rad^2 ({share:.0%}), "
+        f"the NGCF's by {ngcf_rise:.3f} rad^2 ({ngcf_share:.0%})"
     )
-    if rise < ngcf_rise and share < ngcf_share:
-        return True, value, ""
-    if rise < ngcf_rise:
-        return (
-            True,
-            value,
-            "in absolute terms only: relative to its value the smoother's rises more",
-        )
-    return False, value, "the smoother's rises more"
-
-
-_SWEPT = {"smoother, as printed": "smoothed", "NGCF": "filtered"}
-_SHORT = {"smoother, as printed": "smoother", "NGCF": "NGCF"}
+    if rise >= ngcf_rise:
+        return False, value, "the smoother's rises more"
+    absolute = "in absolute terms only: relative to its value the smoother's rises more"
+    return True, value, absolute if share >= ngcf_share else ""
 
 
 # --- the nonlinear simulation ---------------------------------------------------------------
 
 
-def robust_against_kalman(simulation: MonteCarloTable) -> Finding:
+def robust_against_kalman(simulation: SimulatedErrors) -> Finding:
     """Test that the NGCF's error is below the Kalman-Bucy filter's by three standard errors."""
-    robust, kalman = (simulation.cases[name]["filtered"] for name in ("NGCF", "Kalman-Bucy"))
-    difference = robust["mean_square"] - kalman["mean_square"]
-    noise = math.hypot(robust["standard_error"], kalman["standard_error"])
-    share = 100 * difference / kalman["mean_square"]
-    value = f"the NGCF's error differs by {share:+.2f}% from the Kalman-Bucy filter's"
+    robust, kalman = (simulation[name]["filtered"] for name in ("NGCF", "Kalman-Bucy"))
+    difference = robust.mean_square - kalman.mean_square
+    noise = math.hypot(robust.standard_error, kalman.standard_error)
+    share = difference / kalman.mean_square
+    value = f"the NGCF's error differs by {share:+.2%} from the Kalman-Bucy filter's"
     if difference < -3.0 * noise:
         return True, value, ""
     size = "within three standard errors of ours" if difference <= 3.0 * noise else "the other way"
@@ -254,27 +245,19 @@ def robust_against_kalman(simulation: MonteCarloTable) -> Finding:
     return False, value, reason
 
 
-def percent(simulation: MonteCarloTable) -> Finding:
+def percent(simulation: SimulatedErrors) -> Finding:
     """Compare the printed percentage with how much larger than the smoother's the NGCF's is."""
     text = stated("41%", "percent")
-    smoother, filtered = _simulated(simulation)
-    printed_smoother, printed_filtered = (
-        printed(f"error covariance, {name}") for name in ("smoother", "NGCF")
-    )
-    larger, printed_larger = (
-        100 * (large / small - 1)
-        for large, small in ((filtered, smoother), (printed_filtered, printed_smoother))
-    )
+    theirs = [printed(f"error covariance, {name}") for name in _COMPARED]
+    both = (theirs, simulated_errors(simulation))
+    printed_larger, larger = (100 * (filtered / smoothed - 1) for smoothed, filtered in both)
+    printed_smaller, smaller = (100 * (1 - smoothed / filtered) for smoothed, filtered in both)
     value = (
-        f"the printed {printed_filtered:g} is {printed_larger:.0f}% larger than "
-        f"{printed_smoother:g}; ours: {larger:.0f}% larger"
+        f"the printed {theirs[1]:g} is {printed_larger:.0f}% larger than {theirs[0]:g}; "
+        f"ours: {larger:.0f}% larger"
     )
     if agrees(text, larger, larger):
         return True, value, ""
-    smaller, printed_smaller = (
-        100 * (1 - small / large)
-        for large, small in ((filtered, smoother), (printed_filtered, printed_smoother))
-    )
     is_it = "is" if agrees(text, smaller, smaller) else "is not even"
     reason = (
         f"{text}% {is_it} by how much the smoother's is smaller: printed {printed_smaller:.1f}%, "
@@ -283,15 +266,12 @@ def percent(simulation: MonteCarloTable) -> Finding:
     return False, value, reason
 
 
-def significant(simulation: MonteCarloTable) -> Finding:
+def significant(simulation: SimulatedErrors) -> Finding:
     """Test that the smoother's error is below the NGCF's."""
-    smoother, filtered = _simulated(simulation)
-    return smoother < filtered, f"{100 * (1 - smoother / filtered):.1f}% below the NGCF's", ""
+    smoothed, filtered = simulated_errors(simulation)
+    return smoothed < filtered, f"{1 - smoothed / filtered:.1%} below the NGCF's", ""
 
 
-def _simulated(simulation: MonteCarloTable) -> tuple[float, float]:
-    """Return the smoother's error and the NGCF's."""
-    return (
-        simulation.mean_square("smoother, as printed", "smoothed"),
-        simulation.mean_square("NGCF", "filtered"),
-    )
+def simulated_errors(simulation: SimulatedErrors) -> list[float]:
+    """Return the simulated errors that the paper compares: the smoother's and the NGCF's."""
+    return [simulation[name][output].mean_square for name, output in _COMPARED.values()]

@@ -7,8 +7,8 @@ what is printed (the paper does both). What follows from the printed :math:`\tau
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import astuple, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,20 +17,18 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
-from robsmooth.paper import statements
+from robsmooth.paper import results, statements
 from robsmooth.paper.published import (
+    LAMBDA,
     agrees,
     corrected_smoother,
     data_folder,
     each_entry,
     flipped_design,
     paper_plant,
-    printed,
-    printed_multipliers,
     published,
     rounding_box,
 )
-from robsmooth.paper.results import MonteCarloTable
 
 REPRODUCED = "reproduced"
 WITH_FLIPPED_SIGN = "reproduced with the sign flipped"
@@ -39,6 +37,8 @@ NOT_CHECKABLE = "not checkable"
 OUTCOMES = (REPRODUCED, WITH_FLIPPED_SIGN, NOT_REPRODUCED, NOT_CHECKABLE)
 
 KINDS = ("input", "model", "optimum", "design", "sweep", "simulation")
+
+Values = dict[str, float | Matrix]
 
 _INPUT = "an input of the paper, not a result"
 _ZERO = 1e-9  # relative to the largest entry of its matrix, a computed value below this is zero
@@ -77,7 +77,8 @@ class Verdict:
     def __repr__(self) -> str:
         ours = self.value if isinstance(self.value, float) else None
         found = "" if ours is None else f", ours {ours:.6g}"
-        return f"Verdict({self.name}: printed {_cut(self.printed)}{found}, {self.verdict})"
+        short = self.printed if len(self.printed) <= 40 else f"{self.printed[:37]}..."
+        return f"Verdict({self.name}: printed {short}{found}, {self.verdict})"
 
 
 class Verdicts(list[Verdict]):
@@ -123,27 +124,26 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
         validation.choice("kinds", kind, KINDS)
     simulation = None
     if "simulation" in kinds:
-        simulation = MonteCarloTable.read(Path(data_dir) if data_dir else data_folder())
-    values = _Values(simulation)
+        simulation = results.read(Path(data_dir) if data_dir else data_folder())
     checks = statements.checks(simulation)
+    recompute = {
+        "model": _model,
+        "optimum": _optimum,
+        "design": _design,
+        "simulation": partial(_simulated, simulation),
+    }
+    recomputed = {kind: values() for kind, values in recompute.items() if kind in kinds}
     found = Verdicts()
     for entry in published()["quantity"]:
         if entry["kind"] in kinds:
-            found.extend(values.judge(entry))
-    for statement in published()["statement"]:
-        if statement["kind"] in kinds:
-            holds, value, reason = checks[statement["id"]]()
-            found.append(
-                Verdict(
-                    name=statement["id"],
-                    place=statement["place"],
-                    printed=statement["text"],
-                    value=value,
-                    relative_difference=None,
-                    verdict=REPRODUCED if holds else NOT_REPRODUCED,
-                    reason=reason,
-                )
-            )
+            values = [each[entry["id"]] for each in recomputed.get(entry["kind"], [])]
+            found.extend(_verdicts_on(entry, values))
+    for entry in published()["statement"]:
+        if entry["kind"] in kinds:
+            holds, value, reason = checks[entry["id"]]()
+            verdict = REPRODUCED if holds else NOT_REPRODUCED
+            statement = entry["id"], entry["place"], entry["text"]
+            found.append(Verdict(*statement, value, None, verdict, reason))
     return found
 
 
@@ -158,163 +158,96 @@ def table(verdicts: Iterable[Verdict], caption: str = "", merge_zeros: bool = Fa
     merge_zeros : bool
         Whether the reproduced zeros of a matrix share one row.
     """
-    rows = []
-    for verdict in _merged(verdicts) if merge_zeros else verdicts:
-        rows.append(
-            (
-                verdict.name,
-                verdict.place,
-                verdict.printed,
-                verdict.value,
-                verdict.relative_difference,
-                verdict.verdict,
-                verdict.reason,
-            )
-        )
+    rows = [astuple(verdict) for verdict in (_merged(verdicts) if merge_zeros else verdicts)]
     columns = ("what", "where", "printed", "ours", "relative difference", "verdict", "why")
     return Table(columns=columns, rows=rows, caption=caption, digits=6)
 
 
-def _merged(verdicts: Iterable[Verdict]) -> Iterable[Verdict]:
-    """Yield the verdicts with the reproduced zeros of each matrix as one."""
-
-    def kind(verdict: Verdict) -> tuple[str, bool]:
+def _merged(verdicts: Iterable[Verdict]) -> Iterator[Verdict]:
+    """Yield the verdicts, with the reproduced zeros of each matrix as one."""
+    groups: dict[tuple[str, bool], list[Verdict]] = {}
+    for verdict in verdicts:
         zero = verdict.printed.split(" ")[0] == "0" and verdict.value == 0.0
         zero = zero and verdict.verdict == REPRODUCED
-        return (verdict.name.split("[")[0] if zero else verdict.name, zero)
-
-    seen: dict[tuple[str, bool], list[Verdict]] = {}
-    for verdict in verdicts:
-        seen.setdefault(kind(verdict), []).append(verdict)
-    for (name, zero), group in seen.items():
-        first = group[0]
+        name = verdict.name.split("[")[0] if zero else verdict.name
+        groups.setdefault((name, zero), []).append(verdict)
+    for (matrix, zero), group in groups.items():
         if zero and len(group) > 1:
-            yield Verdict(
-                name=f"{name}, {len(group)} zeros",
-                place=first.place,
-                printed=first.printed,
-                value=0.0,
-                relative_difference=None,
-                verdict=first.verdict,
-                reason="",
-            )
-        else:
-            yield first
+            group = [replace(group[0], name=f"{matrix}, {len(group)} zeros")]
+        yield from group
 
 
-class _Values:
-    """The recomputed value of every printed quantity, each kind computed when first asked for."""
+# --- recomputed values, by the names of the quantities ---------------------------------------
 
-    def __init__(self, simulation: MonteCarloTable | None):
-        self._simulation = simulation
 
-    @cached_property
-    def model(self) -> dict[str, float | Matrix]:
-        plant = paper_plant()
-        system = plant.system
-        noise = plant.D21_bar @ plant.D21_bar.T
-        return {
-            "A_p": plant.A_p,
-            "B_p1": plant.B_p1[:, : system.q],
-            "B_p1,1": plant.B1_tilde[:, :1],
-            "Bbar_p1,1": plant.B1_tilde[:, 1:2],
-            "C_p0": plant.C_p0,
-            "C_p1,1": plant.C1_tilde[:1],
-            "Cbar_p1,1": plant.C1_tilde[1:2],
-            "C_p2": plant.C2_tilde[:1],
-            "B1_tilde": plant.B1_tilde,
-            "C1_tilde": plant.C1_tilde,
-            "D12_tilde": plant.D12_tilde,
-            "C2_tilde": plant.C2_tilde,
-            "D21_tilde": plant.D21_tilde,
-            "D21_bar": plant.D21_bar,
-            "h": sum(u.C.shape[0] for u in system.uncertainties),
-            "r": sum(u.B.shape[1] for u in system.uncertainties),
-            "p": plant.C1_tilde.shape[0],
-            "k_tilde": len(plant.M_i),
-            "g": system.g,
-            "k": system.k,
-            "J": plant.J,
-            "largest d_0": float(np.linalg.eigvalsh(noise).min()),
-        }
+def _model() -> list[Values]:
+    plant = paper_plant()
+    system = plant.system
+    noise = plant.D21_bar @ plant.D21_bar.T
+    values = {
+        "A_p": plant.A_p,
+        "B_p1": plant.B_p1[:, : system.q],
+        "B_p1,1": plant.B1_tilde[:, :1],
+        "Bbar_p1,1": plant.B1_tilde[:, 1:2],
+        "C_p0": plant.C_p0,
+        "C_p1,1": plant.C1_tilde[:1],
+        "Cbar_p1,1": plant.C1_tilde[1:2],
+        "C_p2": plant.C2_tilde[:1],
+        "h": sum(u.C.shape[0] for u in system.uncertainties),
+        "r": sum(u.B.shape[1] for u in system.uncertainties),
+        "p": plant.C1_tilde.shape[0],
+        "k_tilde": len(plant.M_i),
+        "g": system.g,
+        "k": system.k,
+        "largest d_0": float(np.linalg.eigvalsh(noise).min()),
+    }
+    same = ("B1_tilde", "C1_tilde", "D12_tilde", "C2_tilde", "D21_tilde", "D21_bar", "J")
+    return [values | {name: getattr(plant, name) for name in same}]
 
-    @cached_property
-    def optimum(self) -> dict[str, float | Matrix]:
-        best = corrected_smoother()
-        least = best.limit or best  # the infimum is not attained
-        return {
-            "least V": least.bound,
-            "tau": least.tau,
-            **{f"lambda_{i + 1}": float(least.multipliers[i]) for i in range(4)},
-        }
 
-    @cached_property
-    def design(self) -> dict[str, float | Matrix]:
-        return self._design_at(printed("tau"), printed_multipliers())
+def _optimum() -> list[Values]:
+    best = corrected_smoother()
+    least = best.limit or best  # the infimum is not attained
+    multipliers = dict(zip(LAMBDA, least.multipliers, strict=True))
+    return [{"least V": least.bound, "tau": least.tau, **multipliers}]
 
-    @cached_property
-    def simulation(self) -> dict[str, float | Matrix]:
-        simulated = self._simulation
-        return {
-            "error covariance, smoother": simulated.mean_square("smoother, as printed", "smoothed"),
-            "error covariance, NGCF": simulated.mean_square("NGCF", "filtered"),
-        }
 
-    @cached_property
-    def _design_range(self) -> dict[str, tuple[Matrix, Matrix]]:
-        """Return the least and largest values over all tau and lambda that print the same."""
-        boxed = [self._design_at(*corner) for corner in rounding_box()]
-        stacks = {name: np.array([values[name] for values in boxed]) for name in boxed[0]}
-        return {name: (stack.min(axis=0), stack.max(axis=0)) for name, stack in stacks.items()}
-
-    @staticmethod
-    def _design_at(tau: float, multipliers: np.ndarray) -> dict[str, float | Matrix]:
+def _design() -> list[Values]:
+    """Return the values for the printed tau and lambda, then for others that print the same."""
+    found = []
+    for tau, multipliers in rounding_box():
         estimator, bound = flipped_design(tau, multipliers)
-        return {
-            "A_c": estimator.A_c,
-            "B_c": estimator.B_c,
-            "C_c": estimator.C_c,
-            "V at the printed tau, lambda": bound,
-        }
-
-    def judge(self, entry: dict) -> Iterator[Verdict]:
-        """Yield the verdict on a quantity, one for each entry of a matrix."""
-        name, kind = entry["id"], entry["kind"]
-        for index, text in each_entry(entry["printed"]):
-            label = name + (f"[{index[0]}, {index[1]}]" if index else "")
-            unit = f" {entry['unit']}" if "unit" in entry else ""
-            common = {"name": label, "place": entry["place"], "printed": text + unit}
-            if kind == "input":
-                yield Verdict(
-                    **common,
-                    value=None,
-                    relative_difference=None,
-                    verdict=NOT_CHECKABLE,
-                    reason=_INPUT,
-                )
-                continue
-            whole = np.asarray(getattr(self, kind)[name], dtype=float)
-            value = float(whole[index])
-            ends = self._design_range[name] if kind == "design" else (whole, whole)
-            low, high = (np.asarray(end)[index] for end in ends)
-            zero = _ZERO * np.abs(whole).max()
-            same = agrees(text, float(low), float(high), zero)
-            value = 0.0 if abs(value) < zero else value  # rounding noise would differ by machine
-            number = float(text)
-            yield Verdict(
-                **common,
-                value=value,
-                relative_difference=(value - number) / abs(number) if number else None,
-                verdict=self._outcome(kind, same),
-                reason="" if same else entry["why"],
-            )
-
-    @staticmethod
-    def _outcome(kind: str, same: bool) -> str:
-        if not same:
-            return NOT_REPRODUCED
-        return WITH_FLIPPED_SIGN if kind == "design" else REPRODUCED
+        matrices = {name: getattr(estimator, name) for name in ("A_c", "B_c", "C_c")}
+        found.append(matrices | {"V at the printed tau, lambda": bound})
+    return found
 
 
-def _cut(text: str, length: int = 40) -> str:
-    return text if len(text) <= length else f"{text[: length - 3]}..."
+def _simulated(errors: results.SimulatedErrors) -> list[Values]:
+    smoothed, filtered = statements.simulated_errors(errors)
+    return [{"error covariance, smoother": smoothed, "error covariance, NGCF": filtered}]
+
+
+def _verdicts_on(entry: dict, values: Sequence[float | Matrix]) -> Iterator[Verdict]:
+    """Yield the verdict on a quantity, one for each entry of a matrix.
+
+    It is reproduced where something between the least and the largest of the values agrees; the
+    first is shown. Without a value it cannot be checked.
+    """
+    unit = f" {entry['unit']}" if "unit" in entry else ""
+    for index, text in each_entry(entry["printed"]):
+        name = entry["id"] + (str(list(index)) if index else "")
+        quantity = name, entry["place"], text + unit
+        if not values:
+            yield Verdict(*quantity, None, None, NOT_CHECKABLE, _INPUT)
+            continue
+        candidates = [float(np.asarray(value)[index]) for value in values]
+        zero = _ZERO * float(np.abs(values[0]).max())
+        # rounding noise would differ by machine
+        value = 0.0 if abs(candidates[0]) < zero else candidates[0]
+        number = float(text)
+        difference = (value - number) / abs(number) if number else None
+        if agrees(text, min(candidates), max(candidates), zero):
+            verdict = WITH_FLIPPED_SIGN if entry["kind"] == "design" else REPRODUCED
+            yield Verdict(*quantity, value, difference, verdict, "")
+        else:
+            yield Verdict(*quantity, value, difference, NOT_REPRODUCED, entry["why"])

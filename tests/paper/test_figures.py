@@ -64,23 +64,25 @@ OMEGA = np.geomspace(0.1, 10.0, 50)
 MAKERS = {
     "fig1": diagrams.smoother_loop,
     "fig2": diagrams.homodyne_loop,
-    "fig3": lambda: figures.sector(homodyne.PAPER, 0.088),
-    "fig4": lambda: figures.delta_sweep(SLOPES, CURVES, {"floor": (0.0, 0.05)}),
-    "delay": lambda: figures.delay_error(3.1e-6, (1, 2), 4.6e5),
-    "monte_carlo": lambda: figures.mean_squares(CASES, RESULTS, {"smoother": 0.06, "NGCF": 0.1}),
-    "routes": lambda: figures.routes(CASES, RESULTS, [0.05, 0.06]),
-    "loss_of_lock": lambda: figures.loss_of_lock((1, 3, 10), NOISY, (0.0, 0.0, 1e3)),
-    "where_smoothing_pays": lambda: figures.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
-    "two_landscapes": lambda: figures.two_landscapes(BESTS, points=5),
-    "all_designs": lambda: figures.all_designs(
+    "fig3": lambda: figures.paper.sector(homodyne.PAPER, 0.088),
+    "fig4": lambda: figures.paper.delta_sweep(SLOPES, CURVES, {"floor": (0.0, 0.05)}),
+    "delay": lambda: figures.paper.delay_error(3.1e-6, (1, 2), 4.6e5),
+    "monte_carlo": lambda: figures.paper.mean_squares(
+        CASES, RESULTS, {"smoother": 0.06, "NGCF": 0.1}
+    ),
+    "errors_by_method": lambda: figures.paper.errors_by_method(CASES, RESULTS, [0.05, 0.06]),
+    "loss_of_lock": lambda: figures.paper.loss_of_lock((1, 3, 10), NOISY, (0.0, 0.0, 1e3)),
+    "where_smoothing_pays": lambda: figures.beyond.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
+    "two_landscapes": lambda: figures.landscapes.two_landscapes(BESTS, points=5),
+    "all_designs": lambda: figures.landscapes.all_designs(
         homodyne.PAPER, LIMITS["filtered"], (0.485, 1.13e-6)
     ),
-    "lag_and_order": lambda: figures.lag_and_order(SWEEPS, 3.1e-6),
-    "worst_spectra": lambda: figures.worst_spectra(DYNAMIC, (1, 1)),
-    "side_by_side": lambda: figures.side_by_side(COMPARED, (0.0, -1.0), limit=0.085),
-    "sample_path": lambda: figures.sample_path(PATHS, "µs", 1e6, "phase (rad)"),
-    "gap": lambda: figures.gap(PATHS, PATHS.smoothed[0], slice(40, 60)),
-    "smoother_response": lambda: figures.smoother_response(OMEGA, 1 / (1 + 1j * OMEGA), 0.5),
+    "lag_and_order": lambda: figures.beyond.lag_and_order(SWEEPS, 3.1e-6),
+    "worst_spectra": lambda: figures.beyond.worst_spectra(DYNAMIC, (1, 1)),
+    "side_by_side": lambda: figures.beyond.side_by_side(COMPARED, (0.0, -1.0), limit=0.085),
+    "sample_path": lambda: figures.own.sample_path(PATHS, "µs", 1e6, "phase (rad)"),
+    "gap": lambda: figures.own.gap(PATHS, PATHS.smoothed[0], slice(40, 60)),
+    "smoother_response": lambda: figures.own.smoother_response(OMEGA, 1 / (1 + 1j * OMEGA), 0.5),
 }
 
 
@@ -188,7 +190,7 @@ def test_the_sweep_plots_what_it_is_given():
 def test_an_estimator_beyond_the_scale_is_said_to_be():
     figure = MAKERS["side_by_side"]()  # the filter's error is just below the limit, at first
     assert not [text for text in figure.findobj(Text) if "off the scale" in text.get_text()]
-    figure = figures.side_by_side(COMPARED, (0.0, -1.0), limit=0.08)
+    figure = figures.beyond.side_by_side(COMPARED, (0.0, -1.0), limit=0.08)
     (text,) = (text for text in figure.findobj(Text) if "off the scale" in text.get_text())
     assert text.get_text() == f"off the scale: {COMPARED['Kalman'].at[0]:.2f}"
 
@@ -246,7 +248,7 @@ def test_landscapes_are_hatched_where_there_is_no_design_and_nowhere_else():
     for cost, tau in (("filtered", 1.0987e-6), ("smoothed", 0.7023e-6)):
         limit = limiting_smoother(plant, tau, [1.0, 0.5, 0.0, 0.0], cost)
         bests[cost] = replace(limit, limit=limit)
-    figure = figures.two_landscapes(bests, points=7)
+    figure = figures.landscapes.two_landscapes(bests, points=7)
     for axes, (cost, best) in zip(figure.axes[:2], bests.items(), strict=True):
         tell = hatched(axes, "no design")
 
@@ -278,7 +280,7 @@ def test_no_gain_and_no_design_are_told_apart():
     smoothed = ERRORS["smoothed"].copy()
     smoothed[:, 0] = np.nan  # at the least noise there is no design
     errors = ERRORS | {"smoothed": smoothed}
-    figure = figures.where_smoothing_pays(replace(STUDY, quantities=errors), 0.4, 3.1e-6)
+    figure = figures.beyond.where_smoothing_pays(replace(STUDY, quantities=errors), 0.4, 3.1e-6)
     no_design = hatched(figure.axes[0], "no design or lock")
     ratio = (smoothed / ERRORS["filtered"])[0, :, -1]
     points = [(1e6 * lag, noise) for noise in NOISES for lag in LAGS]
@@ -290,7 +292,7 @@ def test_no_gain_and_no_design_are_told_apart():
 
 def test_optimum_of_the_linear_loop_is_relative_to_the_filter_of_the_linear_loop():
     def drawn(study):
-        axes = figures.where_smoothing_pays(study, 0.4, 3.1e-6).axes[1]
+        axes = figures.beyond.where_smoothing_pays(study, 0.4, 3.1e-6).axes[1]
         (line,) = (line for line in axes.lines if "linear loop" in line.get_label())
         return line.get_ydata()
 
@@ -318,10 +320,10 @@ def test_what_is_in_several_figures_looks_the_same_in_all():
         raise AssertionError(label)
 
     for name in ("NGCF", "smoother"):
-        swept = figures.delta_sweep(SLOPES, {"other": SLOPES, name: SLOPES})
+        swept = figures.paper.delta_sweep(SLOPES, {"other": SLOPES, name: SLOPES})
         simulated = MAKERS["monte_carlo"]()
         assert line(swept, name).get_color() == line(simulated, name).get_color()
-    errors = figures.delay_error(3.1e-6, (2, 1), 4.6e5)
+    errors = figures.paper.delay_error(3.1e-6, (2, 1), 4.6e5)
     assert line(errors, "order 2").get_color() == line(MAKERS["delay"](), "order 2").get_color()
 
 

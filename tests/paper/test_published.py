@@ -88,6 +88,8 @@ def test_the_printed_estimator_performs_like_the_recomputed_one():
         (lambda text: "", r"has no \[\[quantity\]\]"),
         (lambda text: text.replace('kind = "model"\n', "", 1), "lacks 'kind'"),
         (lambda text: text.replace('printed = "1162"', 'printed = "many"'), "must be a number"),
+        (lambda text: text.replace('printed = "1162"', "printed = 1162"), "got 1162"),
+        (lambda text: text.replace('printed = "1162"', 'printed = "nan"'), "got 'nan'"),
         (lambda text: text.replace('percent = "41"', "percent = 41.5j"), "cannot be read"),
         (
             lambda text: text.replace('percent = "41"', 'percent = "most"'),

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from robsmooth import (
@@ -19,7 +20,8 @@ from robsmooth import (
 )
 from robsmooth.estimators import baselines
 from robsmooth.homodyne.comparison import compare
-from robsmooth.paper import tables as summaries
+from robsmooth.homodyne.study import QUANTITIES, Study
+from robsmooth.paper import tables
 
 SYSTEM = homodyne.PAPER.uncertain_system()
 PLANT = augment(SYSTEM, 3.1e-6, 1)
@@ -35,28 +37,43 @@ def test_estimators_are_compared_by_the_same_numbers_as_by_themselves():
     assert case.worst.mean_square == worst_case(classical, copy_noise=False).mean_square
     assert case.exact == stationary_errors(homodyne.PAPER, classical).smoothed
     assert case.promised is None
-    (row,) = summaries.side_by_side({"classical": case}, (-0.5,)).rows
+    (row,) = tables.beyond.side_by_side({"classical": case}, (-0.5,)).rows
     assert row[1:4] == (*case.at, case.worst.mean_square, case.allowed.mean_square)
+
+
+def test_a_lag_is_judged_by_the_orders_that_stay_in_lock_there():
+    quantities = {name: np.full((1, 4, 2, 2), 0.08) for name in QUANTITIES}
+    # at each noise, the errors of two orders at two lags; of the last two noises there are none
+    smoothed = [[[0.04, np.nan], [0.06, 0.072]], [[0.04, np.nan], [0.06, np.nan]]]
+    none = np.full((2, 2), np.nan)
+    quantities["smoothed"] = np.array([[*smoothed, none, none]])
+    failures = {(0.4, 4.0): "Assumption 3 fails"}
+    found = Study((0.4,), (1.0, 2.0, 3.0, 4.0), (1, 2), (1e-6, 3e-6), quantities, failures)
+    table = tables.beyond.study(found, 3e-6)
+    columns = [table.columns.index(name) for name in ("order", "saved", "saved at 3 µs")]
+    rows = [[row[column] for column in columns] for row in table.rows]
+    assert rows == [["1", "50%", "10%"], ["1", "50%", "none"], [None] * 3, [None] * 3]
+    assert [row[-1] for row in table.rows[2:]] == ["no lock", "no design"]
 
 
 def test_optimum_is_that_of_the_limit_where_there_is_one():
     limit = limiting_smoother(PLANT, 1e-6, [1.0, 0.5, 0.0, 0.0])
     attained = design_smoother(PLANT, 1e-6, [1.0, 0.499, 1e-6, 1e-6])
     beside = replace(attained, limit=limit, bound_infimum=limit.bound)
-    first, second = summaries.optima({"limit": beside, "attained": attained}).rows
+    first, second = tables.beyond.optima({"limit": beside, "attained": attained}).rows
     assert first[1:3] == (limit.bound, "no")
     assert second[1:3] == (attained.bound, "yes")
 
 
 def test_gains_are_the_entries_of_the_phase():
     design = limiting_smoother(PLANT, 1e-6, [1.0, 0.5, 0.0, 0.0])
-    (row,) = summaries.gains({"design": design}).rows
+    (row,) = tables.beyond.gains({"design": design}).rows
     assert row[1:4] == (design.A_c[0, 0], design.B_c[0, 0], design.B_c[0, 1])
     assert row[4:] == (design.C_c[0, 0], design.C_c[1, 0])
 
 
 def test_the_example_is_the_same_in_every_unit():
-    seconds, years = summaries.in_units({"s": 1.0, "years": 3.2e7}).rows
+    seconds, years = tables.own.in_units({"s": 1.0, "years": 3.2e7}).rows
     assert seconds[1:] == pytest.approx(years[1:], rel=1e-9)
 
 
@@ -67,15 +84,15 @@ def test_tightness_is_relative_to_the_guarantee():
         for noise in (True, False)
         for worst in (worst_case, analysis_bound)
     ]
-    (row,) = summaries.tightness({"design": found}).rows
+    (row,) = tables.beyond.tightness({"design": found}).rows
     assert row[1] == 2 * design.bound
     assert row[5] == f"{100 * found[1].mean_square / (2 * design.bound):.0f}%"
     assert row[8] == f"{100 * found[3].mean_square / (2 * design.bound):.0f}%"
 
 
 def test_a_share_that_no_order_reaches_is_left_empty():
-    table = summaries.lag_choices(SYSTEM, ["filtered cost"], [0.5, 0.99])
-    reached, not_reached = table.rows
+    found = tables.beyond.lag_choices(SYSTEM, ["filtered cost"], [0.5, 0.99])
+    reached, not_reached = found.rows
     assert reached[2] > reached[5] > 0.0  # µs, with the model and with an exact delay
     assert not_reached[2:] == (None, None, None, None)
 
@@ -84,10 +101,10 @@ def test_refusals_quote_the_library_and_nothing_else():
     def refuse():
         raise InfeasibleDesignError("Assumption 9", "for a test")
 
-    table = summaries.refusals({"bad": refuse, "good": lambda: None})
+    table = tables.own.refusals({"bad": refuse, "good": lambda: None})
     assert [row[1] for row in table.rows] == ["Assumption 9 fails: for a test", "not refused"]
     with pytest.raises(ZeroDivisionError):
-        summaries.refusals({"broken": lambda: 1 / 0})
+        tables.own.refusals({"broken": lambda: 1 / 0})
 
 
 def test_own_systems_are_predicted_by_their_equivalent_slopes():
@@ -95,7 +112,7 @@ def test_own_systems_are_predicted_by_their_equivalent_slopes():
     linear = replace(SYSTEM, nonlinearities=())
     design = design_smoother(augment(_with_noise_channel(linear), 3.1e-6, 1), 1e-6, [0.9, 0.9])
     found = simulate(design, runs=64, duration=1e-4)
-    (row,) = summaries.own_systems({"linear": (design, found)}).rows
+    (row,) = tables.own.own_systems({"linear": (design, found)}).rows
     exact = error_covariance(design, design.plant.structured_delta(), copy_noise=False)[0, 0]
     assert row[2] == pytest.approx(exact, rel=1e-12)
     assert row[5] == 2 * design.bound

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from robsmooth import homodyne
-from robsmooth.paper import published, statements
-from robsmooth.paper import results as simulations
-from robsmooth.paper import tables as summaries
+from robsmooth.paper import published, results, statements, tables
 from robsmooth.paper import verdicts as reproduction
 
 PLANT = published.paper_plant()
-SIMULATION = simulations.MonteCarloTable.read(published.data_folder())
+SIMULATION = results.read(published.data_folder())
 SWEPT = {"smoother, as printed": [0.1, 0.08], "NGCF": [0.3, 0.2]}  # at Delta_2 of -1 and 0
 # What the model, the sweep, the simulation or, as texts and what is printed in their place, the
 # paper would have to say for the verdict on each statement to be the other one.
@@ -45,12 +43,10 @@ OTHERWISE = {
 
 def simulated(**filtered):
     """Results of a simulation with other filtered errors."""
-    cases = {
-        name: case | {"filtered": case["filtered"] | {"mean_square": filtered[name]}}
-        for name, case in SIMULATION.cases.items()
-        if name in filtered
+    return SIMULATION | {
+        name: SIMULATION[name] | {"filtered": replace(SIMULATION[name]["filtered"], mean_square=x)}
+        for name, x in filtered.items()
     }
-    return simulations.MonteCarloTable(SIMULATION.cases | cases)
 
 
 def swept(**errors):
@@ -177,7 +173,7 @@ def test_words_about_printed_numbers_have_what_is_printed(reprint):
     assert "the printed 0.1031 is 41% larger than 0.0731; ours: 70% larger" in value
     assert "printed 29.1%, ours 41.2%" in reason
     reprint('"0.15"\nwhy = "the formula', '"0.17"\nwhy = "the formula')
-    readings = summaries.sign_readings(PLANT, published.printed("tau"), [0.9, 0.4, 1e-4, 1e-4])
+    readings = tables.design.sign_readings(PLANT, published.printed("tau"), [0.9, 0.4, 1e-4, 1e-4])
     assert readings.rows[-1][-1] == 0.17
 
 
@@ -199,7 +195,7 @@ def test_a_kind_can_be_asked_for_without_simulation_results(tmp_path):
         lambda text: text.replace('"mean_square":', '"mean":', 1),
         lambda text: "[]",
         lambda text: text.replace('"NGCF"', '"NGCG"'),
-        lambda text: json.dumps({"cases": dict.fromkeys(simulations.NEEDED)}),
+        lambda text: json.dumps({"cases": dict.fromkeys(results.NEEDED)}),
         lambda text: "",
     ],
 )

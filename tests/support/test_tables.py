@@ -34,6 +34,14 @@ def test_latex_escapes_text_and_leaves_mathematics_alone():
     assert body.count(r" \\") == len(TABLE.rows)
 
 
+def test_records_make_a_row_each_under_the_columns_of_the_fullest():
+    records = [{"a": 1, "c": "last"}, {"a": 2, "b": 0.5, "c": ""}, {"d": 3}]
+    table = Table.of_records(iter(records), "A caption.", digits=3)
+    assert table.columns == ("a", "b", "c", "d")
+    assert table.rows == [(1, None, "last", None), (2, 0.5, "", None), (None, None, None, 3)]
+    assert (table.caption, table.digits) == ("A caption.", 3)
+
+
 def test_csv_holds_twelve_digits():
     rows = list(csv.reader(io.StringIO(TABLE.csv())))
     assert rows[0] == list(TABLE.columns)

@@ -5,30 +5,21 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from robsmooth._support.style import NOWHERE, TRUTH, styles
+from robsmooth._support.style import NOWHERE, TRUTH
+from robsmooth.paper.figures.axes import plot_curves, stacked
 from robsmooth.simulation.simulate import SamplePaths
 
 
 def sample_path(paths: SamplePaths, unit: str, scale: float, quantity: str) -> Figure:
     """Draw the first path of a loop and its estimates, each at the time that it is for.
 
-    Parameters
-    ----------
-    paths : SamplePaths
-    unit : str
-        Of the time axis.
-    scale : float
-        How many of it are a second.
-    quantity : str
-        Label of the first output.
+    The time axis is in a unit of which a second has `scale`; `quantity` labels the first output.
     """
     figure, axes = plt.subplots(figsize=(3.4, 2.4))
     time = scale * paths.time
-    filtered, smoothed = styles(["filtered", "smoothed"])
     axes.plot(time, paths.w[0, :, 0], label="true", **TRUTH)
-    axes.plot(time, paths.filtered[0, :, 0], label="filtered", **filtered)
-    back = time - scale * paths.delay
-    axes.plot(back, paths.smoothed[0, :, 0], label="smoothed", **smoothed)
+    plot_curves(axes, time, {"filtered": paths.filtered[0, :, 0]})
+    plot_curves(axes, time - scale * paths.delay, {"smoothed": paths.smoothed[0, :, 0]})
     axes.set(xlabel=f"time ({unit})", ylabel=quantity, xlim=(0.0, time[-1]))
     figure.legend(loc="outside lower center", ncols=3)
     return figure
@@ -48,13 +39,12 @@ def gap(record: SamplePaths, estimates: NDArray[np.float64], missing: slice) -> 
     """
     around = slice(max(missing.start - 600, 0), missing.stop + 600)
     figure, axes = plt.subplots(figsize=(3.4, 2.2))
+    time = record.time[around]
     ends = record.time[[missing.start, missing.stop]] - record.step
-    (smoothed,) = styles(["smoothed"])
     axes.axvspan(*ends, label="no measurement", **NOWHERE)
-    axes.plot(record.time[around], record.w[0, around, 0], label="true", **TRUTH)
-    times = record.time[around] - record.delay
-    axes.plot(times, estimates[around, 0], label="smoothed", **smoothed)
-    axes.set(xlabel="time (s)", ylabel="angle (rad)", xlim=record.time[around][[0, -1]])
+    axes.plot(time, record.w[0, around, 0], label="true", **TRUTH)
+    plot_curves(axes, time - record.delay, {"smoothed": estimates[around, 0]})
+    axes.set(xlabel="time (s)", ylabel="angle (rad)", xlim=time[[0, -1]])
     figure.legend(loc="outside lower center", ncols=3)
     return figure
 
@@ -73,19 +63,13 @@ def smoother_response(
     delay : float
         The lag, s.
     """
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(3.4, 3.0), sharex=True)
-    (smoother,) = styles(["smoother"])
+    figure, (top, bottom) = stacked(3.0, (1, 1))
     top.loglog(omega, np.ones_like(omega), label="pure delay", **TRUTH)
-    top.loglog(omega, np.abs(response), label="smoother", **smoother)
+    plot_curves(top, omega, {"smoother": np.abs(response)})
     top.set(ylabel="magnitude", ylim=(1e-2, 3.0))
     top.legend(loc="lower left")
-    bottom.semilogx(omega, np.degrees(-omega * delay), **TRUTH)
-    bottom.semilogx(omega, np.degrees(np.unwrap(np.angle(response))), **smoother)
-    bottom.set_yticks(np.arange(-360, 1, 90))
-    bottom.set(
-        xlabel=r"angular frequency $\omega$ (rad/s)",
-        ylabel="phase (°)",
-        xlim=omega[[0, -1]],
-        ylim=(-400.0, 20.0),
-    )
+    bottom.plot(omega, np.degrees(-omega * delay), **TRUTH)
+    plot_curves(bottom, omega, {"smoother": np.degrees(np.unwrap(np.angle(response)))})
+    bottom.set(ylabel="phase (°)", yticks=np.arange(-360, 1, 90), ylim=(-400.0, 20.0))
+    bottom.set(xlabel=r"angular frequency $\omega$ (rad/s)", xlim=omega[[0, -1]])
     return figure

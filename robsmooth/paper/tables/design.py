@@ -13,28 +13,33 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.paper import published
+from robsmooth.paper.predictions import outputs
+from robsmooth.paper.tables import cells
 from robsmooth.systems.augmented import AugmentedSystem
 
 
 def sector_ranges(values: HomodyneParameters, variance: float) -> Table:
     """Return how far each reading of the sector holds, and for what share of the time."""
     wide, narrow = values.sector_slope, values.lower_slope
-    readings = [
-        (f"sin e between {wide:.1f} e and e, as gamma = (1 - m)/2 says", values.sector_range(wide)),
-        (f"sin e between {narrow:.1f} e and e, as the design uses", values.sector_range()),
-        (f"sin e - e Lipschitz with constant {values.gamma:g}", values.lipschitz_range),
+    readings = {
+        f"sin e between {wide:.1f} e and e, as gamma = (1 - m)/2 says": values.sector_range(wide),
+        f"sin e between {narrow:.1f} e and e, as the design uses": values.sector_range(),
+        f"sin e - e Lipschitz with constant {values.gamma:g}": values.lipschitz_range,
+    }
+    inside = {text: homodyne.fraction_inside(reach, variance) for text, reach in readings.items()}
+    records = [
+        {
+            "what is assumed": text,
+            "holds up to (rad)": reach,
+            "time inside": f"{inside[text]:.5%}",
+            "time outside": f"{1 - inside[text]:.1e}",
+        }
+        for text, reach in readings.items()
     ]
-    rows = []
-    for text, reach in readings:
-        inside = homodyne.fraction_inside(reach, variance)
-        rows.append((text, reach, f"{100 * inside:.5f}%", f"{1 - inside:.1e}"))
-    return Table(
-        columns=("what is assumed", "holds up to (rad)", "time inside", "time outside"),
-        rows=rows,
-        caption=(
-            "How far each assumption on the sine holds, and how long the loop is within it, for a "
-            f"Gaussian error of variance {variance:.4f} rad²."
-        ),
+    return Table.of_records(
+        records,
+        "How far each assumption on the sine holds, and how long the loop is within it, for a "
+        f"Gaussian error of variance {variance:.4f} rad².",
     )
 
 
@@ -42,132 +47,124 @@ def sign_readings(plant: AugmentedSystem, tau: float, multipliers: Sequence[floa
     """Return the leading gains for each reading of the X equation's quadratic term."""
     equations = design_equations(plant, tau, multipliers)
     Y = equations.solve_Y().X
-    rows = []
-    for text, sign in (("+, as written", 1.0), ("-, flipped", -1.0), ("left out", 0.0)):
+    found = {}
+    for text, sign in {"+, as written": 1.0, "-, flipped": -1.0, "left out": 0.0}.items():
         try:
-            X = equations.solve_X(quadratic_sign=sign).X
+            found[text] = equations.gains(equations.solve_X(quadratic_sign=sign).X, Y)
         except RiccatiError:
-            rows.append((text, "no real solution", None, None, None, None))
-            continue
-        A_c, B_c, C_c, bound = equations.gains(X, Y)
-        rows.append((text, A_c[0, 0], B_c[0, 1], C_c[0, 0], C_c[1, 0], bound))
+            found[text] = None
     names = ("A_c", "B_c", "C_c", "V at the printed tau, lambda")
-    A_c, B_c, C_c, bound = (published.printed(name) for name in names)
-    rows.append(("printed", A_c[0, 0], B_c[0, 1], C_c[0, 0], C_c[1, 0], bound))
-    return Table(
-        columns=("sign", "$A_c[0,0]$", "$B_c[0,1]$", "$C_c[0,0]$", "$C_c[1,0]$", "$V$"),
-        rows=rows,
-        caption="The gains at the printed tau and lambda for each reading of the X equation.",
+    found["printed"] = [published.printed(name) for name in names]
+    records = []
+    for text, gains in found.items():
+        if gains is None:
+            records.append({"sign": text, "$A_c[0,0]$": "no real solution"})
+            continue
+        A_c, B_c, C_c, bound = gains
+        records.append(
+            {
+                "sign": text,
+                "$A_c[0,0]$": A_c[0, 0],
+                "$B_c[0,1]$": B_c[0, 1],
+                "$C_c[0,0]$": C_c[0, 0],
+                "$C_c[1,0]$": C_c[1, 0],
+                "$V$": bound,
+            }
+        )
+    return Table.of_records(
+        records,
+        "The gains at the printed tau and lambda for each reading of the X equation.",
         digits=5,
     )
 
 
-def approach_to_infimum(
-    plant: AugmentedSystem, best: RobustSmoother, fractions: Iterable[float]
-) -> Table:
+def approach_to_infimum(best: RobustSmoother, vanishing: Iterable[float]) -> Table:
     """Return how bound and gains settle as the multipliers of mu and its copy go to zero."""
-    rows = []
-    for fraction in fractions:
-        multipliers = [1.0, 0.5 - fraction / 2, fraction, fraction]
-        tau = best.tau
+    records = []
+    for value in vanishing:
+        record = {r"$\lambda_3 = \lambda_4$": f"{value:.0e}"}
+        records.append(record)
+        multipliers = published.boundary_multipliers(value)
         try:
-            design = design_smoother(plant, tau, multipliers)
+            design = design_smoother(best.plant, best.tau, multipliers, best.cost)
         except InfeasibleDesignError as error:
-            rows.append((f"{fraction:.0e}", None, None, None, error.condition))
+            record["refused because"] = error.condition
             continue
-        rows.append(
-            (
-                f"{fraction:.0e}",
-                design.bound,
-                float(design.B_c[0, 0]),
-                float(np.linalg.norm(design.X, 2)),
-                "",
-            )
-        )
-    return Table(
-        columns=(
-            r"$\lambda_3 = \lambda_4$",
-            "$V$",
-            "$B_c[0,0]$",
-            r"$\lVert X\rVert$",
-            "refused because",
-        ),
-        rows=rows,
-        caption=(
-            "Towards the edge: the bound falls and X vanishes as the multipliers of the "
-            f"nonlinearity and its copy do. Over all the infimum is {best.bound_infimum:.5f}."
-        ),
+        record |= {
+            "$V$": design.bound,
+            "$B_c[0,0]$": float(design.B_c[0, 0]),
+            r"$\lVert X\rVert$": float(np.linalg.norm(design.X, 2)),
+            "refused because": "",
+        }
+    return Table.of_records(
+        records,
+        "Towards the edge: the bound falls and X vanishes as the multipliers of the "
+        f"nonlinearity and its copy do. Over all the infimum is {best.bound_infimum:.5f}.",
         digits=6,
     )
 
 
 def designs(compared: Mapping[str, Estimator]) -> Table:
     """Return the design table: bound, tau, lambda and poles."""
-    rows = []
+    records = []
     for name, design in compared.items():
         robust = isinstance(design, RobustSmoother)
-        weights = ", ".join(f"{value:.4g}" for value in design.multipliers) if robust else None
-        poles = ", ".join(f"{pole:.3g}" for pole in design.poles if pole.imag >= 0.0)
-        rows.append(
-            (
-                name,
-                design.bound if robust else None,
-                f"{design.tau:.4g}" if robust else None,
-                weights,
-                poles.replace("+0j", ""),
-            )
+        records.append(
+            {
+                "design": name,
+                "$V$ (rad²)": design.bound if robust else None,
+                r"$\tau$ (rad² s)": f"{design.tau:.4g}" if robust else None,
+                r"$\lambda$": cells.numbers(design.multipliers) if robust else None,
+                "poles (1/s)": cells.poles(design.poles, digits=3),
+            }
         )
-    return Table(
-        columns=("design", "$V$ (rad²)", r"$\tau$ (rad² s)", r"$\lambda$", "poles (1/s)"),
-        rows=rows,
-        caption=(
-            "The designs compared. V bounds half the filtered error covariance with the fictitious "
-            "noise of the copies; of a pair of complex poles one is shown."
-        ),
+    return Table.of_records(
+        records,
+        "The designs compared. V bounds half the filtered error covariance with the fictitious "
+        "noise of the copies; of a pair of complex poles one is shown.",
     )
 
 
 def covariances(compared: Mapping[str, Estimator]) -> Table:
     """Return nominal and worst error covariances, with the copies' fictitious noise and without."""
-    rows = []
-    for name, design in compared.items():
-        for output in ("filtered", "smoothed") if design.plant.delay > 0.0 else ("filtered",):
-            errors = [
-                float(delta_sweep(design, [slope], output, noise)[0, 0, 0])
-                for noise in (True, False)
-                for slope in (0.0, -1.0)
-            ]
-            rows.append((f"{name}, {output}", *errors))
-    with_noise = [f"$\\Delta_2={slope}$, paper's formula" for slope in ("0", "-1")]
-    without = [f"$\\Delta_2={slope}$, no copy noise" for slope in ("0", "-1")]
-    return Table(
-        columns=("error", *with_noise, *without),
-        rows=rows,
-        caption=(
-            "Error covariances (rad²) of the designs, with the fictitious noise of the copies, as "
-            "in the paper's formula, and without it, as in a real loop."
-        ),
+    loops = {"paper's formula": True, "no copy noise": False}
+    records = [
+        {"error": f"{name}, {output}"}
+        | {
+            rf"$\Delta_2={slope:g}$, {loop}": float(
+                delta_sweep(design, [slope], output, copy_noise)[0, 0, 0]
+            )
+            for loop, copy_noise in loops.items()
+            for slope in (0.0, -1.0)
+        }
+        for name, design in compared.items()
+        for output in outputs(design)
+    ]
+    return Table.of_records(
+        records,
+        "Error covariances (rad²) of the designs, with the fictitious noise of the copies, as "
+        "in the paper's formula, and without it, as in a real loop.",
     )
 
 
-def copy_noise(plants: Mapping[float, RobustSmoother]) -> Table:
+def copy_noise(designs: Mapping[float, RobustSmoother]) -> Table:
     """Return bounds against the intensity J_21 that the design assumes for the copies."""
-    rows = []
-    for intensity, design in plants.items():
-        delta = design.plant.structured_delta()
-        rows.append(
-            (
-                f"{intensity:g}",
-                design.bound_infimum or design.bound,
-                float(error_covariance(design, delta, "filtered")[0, 0]),
-                float(error_covariance(design, delta, "filtered", copy_noise=False)[0, 0]),
-            )
-        )
-    return Table(
-        columns=("$J_{21}$", "least $V$", "filtered, with copy noise", "filtered, without"),
-        rows=rows,
-        caption=(
-            "What the fictitious noise costs: least bound and nominal filtered error covariance "
-            "(rad²) against the intensity that the design assumes for it."
-        ),
+
+    def filtered(design: RobustSmoother, copy_noise: bool) -> float:
+        nominal = design.plant.structured_delta()
+        return float(error_covariance(design, nominal, "filtered", copy_noise)[0, 0])
+
+    records = [
+        {
+            "$J_{21}$": f"{intensity:g}",
+            "least $V$": design.bound_infimum or design.bound,
+            "filtered, with copy noise": filtered(design, True),
+            "filtered, without": filtered(design, False),
+        }
+        for intensity, design in designs.items()
+    ]
+    return Table.of_records(
+        records,
+        "What the fictitious noise costs: least bound and nominal filtered error covariance "
+        "(rad²) against the intensity that the design assumes for it.",
     )

@@ -12,6 +12,7 @@ from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne.parameters import PAPER
 from robsmooth.paper.published import DELAY, ORDER
+from robsmooth.paper.tables import cells
 from robsmooth.simulation.simulate import SimulationResult
 from robsmooth.systems.augmented import augment
 
@@ -24,20 +25,20 @@ def refusals(attempts: Mapping[str, Callable[[], object]]) -> Table:
     attempts : mapping
         From what is wrong to a function that runs into it.
     """
-    rows = []
+    records = []
     for name, attempt in attempts.items():
+        words = "not refused"
         try:
             attempt()
         except InfeasibleDesignError as error:
-            rows.append((name, str(error)))
-        else:
-            rows.append((name, "not refused"))
-    return Table(("what is wrong", "what the library says"), rows, "Refusals.")
+            words = str(error)
+        records.append({"what is wrong": name, "what the library says": words})
+    return Table.of_records(records, "Refusals.")
 
 
 def own_systems(results: Mapping[str, tuple[RobustSmoother, SimulationResult]]) -> Table:
     """Return simulated errors against what is predicted and what is guaranteed."""
-    rows = []
+    records = []
     for name, (design, found) in results.items():
         predicted = error_covariance(
             design,
@@ -47,58 +48,44 @@ def own_systems(results: Mapping[str, tuple[RobustSmoother, SimulationResult]]) 
             reference="system",
         )
         smoothed, filtered = found.smoothed, found.filtered
-        rows.append(
-            (
-                name,
-                f"{smoothed.mean_square:.3g} ± {smoothed.standard_error:.1g}",
-                float(np.trace(predicted)),
-                f"{filtered.mean_square:.3g} ± {filtered.standard_error:.1g}",
-                f"{100 * (1 - smoothed.mean_square / filtered.mean_square):.0f}%",
-                2.0 * design.bound,
-                f"{100 * found.constraints.max():.0f}%",
-                f"{100 * found.violated.max():.2g}%",
-            )
+        records.append(
+            {
+                "system": name,
+                "smoothed error": cells.estimate(smoothed, ".3g", ".1g"),
+                "predicted": float(np.trace(predicted)),
+                "filtered error": cells.estimate(filtered, ".3g", ".1g"),
+                "saved": f"{1 - smoothed.mean_square / filtered.mean_square:.0%}",
+                "$2V$": 2.0 * design.bound,
+                "constraints used": f"{found.constraints.max():.0%}",
+                "time outside": f"{100 * found.violated.max():.2g}%",
+            }
         )
-    return Table(
-        columns=(
-            "system",
-            "smoothed error",
-            "predicted",
-            "filtered error",
-            "saved",
-            "$2V$",
-            "constraints used",
-            "time outside",
-        ),
-        rows=rows,
-        caption=(
-            "Mean square errors in the simulated nonlinear loop (± one standard error), against "
-            "the prediction by equivalent slopes and the guarantee; how much of the energy that "
-            "the constraints allow is used, and how long a nonlinearity is outside its slopes."
-        ),
+    return Table.of_records(
+        records,
+        "Mean square errors in the simulated nonlinear loop (± one standard error), against "
+        "the prediction by equivalent slopes and the guarantee; how much of the energy that "
+        "the constraints allow is used, and how long a nonlinearity is outside its slopes.",
         digits=3,
     )
 
 
 def in_units(units: Mapping[str, float]) -> Table:
     """Return the example's least bound and error in other units of time, given in seconds."""
-    rows = []
+    records = []
     for name, unit in units.items():
         parameters = replace(
             PAPER, lam=PAPER.lam * unit, kappa=PAPER.kappa * unit, alpha=PAPER.alpha * unit**0.5
         )
         best = minimize_bound(augment(parameters.uncertain_system(), DELAY / unit, ORDER))
         edge = best.plant.structured_delta((), [-1.0])
-        error = float(error_covariance(best.limit, edge)[0, 0])
-        rows.append((name, best.bound_infimum, error, best.limit.tau * unit))
-    return Table(
-        columns=(
-            "unit of time",
-            "infimum of $V$ (rad²)",
-            r"error at $\Delta_2 = -1$ (rad²)",
-            r"$\tau$ (rad² s)",
-        ),
-        rows=rows,
-        caption="The least bound of the example, searched anew in each unit of time.",
-        digits=12,
+        records.append(
+            {
+                "unit of time": name,
+                "infimum of $V$ (rad²)": best.bound_infimum,
+                r"error at $\Delta_2 = -1$ (rad²)": float(error_covariance(best.limit, edge)[0, 0]),
+                r"$\tau$ (rad² s)": best.limit.tau * unit,
+            }
+        )
+    return Table.of_records(
+        records, "The least bound of the example, searched anew in each unit of time.", digits=12
     )

@@ -1,0 +1,130 @@
+"""The designs' errors in the nonlinear loop: simulated, and predicted without sampling."""
+
+import math
+import warnings
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+
+from scipy.optimize import brentq
+
+from robsmooth._support.errors import UnstableLoopError
+from robsmooth.analysis.covariance import StatisticalLinearisation, statistical_linearisation
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.homodyne.moments import FARTHEST, stationary_errors
+from robsmooth.homodyne.montecarlo import (
+    LossOfLockWarning,
+    MeanSquare,
+    MonteCarloResult,
+    monte_carlo,
+)
+from robsmooth.homodyne.parameters import HomodyneParameters
+
+# What of the loop is multiplied, and the matrix of the system that has the root of its power.
+CHANGES = {
+    "power of the shot noise": "D21",
+    "power of the phase noise": "B1",
+    "detector gain": None,
+}
+
+
+def outputs(design: Estimator) -> tuple[str, ...]:
+    """Return the estimates that a design gives."""
+    return ("filtered", "smoothed") if design.plant.delay > 0.0 else ("filtered",)
+
+
+@dataclass(frozen=True)
+class ErrorByMethod:
+    """One error of a design, by each method that there is; rad^2."""
+
+    error: str
+    published: MeanSquare  # by the paper's protocol
+    ergodic: MeanSquare
+    moments: float
+    truncation: float  # of the moments
+    linearised: float
+
+
+def errors_by_method(
+    compared: Mapping[str, Estimator],
+    published: Mapping[str, MonteCarloResult],
+    ergodic: Mapping[str, MonteCarloResult],
+    values: HomodyneParameters,
+) -> list[ErrorByMethod]:
+    """Return the errors by simulation, by their moments and by statistical linearisation."""
+    found = []
+    for name, design in compared.items():
+        moments = stationary_errors(values, design)
+        linearised = statistical_linearisation(design, values.equivalent_slope)
+        found += [
+            ErrorByMethod(
+                f"{name}, {output}",
+                getattr(published[name], output),
+                getattr(ergodic[name], output),
+                getattr(moments, output),
+                getattr(moments, f"{output}_truncation"),
+                getattr(linearised, output),
+            )
+            for output in outputs(design)
+        ]
+    return found
+
+
+@dataclass(frozen=True)
+class NoisySimulation:
+    """A design in the loop with a multiple of the phase noise: filtered errors, rad^2."""
+
+    factor: float
+    simulated: MonteCarloResult
+    moments: float
+    linearised: float
+
+
+def noise_sweep(
+    design: Estimator, values: HomodyneParameters, factors: Iterable[float], **arguments
+) -> list[NoisySimulation]:
+    """Simulate a design with ever more phase noise, and predict its filtered error.
+
+    A prediction is not a number where its method says that the loop does not stay in lock.
+    """
+    found = []
+    for factor in factors:
+        noisier = replace(values, kappa=factor * values.kappa)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LossOfLockWarning)  # the slips are what is shown
+            simulated = monte_carlo(noisier, design, **arguments)
+        moments = linearised = math.nan
+        with suppress(UnstableLoopError, ArithmeticError):
+            moments = stationary_errors(noisier, design).filtered
+        with suppress(UnstableLoopError):
+            linearised = predicted(design, "power of the phase noise", factor, values).filtered
+        if linearised > FARTHEST**2:  # of a loop whose sine has no mean slope any more
+            linearised = math.nan
+        found.append(NoisySimulation(factor, simulated, moments, linearised))
+    return found
+
+
+def predicted(
+    design: Estimator, change: str, factor: float, values: HomodyneParameters
+) -> StatisticalLinearisation:
+    """Predict the errors of a design in a loop with one number multiplied, a key of CHANGES."""
+    name = CHANGES[change]
+    if name is None:
+        slope = partial(values.equivalent_slope, gain=factor)
+        return statistical_linearisation(design, slope)
+    system = design.plant.system
+    noisier = replace(system, **{name: math.sqrt(factor) * getattr(system, name)})
+    elsewhere = replace(design, plant=replace(design.plant, system=noisier))
+    return statistical_linearisation(elsewhere, values.equivalent_slope)
+
+
+def factor_for(
+    design: Estimator, output: str, target: float, change: str, values: HomodyneParameters
+) -> float:
+    """Return the factor on one number of the loop at which the predicted error is `target`."""
+
+    def excess(factor: float) -> float:
+        return getattr(predicted(design, change, factor, values), output) - target
+
+    return float(brentq(excess, 0.7, 2.0, xtol=1e-10))
