@@ -28,22 +28,13 @@ CHANGES = {
     "detector gain": None,
 }
 
+# From the name of an error, by the method, to the mean square.
+ErrorsByMethod = Mapping[str, Mapping[str, MeanSquare]]
+
 
 def outputs(design: Estimator) -> tuple[str, ...]:
     """Return the estimates that a design gives."""
     return ("filtered", "smoothed") if design.plant.delay > 0.0 else ("filtered",)
-
-
-@dataclass(frozen=True)
-class ErrorByMethod:
-    """One error of a design, by each method that there is; rad^2."""
-
-    error: str
-    published: MeanSquare  # by the paper's protocol
-    ergodic: MeanSquare
-    moments: float
-    truncation: float  # of the moments
-    linearised: float
 
 
 def errors_by_method(
@@ -51,23 +42,23 @@ def errors_by_method(
     published: Mapping[str, MonteCarloResult],
     ergodic: Mapping[str, MonteCarloResult],
     values: HomodyneParameters,
-) -> list[ErrorByMethod]:
-    """Return the errors by simulation, by their moments and by statistical linearisation."""
-    found = []
+) -> ErrorsByMethod:
+    """Return the errors by simulation, by their moments and by statistical linearisation.
+
+    What is not simulated has no standard error: for moments it is their truncation, else zero.
+    """
+    found = {}
     for name, design in compared.items():
         moments = stationary_errors(values, design)
         linearised = statistical_linearisation(design, values.equivalent_slope)
-        found += [
-            ErrorByMethod(
-                f"{name}, {output}",
-                getattr(published[name], output),
-                getattr(ergodic[name], output),
-                getattr(moments, output),
-                getattr(moments, f"{output}_truncation"),
-                getattr(linearised, output),
-            )
-            for output in outputs(design)
-        ]
+        for output in outputs(design):
+            truncation = getattr(moments, f"{output}_truncation")
+            found[f"{name}, {output}"] = {
+                "paper's protocol": getattr(published[name], output),
+                "ergodic": getattr(ergodic[name], output),
+                "moments": MeanSquare(getattr(moments, output), truncation),
+                "statistical linearisation": MeanSquare(getattr(linearised, output), 0.0),
+            }
     return found
 
 

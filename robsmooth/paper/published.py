@@ -44,18 +44,12 @@ def data_folder() -> Path:
 
 @cache
 def published() -> dict:
-    """Return the content of published.toml.
-
-    Raises
-    ------
-    ValueError
-        Where the file is missing, is not TOML or lacks a field, which the message names.
-    """
+    """Return the content of the project's published.toml."""
     return read_published(data_folder() / "published.toml")
 
 
 def read_published(path: Path) -> dict:
-    """Read and check a file of published values (`published` reads the project's own)."""
+    """Read a file of published values; a ValueError names the field that it lacks or has wrong."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -100,13 +94,7 @@ def printed(name: str) -> float | Matrix:
 
 
 def stated(name: str, field: str) -> str:
-    """Return a number that a statement is about, with the printed digits.
-
-    Raises
-    ------
-    ValueError
-        Where published.toml lacks it.
-    """
+    """Return a number that a statement is about, with the printed digits."""
     for statement in published()["statement"]:
         if statement["id"] == name and field in statement:
             return statement[field]
@@ -130,7 +118,7 @@ def each_entry(value: str | list) -> Iterator[tuple[tuple[int, ...], str]]:
 
 def last_digit(text: str) -> float:
     """Return the worth of the last printed digit: 0.01 for "1.13", 1e-8 for "1.13e-6"."""
-    mantissa, _, exponent = text.lower().partition("e")
+    mantissa, _, exponent = text.partition("e")
     decimals = len(mantissa.partition(".")[2])
     return 10.0 ** (int(exponent or 0) - decimals)
 

@@ -13,45 +13,32 @@ from robsmooth.paper import verdicts as paper_verdicts
 from robsmooth.paper.verdicts import NOT_REPRODUCED, OUTCOMES, WITH_FLIPPED_SIGN, Verdict, table
 from robsmooth.workbench import provenance
 
-NAME = "reproduction"
+_REPORT = ("reproduction.md", "reproduction.csv")
 _BEGIN, _END = "<!-- scorecard: written by make figures -->", "<!-- end of scorecard -->"
 
 
-def write(figures: Path | str, data: Path | str) -> list[Verdict]:
-    """Write reproduction.md and reproduction.csv.
-
-    Parameters
-    ----------
-    figures : path
-        Folder to write to.
-    data : path
-        Folder with the Monte Carlo results.
-
-    Returns
-    -------
-    list of Verdict
-        What was written.
-    """
+def write(figures: Path, data: Path) -> list[Verdict]:
+    """Write the report to the folder `figures`, from the results in `data`; return its verdicts."""
     started = time.perf_counter()
     verdicts = paper_verdicts.verdicts(data)
-    files.write_text(Path(figures) / f"{NAME}.md", markdown(verdicts))
-    files.write_text(Path(figures) / f"{NAME}.csv", table(verdicts).csv())
-    digests = _digests(Path(figures), Path(data))
-    provenance.write(Path(figures) / f"{NAME}.md", started=started, files=digests)
+    for name, text in zip(_REPORT, (markdown(verdicts), table(verdicts).csv()), strict=True):
+        files.write_text(figures / name, text)
+    provenance.write(figures / _REPORT[0], started=started, files=_digests(figures, data))
     return verdicts
 
 
 def is_fresh(figures: Path, data: Path) -> bool:
     """Tell whether the report is as it was written, and from the simulations that are there."""
+    path = (figures / _REPORT[0]).with_suffix(".provenance.json")
     try:
-        about = json.loads((figures / f"{NAME}.provenance.json").read_text(encoding="utf-8"))
+        about = json.loads(path.read_text(encoding="utf-8"))
         return about["files"] == _digests(figures, data)
     except (OSError, ValueError, KeyError, TypeError):
         return False
 
 
 def _digests(figures: Path, data: Path) -> dict[str, str]:
-    paths = (figures / f"{NAME}.md", figures / f"{NAME}.csv", data / results.NAME)
+    paths = (*(figures / name for name in _REPORT), data / results.FILE)
     return {path.name: provenance.sha256(path) for path in paths}
 
 
@@ -73,11 +60,9 @@ def scorecard(verdicts: Iterable[Verdict]) -> Table:
         (statements if isinstance(verdict.value, str) else numbers)[verdict.verdict] += 1
     rows = [(outcome, numbers[outcome], statements[outcome]) for outcome in OUTCOMES]
     total = ("all", numbers.total(), statements.total())
-    return Table(
-        columns=("verdict", "printed numbers", "statements"),
-        rows=[*rows, total],
-        caption="What of the paper reproduces. Each entry of a printed matrix counts as a number.",
-    )
+    columns = ("verdict", "printed numbers", "statements")
+    caption = "What of the paper reproduces. Each entry of a printed matrix counts as a number."
+    return Table(columns, [*rows, total], caption)
 
 
 def markdown(verdicts: Sequence[Verdict]) -> str:
@@ -92,14 +77,10 @@ def markdown(verdicts: Sequence[Verdict]) -> str:
     ]
     for outcome in (NOT_REPRODUCED, WITH_FLIPPED_SIGN):
         chosen = [verdict for verdict in verdicts if verdict.verdict == outcome]
-        parts += [
-            f"## {outcome.capitalize()}",
-            table(chosen, f"{outcome.capitalize()}.").markdown(),
-        ]
-    parts += [
-        "## Everything, in the paper's order",
-        table(verdicts, "All verdicts. The zeros of a matrix share a row.", True).markdown(),
-    ]
+        title = outcome.capitalize()
+        parts += [f"## {title}", table(chosen, f"{title}.").markdown()]
+    everything = table(verdicts, "All verdicts. The zeros of a matrix share a row.", True)
+    parts += ["## Everything, in the paper's order", everything.markdown()]
     return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"
 
 

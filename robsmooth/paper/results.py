@@ -10,7 +10,7 @@ from robsmooth._support import files
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.workbench import provenance
 
-NAME = "monte_carlo.json"
+FILE = "monte_carlo.json"
 NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that verdicts are about
 _NOT_RESULTS = ("wall_time", "provenance")
 
@@ -19,15 +19,9 @@ SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]
 
 
 def read(folder: Path) -> SimulatedErrors:
-    """Read the mean square errors of monte_carlo.json.
-
-    Raises
-    ------
-    ValueError
-        Where the file is missing or corrupt.
-    """
+    """Read the mean square errors of a folder; ValueError where the file is missing or corrupt."""
     try:
-        cases = json.loads((folder / NAME).read_text(encoding="utf-8"))["cases"]
+        cases = json.loads((folder / FILE).read_text(encoding="utf-8"))["cases"]
         if missing := set(NEEDED) - set(cases):
             raise ValueError(f"no result for {', '.join(sorted(missing))}")
         return {
@@ -36,7 +30,7 @@ def read(folder: Path) -> SimulatedErrors:
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
-            f"{NAME} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
+            f"{FILE} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
             "make figures ONLY=04 writes it anew"
         ) from None
 
@@ -49,20 +43,11 @@ def _mean_square(stored: Mapping[str, float]) -> MeanSquare:
 
 
 def write(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) -> None:
-    """Write the Monte Carlo results that the verdicts need, with their provenance beside them.
+    """Write the Monte Carlo results of the designs to a folder, with their provenance beside them.
 
-    The results file has nothing in it that differs from run to run.
-
-    Parameters
-    ----------
-    data : path
-        Folder to write monte_carlo.json to.
-    results : mapping
-        From the name of each design to its result.
-    seed : int
-        For the provenance.
+    The results file has nothing in it that differs from run to run; the seed is for the provenance.
     """
-    path = Path(data) / NAME
+    path = Path(data) / FILE
     cases = {
         name: {key: value for key, value in result.to_dict().items() if key not in _NOT_RESULTS}
         for name, result in results.items()

@@ -39,10 +39,9 @@ def checks(simulation: SimulatedErrors | None) -> dict[str, Check]:
     def sweep(name: str, output: str) -> np.ndarray:
         return delta_sweep(published.designs()[name], slopes, output)[:, 0, 0]
 
+    improves = partial(smoothing_improves, parameters, published.DELAY)
     return {
-        "smoothing improves the Kalman-Bucy filter": partial(
-            smoothing_improves, parameters, published.DELAY
-        ),
+        "smoothing improves the Kalman-Bucy filter": improves,
         "robust filter against Kalman filter": partial(robust_against_kalman, simulation),
         "sector": partial(sector, parameters),
         "scaled nonlinearity": partial(scaled_nonlinearity, parameters),

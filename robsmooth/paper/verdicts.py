@@ -148,16 +148,7 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
 
 
 def table(verdicts: Iterable[Verdict], caption: str = "", merge_zeros: bool = False) -> Table:
-    """Return the verdicts as a table.
-
-    Parameters
-    ----------
-    verdicts : iterable of Verdict
-    caption : str
-        What the table shows.
-    merge_zeros : bool
-        Whether the reproduced zeros of a matrix share one row.
-    """
+    """Return the verdicts as a table, where asked with one row for a matrix's reproduced zeros."""
     rows = [astuple(verdict) for verdict in (_merged(verdicts) if merge_zeros else verdicts)]
     columns = ("what", "where", "printed", "ours", "relative difference", "verdict", "why")
     return Table(columns=columns, rows=rows, caption=caption, digits=6)

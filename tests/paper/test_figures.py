@@ -3,6 +3,7 @@
 import itertools
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -19,13 +20,21 @@ from robsmooth.homodyne.certificate import scalar_bound
 from robsmooth.homodyne.comparison import compare
 from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.study import QUANTITIES, Study
-from robsmooth.paper import figures
+from robsmooth.paper import figures, predictions
 from robsmooth.paper.figures import diagrams
 from robsmooth.paper.figures.maps import shade
 from tests.helpers import looks
 
 SLOPES = np.linspace(-1.0, 0.0, 11)
 CURVES = {"NGCF": 0.1 - 0.05 * SLOPES, "robust smoother": 0.06 - 0.04 * SLOPES}
+
+
+def noisy(error, in_lock, slip_rate):
+    """What a figure takes of a simulation."""
+    errors = MeanSquare(error, 0.001), MeanSquare(in_lock, 0.001)
+    return SimpleNamespace(filtered=errors[0], filtered_in_lock=errors[1], slip_rate=slip_rate)
+
+
 CASES = ["as written", "with a stronger noise of the detector"]
 RESULTS = {
     "smoother": [MeanSquare(0.05, 0.001), MeanSquare(0.06, 0.001)],
@@ -40,7 +49,15 @@ ERRORS = dict.fromkeys(QUANTITIES, np.full(SHAPE, 0.04)) | {
     "smoothed": np.linspace(0.045, 0.1, np.prod(SHAPE)).reshape(SHAPE),
 }
 STUDY = Study((0.4,), NOISES, (1, 2), LAGS, ERRORS, {})
-NOISY = {"all runs": [0.09, 0.2, 9.0], "moments": [0.09, 0.19, np.nan]}
+BY_METHOD = {
+    error: {"moments": MeanSquare(0.05, 0.0), "paper's protocol": first, "ergodic": second}
+    for error, first, second in zip(CASES, *RESULTS.values(), strict=True)
+}
+NOISY = [
+    predictions.NoisySimulation(1, noisy(0.09, 0.09, slip_rate=0.0), 0.09, 0.09),
+    predictions.NoisySimulation(3, noisy(0.2, 0.2, slip_rate=0.0), 0.19, 0.21),
+    predictions.NoisySimulation(10, noisy(9.0, 0.5, slip_rate=1e3), np.nan, np.nan),
+]
 
 SYSTEM = homodyne.PAPER.uncertain_system()
 CLASSICAL = baselines.fixed_lag_smoother(SYSTEM, 3.1e-6, 2, copies=True)
@@ -70,8 +87,8 @@ MAKERS = {
     "monte_carlo": lambda: figures.paper.mean_squares(
         CASES, RESULTS, {"smoother": 0.06, "NGCF": 0.1}
     ),
-    "errors_by_method": lambda: figures.paper.errors_by_method(CASES, RESULTS, [0.05, 0.06]),
-    "loss_of_lock": lambda: figures.paper.loss_of_lock((1, 3, 10), NOISY, (0.0, 0.0, 1e3)),
+    "errors_by_method": lambda: figures.paper.errors_by_method(BY_METHOD),
+    "loss_of_lock": lambda: figures.paper.loss_of_lock(NOISY),
     "where_smoothing_pays": lambda: figures.beyond.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
     "two_landscapes": lambda: figures.landscapes.two_landscapes(BESTS, points=5),
     "all_designs": lambda: figures.landscapes.all_designs(
@@ -185,6 +202,22 @@ def test_the_sweep_plots_what_it_is_given():
     assert lines["NGCF"].get_linestyle() == "-"  # solid and dashed, as the paper says
     assert lines["robust smoother"].get_linestyle() == "--"
     assert "rad" in axes.get_ylabel() and r"\Delta_2" in axes.get_xlabel()
+
+
+def test_methods_are_plotted_relative_to_the_moments():
+    (axes,) = MAKERS["errors_by_method"]().axes
+    drawn = {box.get_label(): box.lines[0].get_xdata() for box in axes.containers}
+    for label, name in {"paper's protocol": "smoother", "ergodic": "NGCF"}.items():
+        percent = [100 * (value.mean_square - 0.05) / 0.05 for value in RESULTS[name]]
+        assert drawn[label] == pytest.approx(percent)
+
+
+def test_a_loop_that_never_slips_has_no_rate_to_plot():
+    top, bottom = MAKERS["loss_of_lock"]().axes
+    assert np.array_equal(bottom.lines[0].get_ydata(), [np.nan, np.nan, 1e3], equal_nan=True)
+    errors = {line.get_label(): line.get_ydata() for line in top.lines}
+    assert np.array_equal(errors["all runs"], [0.09, 0.2, 9.0])
+    assert np.array_equal(errors["moments"], [0.09, 0.19, np.nan], equal_nan=True)
 
 
 def test_an_estimator_beyond_the_scale_is_said_to_be():

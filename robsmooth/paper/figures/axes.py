@@ -19,9 +19,8 @@ LOOSE = {"linestyle": "none", "clip_on": False}  # points, whole even at the edg
 
 
 def stacked(height: float, ratios: tuple[float, float]) -> tuple[Figure, tuple[Axes, Axes]]:
-    """Return a figure with two panels, one above the other, over one x axis."""
-    size = (3.4, height)
-    return plt.subplots(2, 1, sharex=True, figsize=size, height_ratios=ratios)
+    """Return a figure with two panels, one above the other, over one x axis; inches."""
+    return plt.subplots(2, 1, sharex=True, figsize=(3.4, height), height_ratios=ratios)
 
 
 def label_ticks(axis: Axis, ticks: Sequence[float]) -> None:
@@ -41,13 +40,11 @@ def label_rows(axes: Axes, labels: Collection[str], width: int = 20) -> NDArray[
     return heights
 
 
-def plot_curves(
-    axes: Axes, x: ArrayLike, curves: Mapping[str | int, ArrayLike], **look: Any
-) -> None:
+def plot_curves(axes: Axes, x: ArrayLike, curves: Mapping[str | int, ArrayLike]) -> None:
     """Plot curves in the styles of their names; a number is the order of a delay's model."""
     for name, style in zip(curves, styles(curves), strict=True):
         label = name if isinstance(name, str) else f"order {name}"
-        axes.plot(x, curves[name], label=label, **style | look)
+        axes.plot(x, curves[name], label=label, **style)
 
 
 def plot_intervals(

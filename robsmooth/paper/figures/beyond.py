@@ -57,16 +57,10 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
 
 
 def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float], limit: float) -> Figure:
-    r"""Draw the errors of the estimators in rows, from no uncertainty to the worst.
+    """Draw the errors of the named estimators in rows, from no uncertainty to the worst.
 
-    Parameters
-    ----------
-    compared : mapping
-        From the name of each estimator to its errors.
-    slopes : sequence of float
-        What the errors ``at`` are for.
-    limit : float
-        Of the axis, rad^2; estimators beyond it are said to be so.
+    The errors `at` are for the slopes. Estimators beyond the limit of the axis, in rad^2, are said
+    to be so.
     """
     figure, axes = plt.subplots(figsize=(3.4, 1.1 + 0.36 * len(compared)))
     legend = {}

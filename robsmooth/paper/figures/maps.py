@@ -28,23 +28,10 @@ def shade(
 ) -> ContourSet:
     """Shade a map between levels, and hatch it around the points of its grid that have no value.
 
-    Parameters
-    ----------
-    axes : Axes
-    x, y : (N,), (M,) arrays
-        The grid.
-    values : (M, N) array
-        Not a number where there is none.
-    levels : sequence of float
-        Least values of the shades; there is one for all above the last.
-    missing : str
-        What there is not where there is no value, for a legend: a patch of the axes has this label
-        if it is anywhere.
-
-    Returns
-    -------
-    ContourSet
-        For a colour bar.
+    There are (M, N) values, some not a number, for (N,) x and (M,) y. Levels are the least values
+    of the shades; there is one for all above the last. `missing` says what there is not where there
+    is no value: a patch of the axes has this label if it is anywhere. Returned is what a colour bar
+    needs.
     """
     norm = mpl.colors.BoundaryNorm(levels, 256, extend="max")
     shading = axes.contourf(x, y, _spread(values), levels, norm=norm, extend="max")
@@ -62,19 +49,9 @@ def hatch(
     label: str,
     **look: Any,
 ) -> None:
-    """Hatch where numbers on a grid are above zero; between its points they are interpolated.
+    """Hatch where (M, N) numbers for (N,) x and (M,) y are above zero; they are interpolated.
 
-    Parameters
-    ----------
-    axes : Axes
-    x, y : (N,), (M,) arrays
-        The grid.
-    excess : (M, N) array
-        Not a number where there is none.
-    label : str
-        For a legend.
-    **look
-        Of the patch, where it is not to look like what has no value.
+    The label is for a legend; the look of the patch, where not given, is that of what has no value.
     """
     most = np.nanmax(excess, initial=0.0)
     if most <= 0.0:

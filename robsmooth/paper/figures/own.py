@@ -28,14 +28,8 @@ def sample_path(paths: SamplePaths, unit: str, scale: float, quantity: str) -> F
 def gap(record: SamplePaths, estimates: NDArray[np.float64], missing: slice) -> Figure:
     """Draw the first output and its smoothed estimate around missing measurements.
 
-    Parameters
-    ----------
-    record : SamplePaths
-        What was simulated, of one path.
-    estimates : (N, m) array
-        What the measurements of it, less those that are missing, gave.
-    missing : slice
-        Their rows.
+    The record is of one path. The (N, m) estimates are from its measurements without the rows that
+    are missing.
     """
     around = slice(max(missing.start - 600, 0), missing.stop + 600)
     figure, axes = plt.subplots(figsize=(3.4, 2.2))
@@ -54,14 +48,7 @@ def smoother_response(
 ) -> Figure:
     """Draw a smoother's response from the measurement to the estimate, beside a pure delay's.
 
-    Parameters
-    ----------
-    omega : (F,) array
-        Angular frequencies, rad/s.
-    response : (F,) array
-        Complex.
-    delay : float
-        The lag, s.
+    There is a complex response at each angular frequency omega (rad/s); the delay is in s.
     """
     figure, (top, bottom) = stacked(3.0, (1, 1))
     top.loglog(omega, np.ones_like(omega), label="pure delay", **TRUTH)

@@ -18,13 +18,14 @@ from robsmooth.paper.figures.axes import (
     plot_intervals,
     stacked,
 )
+from robsmooth.paper.predictions import ErrorsByMethod, NoisySimulation
 from robsmooth.systems.delay import pade_delay
 
 
 def sector(parameters: HomodyneParameters, variance: float) -> Figure:
-    """Draw Fig. 3: the sine of the phase error in its sector, and where an error of a variance is.
+    """Draw Fig. 3: the sine of the phase error in its sector, and the density of the error below.
 
-    The stationary variance, in rad^2, is for the lower panel.
+    The density is Gaussian, with the stationary variance given, in rad^2.
     """
     figure, (top, bottom) = stacked(4.2, (3, 1))
     error = np.linspace(-np.pi, np.pi, 721)
@@ -56,16 +57,9 @@ def delta_sweep(
     curves: Mapping[str, Sequence[float]],
     marks: Mapping[str, tuple[float, float]] | None = None,
 ) -> Figure:
-    r"""Draw error covariances against :math:`\Delta_2`, as Fig. 4.
+    """Draw error covariances (rad^2) at the slopes Delta_2, as Fig. 4.
 
-    Parameters
-    ----------
-    slopes : (N,) sequence
-        Values of :math:`\Delta_2`.
-    curves : mapping
-        From each label to its (N,) error covariances, rad^2.
-    marks : mapping, optional
-        From each label to a single point.
+    There are curves, and points to mark, by their labels.
     """
     several = len(curves) > 2  # some of them may lie on one another: then markers take turns
     figure, axes = plt.subplots(figsize=(3.4, 3.1 if several else 2.6))
@@ -108,16 +102,10 @@ def mean_squares(
     results: Mapping[str, Sequence[MeanSquare]],
     printed: Mapping[str, float],
 ) -> Figure:
-    """Draw simulated mean square errors with their intervals against what is printed.
+    """Draw simulated mean square errors with their intervals, and what is printed as lines.
 
-    Parameters
-    ----------
-    cases : sequence of str
-        Labels of the variants, one a row.
-    results : mapping
-        From each quantity, e.g. "NGCF, filtered", to its mean square error in every case.
-    printed : mapping
-        From the same quantities to the printed value, drawn as a line.
+    Each case has a row. For each quantity, e.g. "NGCF, filtered", the results have its error in
+    every case.
     """
     figure, axes = plt.subplots(figsize=(3.4, 0.9 + 0.36 * len(cases)))
     heights = label_rows(axes, cases, width=18)
@@ -136,62 +124,42 @@ def mean_squares(
     return figure
 
 
-def errors_by_method(
-    errors: Sequence[str],
-    methods: Mapping[str, Sequence[MeanSquare]],
-    moments: Sequence[float],
-) -> Figure:
-    """Draw how far several methods are from the moments, with 95% intervals.
-
-    Parameters
-    ----------
-    errors : sequence of str
-        The names of the errors, one a row.
-    methods : mapping
-        From each method's name to its mean square error in every row.
-    moments : sequence of float
-        The same errors by their moments, rad^2.
-    """
-    figure, axes = plt.subplots(figsize=(3.4, 1.0 + 0.34 * len(errors)))
-    heights = label_rows(axes, errors)
+def errors_by_method(found: ErrorsByMethod) -> Figure:
+    """Draw how far the methods are from the moments for each error, with 95% intervals."""
+    figure, axes = plt.subplots(figsize=(3.4, 1.0 + 0.34 * len(found)))
+    heights = label_rows(axes, found)
     axes.axvline(0.0, **MARK)
+    methods = [method for method in next(iter(found.values())) if method != "moments"]
     looks = styles(methods, markers=True)
-    for number, (look, (label, values)) in enumerate(zip(looks, methods.items(), strict=True)):
-        relative = [
-            MeanSquare(100 * (value.mean_square / exact - 1), 100 * value.standard_error / exact)
-            for value, exact in zip(values, moments, strict=True)
-        ]
-        plot_intervals(axes, relative, heights + 0.2 * (1 - number), label=label, **look)
+    for number, (look, method) in enumerate(zip(looks, methods, strict=True)):
+        relative = []
+        for by_method in found.values():
+            value, exact = by_method[method], by_method["moments"].mean_square
+            difference = value.mean_square / exact - 1
+            relative.append(MeanSquare(100 * difference, 100 * value.standard_error / exact))
+        plot_intervals(axes, relative, heights + 0.2 * (1 - number), label=method, **look)
     axes.set(xlabel="difference from the moments (%)")
     figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
-def loss_of_lock(
-    factors: Sequence[float],
-    errors: Mapping[str, Sequence[float]],
-    slip_rates: Sequence[float],
-) -> Figure:
-    """Draw errors and the rate of cycle slips against the noise.
-
-    Parameters
-    ----------
-    factors : sequence of float
-        On the power of the phase noise.
-    errors : mapping
-        From each label to the mean square errors, rad^2; not a number where there is none.
-    slip_rates : sequence of float
-        1/s; zeros are left out.
-    """
+def loss_of_lock(sweep: Sequence[NoisySimulation]) -> Figure:
+    """Draw the filtered errors and the rate of cycle slips against the phase noise."""
     figure, (top, bottom) = stacked(3.8, (3, 2))
+    factors = [case.factor for case in sweep]
+    errors = {
+        "all runs": [case.simulated.filtered.mean_square for case in sweep],
+        "runs in lock": [case.simulated.filtered_in_lock.mean_square for case in sweep],
+        "moments": [case.moments for case in sweep],
+        "statistical linearisation": [case.linearised for case in sweep],
+    }
     looks = styles(errors, markers=True)
     for number, (look, label) in enumerate(zip(looks, errors, strict=True)):
         # all but the first lie on one another: each is seen through the next, which is smaller
         size = {"markersize": max(9 - 2 * number, 3) if number else 3, "markerfacecolor": "none"}
         top.loglog(factors, errors[label], label=label, **look | size)
     top.set(ylabel=r"filtered error (rad$^2$)")
-    rates = np.array(slip_rates, dtype=float)
-    rates[rates == 0.0] = np.nan
+    rates = [case.simulated.slip_rate or np.nan for case in sweep]  # zero has no logarithm
     bottom.loglog(factors, rates, "o-", markersize=3)
     bottom.set(xlabel="factor on the power of the phase noise", ylabel="cycle slips (1/s)")
     label_ticks(bottom.xaxis, (1, 2, 5, 10, 20, 50))

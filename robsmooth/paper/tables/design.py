@@ -8,6 +8,7 @@ from robsmooth import homodyne
 from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import Table
+from robsmooth._support.validation import Matrix
 from robsmooth.analysis.covariance import delta_sweep, error_covariance
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
@@ -47,30 +48,25 @@ def sign_readings(plant: AugmentedSystem, tau: float, multipliers: Sequence[floa
     """Return the leading gains for each reading of the X equation's quadratic term."""
     equations = design_equations(plant, tau, multipliers)
     Y = equations.solve_Y().X
-    found = {}
+
+    def leading(A_c: Matrix, B_c: Matrix, C_c: Matrix, bound: float) -> dict[str, float]:
+        return {
+            "$A_c[0,0]$": A_c[0, 0],
+            "$B_c[0,1]$": B_c[0, 1],
+            "$C_c[0,0]$": C_c[0, 0],
+            "$C_c[1,0]$": C_c[1, 0],
+            "$V$": bound,
+        }
+
+    records = []
     for text, sign in {"+, as written": 1.0, "-, flipped": -1.0, "left out": 0.0}.items():
         try:
-            found[text] = equations.gains(equations.solve_X(quadratic_sign=sign).X, Y)
+            gains = leading(*equations.gains(equations.solve_X(quadratic_sign=sign).X, Y))
         except RiccatiError:
-            found[text] = None
+            gains = {"$A_c[0,0]$": "no real solution"}
+        records.append({"sign": text} | gains)
     names = ("A_c", "B_c", "C_c", "V at the printed tau, lambda")
-    found["printed"] = [published.printed(name) for name in names]
-    records = []
-    for text, gains in found.items():
-        if gains is None:
-            records.append({"sign": text, "$A_c[0,0]$": "no real solution"})
-            continue
-        A_c, B_c, C_c, bound = gains
-        records.append(
-            {
-                "sign": text,
-                "$A_c[0,0]$": A_c[0, 0],
-                "$B_c[0,1]$": B_c[0, 1],
-                "$C_c[0,0]$": C_c[0, 0],
-                "$C_c[1,0]$": C_c[1, 0],
-                "$V$": bound,
-            }
-        )
+    records.append({"sign": "printed"} | leading(*map(published.printed, names)))
     return Table.of_records(
         records,
         "The gains at the printed tau and lambda for each reading of the X equation.",

@@ -8,7 +8,7 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.montecarlo import MonteCarloResult
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.paper import predictions, published
-from robsmooth.paper.predictions import ErrorByMethod, NoisySimulation
+from robsmooth.paper.predictions import ErrorsByMethod, NoisySimulation
 from robsmooth.paper.tables import cells
 
 
@@ -30,19 +30,22 @@ def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Table:
     return Table.of_records(records, caption)
 
 
-def errors_by_method(found: Iterable[ErrorByMethod]) -> Table:
+def errors_by_method(found: ErrorsByMethod) -> Table:
     """Return the errors by simulation, by their moments and by statistical linearisation."""
-    records = [
-        {
-            "error": case.error,
-            "paper's protocol (rad²)": cells.estimate(case.published),
-            "ergodic protocol (rad²)": cells.estimate(case.ergodic, ".6f"),
-            "Hermite-Galerkin moments (rad²)": f"{case.moments:.8f} ± {case.truncation:.0e}",
-            "statistical linearisation (rad²)": f"{case.linearised:.6f}",
-            "its error": f"{case.linearised / case.moments - 1:+.2%}",
-        }
-        for case in found
-    ]
+    records = []
+    for error, methods in found.items():
+        moments = methods["moments"]
+        linearised = methods["statistical linearisation"].mean_square
+        records.append(
+            {
+                "error": error,
+                "paper's protocol (rad²)": cells.estimate(methods["paper's protocol"]),
+                "ergodic protocol (rad²)": cells.estimate(methods["ergodic"], ".6f"),
+                "Hermite-Galerkin moments (rad²)": cells.estimate(moments, ".8f", ".0e"),
+                "statistical linearisation (rad²)": f"{linearised:.6f}",
+                "its error": f"{linearised / moments.mean_square - 1:+.2%}",
+            }
+        )
     return Table.of_records(
         records,
         "Three routes, one number: simulation (± one standard error), moments without sampling "
