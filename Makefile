@@ -125,10 +125,10 @@ COMPILE = $(UV) pip compile --quiet --universal --fork-strategy fewest --python-
           --generate-hashes --custom-compile-command 'make lock' $(LOCK_OPTIONS)
 
 lock: .uv/stamp  ## write the locks anew after pyproject.toml changed; versions that fit stay
-	$(COMPILE) pyproject.toml --group build --output-file requirements.lock
-	$(COMPILE) pyproject.toml --group build --group dev --constraint requirements.lock \
-	  --output-file requirements-dev.lock
-	$(COMPILE) pyproject.toml --group build --group dev --group bench \
+	$(COMPILE) pyproject.toml --extra notebooks --group build --output-file requirements.lock
+	$(COMPILE) pyproject.toml --extra all --group build --group dev \
+	  --constraint requirements.lock --output-file requirements-dev.lock
+	$(COMPILE) pyproject.toml --extra all --group build --group dev --group bench \
 	  --constraint requirements-dev.lock --output-file requirements-bench.lock
 	echo uv | $(COMPILE) --no-annotate - --output-file requirements-uv.lock
 

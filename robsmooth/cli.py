@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+import robsmooth
+from robsmooth._support.extras import MissingExtraError
 from robsmooth._support.progress import progress_bar
 from robsmooth.workbench.parameters import PipelineError
 from robsmooth.workbench.runner import PROFILES, NotebookResult, Places, run_notebooks
@@ -22,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         return options.command(options)
-    except PipelineError as error:
+    except (PipelineError, MissingExtraError) as error:
         print(f"robsmooth: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -98,8 +100,9 @@ def verdicts(options: argparse.Namespace) -> int:
     from robsmooth.paper import report
     from robsmooth.paper import verdicts as paper_verdicts
 
+    project = _project_above()
     try:
-        print(report.markdown(paper_verdicts.verdicts(_project() / "data")))
+        print(report.markdown(paper_verdicts.verdicts(project and project / "data")))
     except ValueError as error:  # no Monte Carlo results, or damaged ones
         raise PipelineError(str(error)) from error
     return 0
@@ -114,16 +117,19 @@ def bench(options: argparse.Namespace) -> int:
 
 def site(options: argparse.Namespace) -> int:
     """Build the site from executed notebooks, as docs/ has it."""
+    project = _project()
     if find_spec("sphinx") is None:
         raise PipelineError("Sphinx is not installed; `make report` makes an environment with it")
     command = [sys.executable, "-m", "docs", "--profile", options.profile]
     if options.build:
         command += ["--build", str(options.build.resolve())]
-    return subprocess.run(command, cwd=_project()).returncode
+    return subprocess.run(command, cwd=project).returncode
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="robsmooth", description=__doc__)
+    version = f"robsmooth {robsmooth.__version__}"
+    parser.add_argument("--version", action="version", version=version)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     command = commands.add_parser("figures", help="run the notebooks that are not fresh")
@@ -204,13 +210,21 @@ def _setting(text: str) -> tuple[str, object]:
 
 def _project() -> Path:
     """Folder of the project: this one or one above it."""
+    project = _project_above()
+    if project is None:
+        raise PipelineError(
+            "there is no notebooks/profiles.toml here or above: say this in a checkout of the "
+            "project, which holds the notebooks and more than the installed package"
+        )
+    return project
+
+
+def _project_above() -> Path | None:
     here = Path.cwd()
     for folder in (here, *here.parents):
         if (folder / "notebooks" / "profiles.toml").is_file():
             return folder
-    raise PipelineError(
-        "there is no notebooks/profiles.toml here or above: say this in the project's folder"
-    )
+    return None
 
 
 def _line(result: NotebookResult) -> str:

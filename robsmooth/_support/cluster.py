@@ -24,6 +24,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from robsmooth._support.extras import extra
+
 if TYPE_CHECKING:
     from distributed import Client, Future
 
@@ -127,12 +129,8 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
         yield None
         return
     _check_address(address)
-    try:
+    with extra("cluster", "a cluster"):
         import distributed
-    except ImportError:
-        raise ImportError(
-            "a cluster needs the package distributed: pip install 'robsmooth[cluster]'"
-        ) from None
     with _quiet():
         _check_scheduler(address, timeout)
         try:

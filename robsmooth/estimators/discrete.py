@@ -42,20 +42,21 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numba import njit
-from numba.core.errors import NumbaError
 from numba.extending import is_jitted
-from numba.np.ufunc.dufunc import DUFunc
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._numerics.exponential import responses
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
+from robsmooth._support.kernels import kept
 from robsmooth._support.validation import Matrix
 from robsmooth.systems.system import Nonlinearity
 
 OUTPUTS = ("smoothed", "filtered")
+_Vectorized = type(numba.vectorize(lambda value: value))
 
 
 class DiscreteSmoother:
@@ -96,8 +97,8 @@ class DiscreteSmoother:
         Numbers of measurements, outputs and nonlinearities.
     compiled : bool
         Whether samples are taken by compiled code: where the estimator runs no copies, or numba
-        has compiled all functions for scalars. Others are called for every sample, which is
-        slower by a factor of a hundred and more.
+        has compiled all functions for scalars, unless NUMBA_DISABLE_JIT is set. Others are called
+        for every sample, which is slower by a factor of a hundred and more.
     samples : int
         Taken since the start or the last `reset`.
     """
@@ -111,7 +112,8 @@ class DiscreteSmoother:
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
         nonlinearities = _with_functions(system.nonlinearities, functions)
         functions = tuple(_function(i, nonlinearities[i]) for i in self._model.running)
-        self.compiled = all(_takes_numbers(function) for function in functions)
+        compiled = all(_takes_numbers(function) for function in functions)
+        self.compiled = compiled and not numba.config.DISABLE_JIT
         self._advance = _loop(functions, self.compiled)
         self._patterns: dict[bytes, int] = {}  # of missing channels, to a row of the steps
         self._steps: _Steps | None = None
@@ -387,11 +389,11 @@ def _function(index: int, nonlinearity: Nonlinearity) -> Callable:
 
 def _takes_numbers(function: Callable) -> bool:
     """Tell whether compiled code can call this function with a number."""
-    if not (is_jitted(function) or isinstance(function, DUFunc)):
+    if not (is_jitted(function) or isinstance(function, _Vectorized)):
         return False
     try:
         return np.ndim(function(0.0)) == 0
-    except NumbaError:
+    except Exception:  # it is for arrays only
         return False
 
 
@@ -420,10 +422,8 @@ def _no_copies(arguments, values):
 
 def _loop(functions: tuple[Callable, ...], compiled: bool) -> Callable:
     """Return the loop over samples, a function of what follows `copies` in `_advance`."""
-    if not functions:
-        return _advance_linear
     if compiled:
-        return partial(_advance, _compiled(functions))
+        return partial(_advance, _compiled(functions)) if functions else _advance_linear
     return partial(_interpret, [f if _takes_numbers(f) else partial(_value, f) for f in functions])
 
 
@@ -490,7 +490,7 @@ def _subtract(C_nu, x, row, reference, k, arguments):
             arguments[i] += C_nu[i, j] * x[row, j]
 
 
-@njit(cache=True)
+@kept()
 def _advance_linear(sizes, steps, C_nu, readout, starts, patterns, y, reference, state, result):
     """Do as `_advance` for an estimator without copies; it need not be compiled anew."""
     _advance(None, sizes, steps, C_nu, readout, starts, patterns, y, reference, state, result)

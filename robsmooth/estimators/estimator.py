@@ -18,12 +18,13 @@ import numpy as np
 from robsmooth._support import notation, validation
 from robsmooth._support.tables import facts
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.estimators.discrete import DiscreteSmoother
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.statespace import Blocks
 
 if TYPE_CHECKING:
     import control
+
+    from robsmooth.estimators.discrete import DiscreteSmoother
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -101,7 +102,7 @@ class Estimator:
 
     def discretize(
         self, dt: float, functions: Iterable[Callable | None] | None = None
-    ) -> DiscreteSmoother:
+    ) -> "DiscreteSmoother":
         """Return the estimator in discrete time, for a measured record.
 
         Parameters
@@ -123,6 +124,8 @@ class Estimator:
         ArithmeticError
             Where the estimator is unstable, and dt too long for it.
         """
+        from robsmooth.estimators.discrete import DiscreteSmoother  # numba takes long to import
+
         return DiscreteSmoother(self, dt, functions)
 
     def __repr__(self) -> str:

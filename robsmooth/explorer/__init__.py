@@ -1,7 +1,10 @@
 """The explorer of explore.ipynb: sliders, and what a design does at their settings."""
 
-from robsmooth.explorer.explorer import Explorer
+from robsmooth._support.extras import extra
 from robsmooth.explorer.settings import Settings
 from robsmooth.explorer.text import experiments
+
+with extra("notebooks", "the explorer"):
+    from robsmooth.explorer.explorer import Explorer
 
 __all__ = ["Explorer", "Settings", "experiments"]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robsmooth._support.extras import extra
 from robsmooth._support.validation import Matrix
 
 if TYPE_CHECKING:  # it takes half a second to import, and only these functions need it
@@ -83,7 +84,8 @@ class Blocks:
 
     def to_control(self) -> "control.StateSpace":
         """Return the system as a python-control object."""
-        import control
+        with extra("control", "to_statespace"):
+            import control
 
         n = self.A.shape[0]
         B = np.hstack([np.zeros((n, 0)), *self.inputs.values()])
@@ -106,7 +108,8 @@ class Blocks:
 
 def check_continuous(name: str, sys: "control.StateSpace") -> None:
     """Check that `sys` is a state-space system in continuous time, with a state."""
-    import control
+    with extra("control", "a python-control system"):
+        import control
 
     if not isinstance(sys, control.StateSpace):
         hint = "; control.ss(...) makes it one" if isinstance(sys, control.TransferFunction) else ""

@@ -14,9 +14,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import nbformat
-import psutil
+if TYPE_CHECKING:  # the extra [notebooks]
+    from nbformat import NotebookNode
 
 _ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 _ADDED_BY_PAPERMILL = {"injected-parameters", "papermill-error-cell-tag"}
@@ -85,6 +86,8 @@ class Execution:
 
     def kill(self) -> None:
         """End the process, its kernel, and all that the kernel has started."""
+        import psutil
+
         # The kernel has a session of its own, so a signal to the process group would miss it.
         try:
             worker = psutil.Process(self._process.pid)
@@ -117,7 +120,7 @@ class Execution:
             return f"the time limit of {self._time_limit:g} s for the notebook was reached"
         return self._said.read_text(errors="replace").strip()
 
-    def _cells(self) -> list[tuple[int | None, nbformat.NotebookNode]]:
+    def _cells(self) -> "list[tuple[int | None, NotebookNode]]":
         """Code cells of the executed copy that hold code, with their numbers in the source."""
         number, found = 0, []
         for cell in self._executed_cells():
@@ -127,20 +130,22 @@ class Execution:
                 found.append((number, cell))
         return found
 
-    def _executed_cells(self) -> list[nbformat.NotebookNode]:
+    def _executed_cells(self) -> "list[NotebookNode]":
+        import nbformat
+
         try:
             return nbformat.read(self.executed, as_version=4).cells
         except (FileNotFoundError, nbformat.reader.NotJSONError):  # killed before or while saving
             return []
 
 
-def _traceback(cell: nbformat.NotebookNode) -> str:
+def _traceback(cell: "NotebookNode") -> str:
     errors = [output for output in cell.outputs if output.output_type == "error"]
     lines = [line for error in errors for line in error.traceback or [error.ename]]
     return _ANSI.sub("", "\n".join(lines)).strip()
 
 
-def _completed(cell: nbformat.NotebookNode) -> bool:
+def _completed(cell: "NotebookNode") -> bool:
     # papermill marks even the cell that its kernel died in as completed: go by the kernel's reply.
     return "shell.execute_reply" in cell.metadata.get("execution", {})
 

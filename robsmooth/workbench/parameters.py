@@ -19,8 +19,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import nbformat
-
 TYPES = {"bool": bool, "int": int, "float": float, "str": str}
 # Set by the pipeline, for each run anew, and of no influence on the results. Every notebook has the
 # folders that figures, and data, are written to; the others may be there: the address of a Dask
@@ -92,6 +90,8 @@ def read(notebook: Path) -> dict[str, Parameter]:
         Unless the file is a notebook with exactly one code cell tagged `parameters` that holds
         nothing but `name: type = value  # comment` lines, `output_dir` and `data_dir` among them.
     """
+    import nbformat
+
     try:
         cells = nbformat.read(notebook, as_version=4).cells
     except (OSError, ValueError, AttributeError, nbformat.ValidationError) as error:

@@ -22,12 +22,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robsmooth._support import cluster, files
+from robsmooth._support.extras import check_installed, extra
 from robsmooth.workbench import parameters as parameters_cell
 from robsmooth.workbench import provenance
 from robsmooth.workbench.execution import Execution, Failure
 from robsmooth.workbench.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineError, unknown
 
 PROFILES = ("paper", "quick")
+NEEDED = ("ipykernel", "matplotlib", "nbformat", "papermill", "psutil")  # to run any notebook
 PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -125,7 +127,11 @@ def run_notebooks(
     ------
     PipelineError
         Where the run cannot be made as asked for; nothing has been run then.
+    MissingExtraError
+        Where what runs notebooks is not installed.
     """
+    with extra("notebooks", "a run of the notebooks"):
+        check_installed(*NEEDED)
     if jobs < 1:
         raise PipelineError(f"jobs must be 1 or more, not {jobs}")
     if not time_limit > 0:

@@ -8,7 +8,7 @@ from robsmooth import baselines, homodyne
 PUBLIC = {
     name: member
     for module in (robsmooth, baselines, homodyne)
-    for name, member in vars(module).items()
+    for name, member in inspect.getmembers(module)
     if (inspect.isclass(member) or inspect.isfunction(member))
     and not name.startswith("_")
     and member.__module__.startswith("robsmooth" if module is robsmooth else module.__name__)

@@ -23,7 +23,9 @@ from robsmooth.homodyne.montecarlo import (
     LossOfLockWarning,
     MeanSquare,
     euler,
+    lanes,
     monte_carlo,
+    noise,
     run,
     splitting,
 )
@@ -187,10 +189,14 @@ def test_threads_are_set_back_after_an_interruption(monkeypatch):
 def test_compiled_code_is_kept_for_the_sources_that_it_was_made_from(monkeypatch, kernel):
     for protocol in ("paper", "ergodic"):
         simulation(printed_smoother(), protocol=protocol).simulate(0, 1)
-    cache = kernel._cache._cache_file
-    assert cache._load_index()
-    monkeypatch.setattr(cache, "_source_stamp", "of noise.py as it was yesterday")
-    assert not cache._load_index()
+    sources = lanes.shared_sources()
+    assert kernel.signatures
+    for signature in kernel.signatures:  # of what is kept on disk, too
+        assert signature[-1] == numba.types.Omitted(sources)
+    for module in (lanes, noise):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, "__file__", __file__)
+            assert lanes.shared_sources() != sources
 
 
 # --- the numbers ----------------------------------------------------------------------------------

@@ -84,7 +84,7 @@ with connect("tcp://127.0.0.1:8786") as client:
 """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     last = "a cluster needs the package distributed: pip install 'robsmooth[cluster]'"
-    assert ended.stderr.splitlines()[-1] == f"ImportError: {last}"
+    assert ended.stderr.splitlines()[-1].endswith(f"MissingExtraError: {last}")
 
 
 # --- on a cluster ---------------------------------------------------------------------------------

@@ -19,9 +19,9 @@ result does not depend on the number of threads, nor on how blocks are shared ou
 
 import numpy as np
 from numba import njit, prange
-from numba.cpython.unsafe.tuple import tuple_setitem
 
-from robsmooth.homodyne.montecarlo.lanes import TURN, compiled_from_all_sources, slip
+from robsmooth._support.kernels import kept
+from robsmooth.homodyne.montecarlo.lanes import TURN, shared_sources, slip
 from robsmooth.homodyne.montecarlo.noise import (
     DRAWS,
     LANES,
@@ -30,11 +30,13 @@ from robsmooth.homodyne.montecarlo.noise import (
     fma,
     seed_lanes,
     sine,
+    with_item,
 )
 
 CHUNK = 32  # steps for which noise is drawn ahead (32 KiB), and between two looks at the lock
 OUTPUTS = 3  # of a path: squared filtered and smoothed error at the end, and cycle slips
 FILTERED, SMOOTHED, SLIPS = range(OUTPUTS)
+SOURCES = shared_sources()
 
 
 def rows(order: int) -> int:
@@ -57,7 +59,7 @@ def euler_steps(order, coefficients, steps, state, gaussians):
             copied = coefficients[copy] * state[LANES + lane]
             x = order
             for j in range(n):
-                x = tuple_setitem(x, j, state[(1 + j) * LANES + lane])
+                x = with_item(x, j, state[(1 + j) * LANES + lane])
                 error = fma(-coefficients[reference + j], x[j], error)
                 if j > 0:
                     copied = fma(coefficients[copy + j], x[j], copied)
@@ -124,8 +126,18 @@ def simulate_block(order, coefficients, readout, schedule, seed, first_path, sta
     collect(order, readout, state, delayed, result)
 
 
-@njit(parallel=True, nogil=True, cache=True)
-def simulate_blocks(order, coefficients, readout, schedule, seed, first_block, states, results):
+@kept(parallel=True, nogil=True)
+def simulate_blocks(
+    order,
+    coefficients,
+    readout,
+    schedule,
+    seed,
+    first_block,
+    states,
+    results,
+    sources=SOURCES,
+):
     """Simulate as many consecutive blocks as `results` has room for.
 
     Parameters
@@ -145,6 +157,8 @@ def simulate_blocks(order, coefficients, readout, schedule, seed, first_block, s
         Work space; its type is the precision of the simulation.
     results : (blocks, OUTPUTS, LANES) array of float64
         Written: the squared errors at the end, and the number of cycle slips.
+    sources : str
+        Not to be given.
     """
     for block in prange(results.shape[0]):
         simulate_block(
@@ -157,6 +171,3 @@ def simulate_blocks(order, coefficients, readout, schedule, seed, first_block, s
             states[block],
             results[block],
         )
-
-
-compiled_from_all_sources(simulate_blocks, __file__)

@@ -40,15 +40,11 @@ def threads_of_kernels(count: int | None) -> Iterator[None]:
         numba.set_num_threads(before)
 
 
-def sources_digest(kernel: str) -> str:
-    """Digest of all that is compiled into the kernel of a source file."""
-    sources = (Path(file) for file in (kernel, __file__, noise.__file__))
-    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
+def shared_sources() -> str:
+    """Digest of what is compiled into each kernel, besides its own file.
 
-
-def compiled_from_all_sources(kernel, file: str) -> None:
-    """Have compiled code that is kept on disk made anew when any of its sources changes.
-
+    A default argument of this value has the kernel compiled anew when one of the sources changes:
     numba itself looks at the kernel's own file only.
     """
-    kernel._cache._cache_file._source_stamp = sources_digest(file)
+    sources = (Path(file) for file in (__file__, noise.__file__))
+    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()

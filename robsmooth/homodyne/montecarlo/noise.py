@@ -121,6 +121,21 @@ def flip_sign(typingctx, value, bits):
 
 
 @intrinsic
+def with_item(typingctx, values, index, value):
+    """The tuple `values` with its item at `index`, which is not checked, replaced by `value`."""
+
+    def codegen(context, builder, signature, arguments):
+        values, index, value = arguments
+        with builder.goto_entry_block():
+            place = builder.alloca(values.type)
+        builder.store(values, place)
+        builder.store(value, builder.gep(place, [index.type(0), index], inbounds=True))
+        return builder.load(place)
+
+    return values(values, index, values.dtype), codegen
+
+
+@intrinsic
 def sine(typingctx, x):
     r"""The sine of a float32 or float64, to 2e-11 or float32 rounding, for ``|x|`` below 1e5.
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from robsmooth._support import cluster, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.checkpoint import Journal, open_journal
+from robsmooth._support.kernels import check_compiler
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.homodyne.loop import Loop, homodyne_loop
@@ -237,7 +238,8 @@ def monte_carlo(
     UnstableLoopError
         For the ergodic protocol where the linearised loop is not stable.
     RuntimeError
-        Where a path overflows; it names the first such path and its parameters.
+        Where a path overflows; it names the first such path and its parameters. Where numba's
+        compiler is switched off.
     ConnectionError
         Where the cluster is lost.
     OSError
@@ -249,6 +251,7 @@ def monte_carlo(
     systems", Section IV.
     """
     started = time.perf_counter()
+    check_compiler("monte_carlo")
     validation.choice("protocol", protocol, tuple(PROTOCOLS))
     options = {
         "oscillator": oscillator,

@@ -31,9 +31,9 @@ starts at zero and has no noise of its own.
 
 import numpy as np
 from numba import njit, prange
-from numba.cpython.unsafe.tuple import tuple_setitem
 
-from robsmooth.homodyne.montecarlo.lanes import TURN, compiled_from_all_sources, slip
+from robsmooth._support.kernels import kept
+from robsmooth.homodyne.montecarlo.lanes import TURN, shared_sources, slip
 from robsmooth.homodyne.montecarlo.noise import (
     DRAWS,
     LANES,
@@ -43,6 +43,7 @@ from robsmooth.homodyne.montecarlo.noise import (
     seed_lanes,
     sine,
     whole_turns,
+    with_item,
 )
 
 CHUNK = 8  # steps for which noise is drawn ahead
@@ -50,6 +51,7 @@ OUTPUTS = 7  # of a path: time averages of the loop and of its control, cycle sl
 FILTERED, SMOOTHED, CONTROL_FILTERED, CONTROL_SMOOTHED, CONTROL_FOURTH, SLIPS, TURNS = range(
     OUTPUTS
 )
+SOURCES = shared_sources()
 
 
 # --- the layout of a block ------------------------------------------------------------------------
@@ -135,10 +137,10 @@ def split_step(order, pair, copies, coefficients, gaussians, state):
         y = d = order
         g = pair
         for j in range(n):
-            y = tuple_setitem(y, j, state[(1 + j) * LANES + lane])
-            d = tuple_setitem(d, j, state[(1 + n + j) * LANES + lane])
+            y = with_item(y, j, state[(1 + j) * LANES + lane])
+            d = with_item(d, j, state[(1 + n + j) * LANES + lane])
         for j in range(m):
-            g = tuple_setitem(g, j, gaussians[j * LANES + lane])
+            g = with_item(g, j, gaussians[j * LANES + lane])
         for i in range(n):
             row, of_noise = (1 + i) * (1 + n), root + (1 + i) * m
             of_y = coefficients[row] * phase
@@ -257,7 +259,7 @@ def simulate_block(
         result[i] /= samples
 
 
-@njit(parallel=True, nogil=True, cache=True)
+@kept(parallel=True, nogil=True)
 def simulate_blocks(
     order,
     pair,
@@ -270,6 +272,7 @@ def simulate_blocks(
     first_block,
     states,
     results,
+    sources=SOURCES,
 ):
     """Simulate as many consecutive blocks as `results` has room for.
 
@@ -293,6 +296,8 @@ def simulate_blocks(
         Work space; its type is the precision of the simulation.
     results : (blocks, OUTPUTS * LANES) array of float64
         Written.
+    sources : str
+        Not to be given.
     """
     for block in prange(results.shape[0]):
         simulate_block(
@@ -308,6 +313,3 @@ def simulate_blocks(
             states[block],
             results[block],
         )
-
-
-compiled_from_all_sources(simulate_blocks, __file__)

@@ -11,8 +11,8 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from robsmooth._support.style import styles
 from robsmooth.homodyne.montecarlo import MeanSquare
+from robsmooth.paper.figures.style import styles
 
 DOTTED = {"color": "0.4", "linestyle": ":", "linewidth": 0.9}  # a line to compare with
 LOOSE = {"linestyle": "none", "clip_on": False}  # points, whole even at the edge of the axes

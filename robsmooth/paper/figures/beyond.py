@@ -7,13 +7,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
-from robsmooth._support.style import MARK, TRUTH
 from robsmooth.analysis.lag import LagSweep
 from robsmooth.analysis.worst_case import WorstDynamicCase
 from robsmooth.homodyne.comparison import Compared
 from robsmooth.homodyne.study import Study
 from robsmooth.paper.figures.axes import LOOSE, label_rows, label_ticks, plot_curves, stacked
 from robsmooth.paper.figures.maps import hatch, shade
+from robsmooth.paper.figures.style import MARK, TRUTH
 
 _LAGS = (0.3, 1, 3, 10, 30)  # µs, to label
 

@@ -15,7 +15,7 @@ from matplotlib.patches import PathPatch
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from robsmooth._support.style import NOWHERE
+from robsmooth.paper.figures.style import NOWHERE
 
 
 def shade(

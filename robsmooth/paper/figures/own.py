@@ -5,8 +5,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from robsmooth._support.style import NOWHERE, TRUTH
 from robsmooth.paper.figures.axes import plot_curves, stacked
+from robsmooth.paper.figures.style import NOWHERE, TRUTH
 from robsmooth.simulation.simulate import SamplePaths
 
 

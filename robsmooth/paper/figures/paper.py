@@ -6,7 +6,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from robsmooth._support.style import MARK, styles
 from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.paper.figures.axes import (
@@ -18,6 +17,7 @@ from robsmooth.paper.figures.axes import (
     plot_intervals,
     stacked,
 )
+from robsmooth.paper.figures.style import MARK, styles
 from robsmooth.paper.predictions import ErrorsByMethod, NoisySimulation
 from robsmooth.systems.delay import pade_delay
 

@@ -48,7 +48,7 @@ NOWHERE = {"facecolor": "w", "edgecolor": "0.55", "hatch": "/////", "linewidth":
 
 def use_style() -> None:
     """Set matplotlib to the style of all figures."""
-    with as_file(package_files("robsmooth._support") / "robsmooth.mplstyle") as path:
+    with as_file(package_files("robsmooth.paper.figures") / "robsmooth.mplstyle") as path:
         plt.style.use(path)
 
 

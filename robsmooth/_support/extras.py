@@ -1,0 +1,44 @@
+"""Packages that only a part of robsmooth needs, and what to say where one is missing."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+
+
+class MissingExtraError(ImportError):
+    """A part of robsmooth was asked for whose packages are not installed."""
+
+
+@contextmanager
+def extra(name: str, part: str) -> Iterator[None]:
+    """Say which extra to install, where an import in the block finds no package.
+
+    Parameters
+    ----------
+    name : str
+        Of the extra in pyproject.toml.
+    part : str
+        What needs it, as the message begins.
+
+    Raises
+    ------
+    MissingExtraError
+        For a package that is missing.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package in ("", "robsmooth"):
+            raise
+        raise MissingExtraError(
+            f"{part} needs the package {package}: pip install 'robsmooth[{name}]'",
+            name=error.name,
+        ) from None
+
+
+def check_installed(*packages: str) -> None:
+    """Raise what an import of the first missing one would raise, and import none of them."""
+    for package in packages:
+        if find_spec(package) is None:
+            raise ModuleNotFoundError(f"No module named {package!r}", name=package)
