@@ -73,7 +73,6 @@ _ELSEWHERE = {
     "optimalfixedlagerror": "baselines.optimal_fixed_lag_error",
     "optimaltwosidederror": "baselines.optimal_two_sided_error",
     "homodyneparameters": "homodyne.HomodyneParameters",
-    "robustsmoother": "design_smoother",
     "hinfsyn": "minimize_bound",
     "pade": "augment",
     "ss": "UncertainSystem.from_plant",

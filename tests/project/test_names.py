@@ -1,0 +1,131 @@
+"""What `import robsmooth` gives: its names, what they cost, and what a wrong one is told."""
+
+import ast
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+import tomllib
+from operator import attrgetter
+from pathlib import Path
+
+import pytest
+
+import robsmooth as rs
+from robsmooth import _names
+from tests.project.test_package import FLOORS, MODULES, room
+
+ROOT = Path(__file__).resolve().parents[2]
+# What the extras of pyproject.toml bring, by the names that are imported, and what comes with them.
+OF_EXTRAS = {
+    "control",
+    "distributed",
+    "ipykernel",
+    "ipywidgets",
+    "jupyterlab",
+    "matplotlib",
+    "nbformat",
+    "papermill",
+    "psutil",
+    "schemdraw",
+}
+SIDE_BY_SIDE = {"IPython", "PIL", "cloudpickle", "dask", "jupyter_client", "pandas", "traitlets"}
+
+
+def in_a_new_process(program):
+    return subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+
+
+def test_the_extras_are_those_that_the_library_does_without():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    named = {
+        re.match(r"[\w-]+", entry)[0]
+        for entries in extras["optional-dependencies"].values()
+        for entry in entries
+    }
+    assert named - {"robsmooth"} == OF_EXTRAS
+
+
+def test_the_library_the_command_and_the_verdicts_import_nothing_of_an_extra():
+    library = [m for m in MODULES if FLOORS[room(m)] <= 5 and room(m) != "robsmooth.workbench"]
+    also = ["robsmooth.cli", "robsmooth.paper.report", "robsmooth.paper.verdicts"]
+    in_a_new_process(f"""
+import importlib, sys
+sys.modules |= dict.fromkeys({sorted(OF_EXTRAS | SIDE_BY_SIDE)})  # an import of these fails
+for name in {library + also}:
+    importlib.import_module(name)
+import robsmooth as rs
+for name in rs.__all__:
+    getattr(rs, name)
+""")
+
+
+def test_importing_the_package_imports_nothing_else():
+    before = "import sys, importlib.util, typing; before = set(sys.modules)\n"
+    new = in_a_new_process(before + "import robsmooth; print(*(set(sys.modules) - before))")
+    assert set(new.split()) == {"robsmooth", "robsmooth._names"}
+
+
+def test_a_design_needs_no_compiler():
+    program = "import sys, robsmooth as rs; rs.minimize_bound; print('numba' in sys.modules)"
+    assert in_a_new_process(program) == "False\n"
+
+
+def test_type_checkers_are_told_the_names_that_there_are():
+    (block,) = (node for node in ast.parse(inspect.getsource(rs)).body if isinstance(node, ast.If))
+    told = {
+        alias.name: node.module
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        if alias.asname == alias.name  # else it is none of the package's, to them
+    }
+    assert sorted(told) == rs.__all__ == dir(rs)
+    for name, module in told.items():
+        member = getattr(rs, name)
+        home = importlib.import_module(module)
+        assert member is getattr(home, name)
+
+
+def test_a_name_that_was_asked_for_is_there():
+    assert rs.augment is vars(rs)["augment"]
+    everything = {}
+    exec("from robsmooth import *", everything)
+    assert set(rs.__all__) <= set(everything)
+
+
+@pytest.mark.parametrize(
+    ("name", "here"),
+    [
+        ("kalman", "here it is robsmooth.baselines.kalman_bucy"),
+        ("lqe", "here it is robsmooth.baselines.kalman_bucy"),
+        ("KalmanFilter", "here it is robsmooth.baselines.kalman_bucy"),
+        ("fixed_lag_smoother", "here it is robsmooth.baselines.fixed_lag_smoother"),
+        ("FixedLagSmoother", "here it is robsmooth.baselines.fixed_lag_smoother"),
+        ("minimise_bound", "did you mean robsmooth.minimize_bound?"),
+        ("UncertainSytem", "did you mean robsmooth.UncertainSystem?"),
+        ("error_covarience", "did you mean robsmooth.error_covariance?"),
+        ("MonteCarlo", "did you mean robsmooth.monte_carlo?"),
+    ],
+)
+def test_a_near_miss_is_told_the_name(name, here):
+    with pytest.raises(AttributeError) as error:
+        getattr(rs, name)
+    assert str(error.value).endswith(f"has no attribute {name!r}; {here}")
+
+
+@pytest.mark.parametrize("name", ["xyzzy", "_augment", "__path_of_no_one__"])
+def test_a_name_of_nothing_is_told_nothing(name):
+    with pytest.raises(AttributeError, match=f"^module 'robsmooth' has no attribute '{name}'$"):
+        getattr(rs, name)
+    assert not hasattr(rs, name)
+
+
+@pytest.mark.parametrize("name", sorted(_names._ELSEWHERE))
+def test_what_others_call_it_is_spelt_as_it_is_looked_up_and_leads_somewhere(name):
+    assert name == name.lower().replace("_", "")
+    assert name not in {public.lower().replace("_", "") for public in rs.__all__}
+    assert callable(attrgetter(_names._ELSEWHERE[name])(rs))

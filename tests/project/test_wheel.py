@@ -1,0 +1,162 @@
+"""The wheel, installed into an environment of the core dependencies and nothing else."""
+
+import re
+import shutil
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+import robsmooth
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+UV = ROOT / ".uv" / "bin" / "uv"
+
+
+def core(name):
+    """Names of the distributions that one needs, itself included, none of them for an extra."""
+    found = {name}
+    for text in metadata.requires(name) or ():
+        requirement = Requirement(text)
+        if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+            found |= core(requirement.name)
+    return found
+
+
+@pytest.fixture(scope="module")
+def light(tmp_path_factory):
+    """Folder of programs of an environment with the wheel, built here, and its dependencies.
+
+    These are the very files of the running environment, so nothing is fetched.
+    """
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", folder]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = folder.glob("*.whl")
+    home = folder / "environment"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True)
+    python = home / "bin" / "python"
+    (packages,) = home.glob("lib/python*/site-packages")
+    for name in core("robsmooth") - {"robsmooth"}:
+        distribution = metadata.distribution(name)
+        for top in {file.parts[0] for file in distribution.files} - {".."}:
+            source = Path(distribution.locate_file(top))
+            if top.endswith(".dist-info"):  # uv wants a folder of its own
+                shutil.copytree(source, packages / top)
+            else:
+                (packages / top).symlink_to(source)
+    if UV.exists():
+        install = [UV, "pip", "install", "--offline", "--python", python, wheel]
+    else:
+        install = [sys.executable, "-m", "pip", "--python", python, "install", "--no-index", wheel]
+    subprocess.run(install, check=True, capture_output=True)
+    return home / "bin"
+
+
+@pytest.fixture
+def run(light, tmp_path, monkeypatch):
+    """Run a program of the environment somewhere else, as `folder` says."""
+    for name in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV"):
+        monkeypatch.delenv(name, raising=False)
+
+    def run(*command, folder=tmp_path):
+        program, *arguments = command
+        return subprocess.run(
+            [light / program, *arguments], cwd=folder, capture_output=True, text=True, check=False
+        )
+
+    return run
+
+
+def test_nothing_but_the_core_is_installed(run):
+    names = "import importlib.metadata as m; print(*{d.name for d in m.distributions()})"
+    found = set(run("python", "-c", names).stdout.split())
+    assert found == core("robsmooth")
+    assert found == {"robsmooth", "numpy", "scipy", "numba", "llvmlite", "threadpoolctl", "tqdm"}
+
+
+def test_the_readmes_ten_lines_run_as_printed(run):
+    example = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)[0]
+    (printed,) = re.findall(r"```text\n(.*?)```", README, flags=re.DOTALL)
+    ended = run("python", "-c", example)
+    assert (ended.stdout, ended.stderr) == (printed, "")
+
+
+def test_the_verdicts_are_those_of_the_readme(run):
+    scorecard = re.search(r"\| verdict .*?\n\n", README, flags=re.DOTALL)[0]
+    ended = run("robsmooth", "verdicts")
+    assert scorecard in ended.stdout
+    assert ended.stderr == ""
+    counted = run("python", "-c", "import robsmooth as rs; print(len(rs.verdicts()))").stdout
+    last = scorecard.rstrip().splitlines()[-1]
+    assert int(counted) == sum(map(int, re.findall(r"\d+", last)))
+
+
+def test_the_command_knows_its_version(run):
+    assert run("robsmooth", "--version").stdout == f"robsmooth {robsmooth.__version__}\n"
+    assert robsmooth.__version__ == metadata.version("robsmooth")
+
+
+@pytest.mark.parametrize("command", ["figures", "report", "bench"])
+def test_what_needs_a_checkout_says_so(run, command):
+    ended = run("robsmooth", command)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("robsmooth: there is no notebooks/profiles.toml here or above")
+    assert "in a checkout of the project" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (
+            "figures",
+            "a run of the notebooks needs the package ipykernel: pip install "
+            "'robsmooth[notebooks]'",
+        ),
+        ("report", "Sphinx is not installed; `make report` makes an environment with it"),
+    ],
+    ids=["figures", "report"],
+)
+def test_in_a_checkout_a_command_says_what_is_not_installed(run, command, said):
+    ended = run("robsmooth", command, folder=ROOT)
+    assert (ended.returncode, ended.stderr) == (2, f"robsmooth: {said}\n")
+
+
+@pytest.mark.parametrize(
+    ("program", "said"),
+    [
+        ("import robsmooth.explorer", "the explorer needs the package IPython: [notebooks]"),
+        ("import robsmooth.paper.figures", "a figure needs the package matplotlib: [plot]"),
+        (
+            "import robsmooth as rs; rs.UncertainSystem.from_plant(None, 1.0, 1.0)",
+            "a python-control system needs the package control: [control]",
+        ),
+        (
+            "import robsmooth as rs; rs.homodyne.PAPER.uncertain_system().to_statespace()",
+            "to_statespace needs the package control: [control]",
+        ),
+        (
+            "from robsmooth.workbench import connect; connect('tcp://127.0.0.1:8786').__enter__()",
+            "a cluster needs the package distributed: [cluster]",
+        ),
+    ],
+    ids=["explorer", "figures", "from control", "to control", "cluster"],
+)
+def test_what_needs_an_extra_says_which(run, program, said):
+    last = run("python", "-c", program).stderr.splitlines()[-1]
+    sentence = re.sub(r"\[(\w+)\]", r"pip install 'robsmooth[\1]'", said)
+    assert last == f"robsmooth._support.extras.MissingExtraError: {sentence}"
+
+
+def test_without_a_terminal_or_jupyter_nothing_of_them_is_asked_for(run):
+    program = """
+import robsmooth as rs
+sweep = rs.lag_sweep(rs.homodyne.PAPER.uncertain_system(), [1e-6], [2], progress=True)
+print(sweep._repr_html_()[:6])
+"""
+    ended = run("python", "-c", program)
+    assert ended.stderr == ""
