@@ -33,7 +33,7 @@ class CheckpointError(ValueError):
 
 
 def open_journal(
-    path: str | os.PathLike | None, identity: Mapping[str, object]
+    path: str | os.PathLike[str] | None, identity: Mapping[str, object]
 ) -> "AbstractContextManager[Journal | None]":
     """Return the `Journal` at a path, to be entered; with no path, what gives None on entry."""
     return nullcontext() if path is None else Journal(path, identity)
@@ -65,7 +65,7 @@ class Journal:
         On entry, where the file cannot be used.
     """
 
-    def __init__(self, path: str | os.PathLike, identity: Mapping[str, object]):
+    def __init__(self, path: str | os.PathLike[str], identity: Mapping[str, object]):
         if not isinstance(path, str | os.PathLike) or not os.fspath(path):
             raise TypeError(f"checkpoint must be the path of a file, got {path!r}")
         self.path = Path(path)

@@ -1,5 +1,7 @@
 """The errors that a user may want to catch."""
 
+from typing import Self
+
 
 class InfeasibleDesignError(ValueError):
     """A design that the theory does not allow: one of its conditions fails.
@@ -10,12 +12,12 @@ class InfeasibleDesignError(ValueError):
         The condition that fails, as the paper names it, e.g. ``"Assumption 3.2"``.
     """
 
-    def __init__(self, condition: str, detail: str):
+    def __init__(self, condition: str, detail: str) -> None:
         super().__init__(f"{condition} fails: {detail}")
         self.condition = condition
         self.detail = detail
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[type[Self], tuple[str, str]]:
         return type(self), (self.condition, self.detail)
 
 

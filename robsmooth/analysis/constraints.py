@@ -26,6 +26,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import null_space, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
@@ -78,10 +79,10 @@ class AnalysisBound:
     gap: float
     fraction: float
     guarantee: float | None
-    multipliers: np.ndarray
+    multipliers: NDArray[np.float64]
     feedback: Matrix
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         frozen(self.multipliers)
         frozen(self.feedback)
 

@@ -32,7 +32,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
 from robsmooth._numerics import linearisation
@@ -264,7 +264,7 @@ def delta_sweep(
     nonlinearities: Iterable[float],
     output: str = "smoothed",
     copy_noise: bool = True,
-) -> np.ndarray:
+) -> NDArray[np.float64]:
     """Return the error covariance for each slope of the nonlinearities, as in Fig. 4.
 
     Parameters

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
 from robsmooth._support import notation, validation
@@ -63,15 +64,15 @@ class LagSweep:
         The exact optimum for lag zero, and for an infinite one.
     """
 
-    lags: np.ndarray
-    orders: np.ndarray
+    lags: NDArray[np.float64]
+    orders: NDArray[np.int_]
     nominal: Matrix
     worst: Matrix
-    optimal: np.ndarray
+    optimal: NDArray[np.float64]
     filtering: float
     two_sided: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for value in (self.lags, self.orders, self.nominal, self.worst, self.optimal):
             frozen(value)
 
@@ -161,8 +162,8 @@ class LagChoice:
 @one_thread
 def lag_sweep(
     system: UncertainSystem,
-    lags: Sequence[float],
-    orders: Sequence[int],
+    lags: Sequence[float] | NDArray[np.float64],
+    orders: Sequence[int] | NDArray[np.int_],
     design: str | Family = "classical",
     *,
     progress: bool = False,

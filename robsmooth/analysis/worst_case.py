@@ -20,6 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
 
@@ -68,7 +69,7 @@ class WorstCase:
     nominal: float
     guarantee: float | None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         frozen(self.Delta)
 
     @property
@@ -117,11 +118,11 @@ class WorstDynamicCase:
 
     mean_square: float
     constant: WorstCase
-    frequencies: np.ndarray
-    Delta: np.ndarray
-    spectra: np.ndarray
+    frequencies: NDArray[np.float64]
+    Delta: NDArray[np.complex128]
+    spectra: NDArray[np.float64]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for value in (self.frequencies, self.Delta, self.spectra):
             frozen(value)
 

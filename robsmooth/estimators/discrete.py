@@ -40,7 +40,7 @@ S. M. Cox and P. C. Matthews, "Exponential time differencing for stiff systems",
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -103,17 +103,24 @@ class DiscreteSmoother:
         Taken since the start or the last `reset`.
     """
 
-    def __init__(self, estimator, dt: float, functions: Iterable[Callable | None] | None = None):
-        self.dt = validation.positive("dt", dt)
-        self.lag = estimator.plant.delay
+    def __init__(
+        self,
+        estimator: Any,  # an Estimator, which imports this module
+        dt: float,
+        functions: Iterable[Callable[[Any], Any] | None] | None = None,
+    ) -> None:
+        self.dt: float = validation.positive("dt", dt)
+        self.lag: float = estimator.plant.delay
         system = estimator.plant.system
-        self.l, self.m, self.g = system.l, system.m, system.g
+        self.l: int = system.l
+        self.m: int = system.m
+        self.g: int = system.g
         self._model = _Model.of(estimator)
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
         nonlinearities = _with_functions(system.nonlinearities, functions)
         functions = tuple(_function(i, nonlinearities[i]) for i in self._model.running)
         compiled = all(_takes_numbers(function) for function in functions)
-        self.compiled = compiled and not numba.config.DISABLE_JIT
+        self.compiled: bool = compiled and not numba.config.DISABLE_JIT
         self._advance = _loop(functions, self.compiled)
         self._patterns: dict[bytes, int] = {}  # of missing channels, to a row of the steps
         self._steps: _Steps | None = None
@@ -187,7 +194,7 @@ class DiscreteSmoother:
             if state.size != self._model.n:
                 raise ValueError(f"state must have {self._model.n} entries, got {state.size}")
             self._state = state.copy()
-        self.samples = samples
+        self.samples: int = samples
 
     def step(self, y: ArrayLike, *, reference: ArrayLike | None = None) -> NDArray[np.float64]:
         """Take one sample.

@@ -11,9 +11,10 @@ filter is the case where the copies' gains are zero.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import notation, validation
 from robsmooth._support.tables import facts
@@ -55,19 +56,19 @@ class Estimator:
     C_a: Matrix
     C_f: Matrix
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for value in (self.A_c, self.B_c, self.C_c, self.C_a, self.C_f):
             frozen(value)
 
     @property
-    def poles(self) -> np.ndarray:
+    def poles(self) -> NDArray[np.complex128]:
         """Eigenvalues of A_c, 1/s, the slowest first."""
         poles = np.linalg.eigvals(self.A_c)
         return poles[np.lexsort((poles.imag, -poles.real))]
 
     def to_statespace(
         self,
-        slopes: Sequence[float] | None = None,
+        slopes: ArrayLike | None = None,
         outputs: str | Iterable[str] | None = None,
     ) -> "control.StateSpace":
         """Return the estimator as a python-control object.
@@ -101,7 +102,7 @@ class Estimator:
         return Blocks(A, inputs, read_outs).select(None, outputs).to_control()
 
     def discretize(
-        self, dt: float, functions: Iterable[Callable | None] | None = None
+        self, dt: float, functions: Iterable[Callable[[Any], Any] | None] | None = None
     ) -> "DiscreteSmoother":
         """Return the estimator in discrete time, for a measured record.
 

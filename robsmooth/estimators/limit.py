@@ -38,10 +38,10 @@ the reduced design, plus :math:`\tfrac12\operatorname{tr}(b'xb)`, which depends 
 rates rho; where no vanishing channel enters the state, it is zero.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import null_space
 
 from robsmooth._numerics.riccati import RiccatiSolution, solve_riccati
@@ -96,14 +96,14 @@ class Reduction:
     entering: Matrix
 
 
-def kernel_of(plant: AugmentedSystem, multipliers: Sequence[float]) -> Matrix:
+def kernel_of(plant: AugmentedSystem, multipliers: ArrayLike) -> Matrix:
     """Return an orthonormal basis of the kernel of M(lambda)."""
     kernel = null_space(plant.M(np.asarray(multipliers) > 0.0))  # whatever their sizes
     kernel[np.abs(kernel) < _NOTHING] = 0.0
     return kernel
 
 
-def reduction(plant: AugmentedSystem, multipliers: Sequence[float]) -> Reduction:
+def reduction(plant: AugmentedSystem, multipliers: ArrayLike) -> Reduction:
     """Return the system that is left where M(lambda) is singular.
 
     Raises
@@ -143,7 +143,7 @@ def reduction(plant: AugmentedSystem, multipliers: Sequence[float]) -> Reduction
     )
 
 
-def default_rates(plant: AugmentedSystem, multipliers: Sequence[float]) -> np.ndarray:
+def default_rates(plant: AugmentedSystem, multipliers: ArrayLike) -> NDArray[np.float64]:
     """Return one for each zero among the multipliers that makes M(lambda) singular, else zero."""
     multipliers = np.asarray(multipliers)
     kernel = kernel_of(plant, multipliers)
@@ -155,10 +155,10 @@ def default_rates(plant: AugmentedSystem, multipliers: Sequence[float]) -> np.nd
 def limiting_smoother(
     plant: AugmentedSystem,
     tau: float,
-    multipliers: Sequence[float],
+    multipliers: ArrayLike,
     cost: str = "filtered",
     *,
-    rates: Sequence[float] | None = None,
+    rates: ArrayLike | None = None,
 ) -> RobustSmoother:
     r"""Design the smoother in the limit where the zeros among the multipliers are approached.
 

@@ -24,11 +24,12 @@ the X equation has the sign as printed (the paper's numbers follow from the othe
 `robsmooth.paper.published`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from robsmooth._numerics.lyapunov import square_root
@@ -86,7 +87,7 @@ class RobustSmoother(Estimator):
     """
 
     tau: float
-    multipliers: np.ndarray
+    multipliers: NDArray[np.float64]
     cost: str
     X: Matrix
     Y: Matrix
@@ -96,7 +97,7 @@ class RobustSmoother(Estimator):
     bound_infimum: float | None = None
     limit: "RobustSmoother | None" = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         super().__post_init__()
         for value in (self.multipliers, self.X, self.Y):
             frozen(value)
@@ -139,7 +140,7 @@ class DesignEquations:
 
     plant: AugmentedSystem
     tau: float
-    multipliers: np.ndarray
+    multipliers: NDArray[np.float64]
     cost: str
     M_inverse: Matrix
     A: Matrix
@@ -174,7 +175,7 @@ class DesignEquations:
         """
         return self.tau * self.worst_output(self.multipliers)
 
-    def worst_output(self, weights: Sequence[float]) -> Matrix:
+    def worst_output(self, weights: ArrayLike) -> Matrix:
         """Return the constraints' outputs squared and weighted, if the state were known."""
         outputs = self.plant.C1_tilde + self.plant.D12_tilde @ self.feedback
         return sum_of_squares(np.array(self.plant.N_i), weights, outputs)
@@ -213,7 +214,7 @@ class DesignEquations:
 
 
 def design_equations(
-    plant: AugmentedSystem, tau: float, multipliers: Sequence[float], cost: str = "filtered"
+    plant: AugmentedSystem, tau: float, multipliers: ArrayLike, cost: str = "filtered"
 ) -> DesignEquations:
     """Return the data of Assumption 3 at one tau and lambda, after checking all but Assumption 3.
 
@@ -246,7 +247,7 @@ def design_equations(
 
 
 def cost_matrices(
-    plant: AugmentedSystem, tau: float, multipliers: Sequence[float], cost: str
+    plant: AugmentedSystem, tau: float, multipliers: ArrayLike, cost: str
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Return R, G and Gamma of Assumption 3."""
     g, m, n = plant.system.g, plant.system.m, plant.n
@@ -258,7 +259,7 @@ def cost_matrices(
     return R, G, Gamma
 
 
-def sum_of_squares(matrices: np.ndarray, weights: Sequence[float], outputs: Matrix) -> Matrix:
+def sum_of_squares(matrices: NDArray[np.float64], weights: ArrayLike, outputs: Matrix) -> Matrix:
     """Return the sum of weight times outputs' N outputs, over the matrices N_i of constraints.
 
     It is formed as a sum of squares, and what cancels in the outputs is zero in it, not rounding.
@@ -272,7 +273,7 @@ def sum_of_squares(matrices: np.ndarray, weights: Sequence[float], outputs: Matr
 
 
 def design_smoother(
-    plant: AugmentedSystem, tau: float, multipliers: Sequence[float], cost: str = "filtered"
+    plant: AugmentedSystem, tau: float, multipliers: ArrayLike, cost: str = "filtered"
 ) -> RobustSmoother:
     r"""Design the robust fixed-lag smoother at given :math:`\tau` and :math:`\lambda`.
 
@@ -342,8 +343,8 @@ def solve_design(equations: DesignEquations) -> RobustSmoother:
 
 
 def check_arguments(
-    plant: AugmentedSystem, tau: float, multipliers: Sequence[float], cost: str
-) -> tuple[float, np.ndarray, str]:
+    plant: AugmentedSystem, tau: float, multipliers: ArrayLike, cost: str
+) -> tuple[float, NDArray[np.float64], str]:
     """Return the clean arguments of a design, after checking Assumption 2, too."""
     validation.instance("plant", plant, AugmentedSystem, MAKE_A_PLANT)
     tau = validation.positive("tau", tau)
@@ -353,7 +354,7 @@ def check_arguments(
     return tau, multipliers, cost
 
 
-def weights(name: str, plant: AugmentedSystem, given: Sequence[float]) -> np.ndarray:
+def weights(name: str, plant: AugmentedSystem, given: ArrayLike) -> NDArray[np.float64]:
     """Return k + 3g numbers that are not negative."""
     result = validation.array(name, given, ndim=1)
     k, g = plant.system.k, plant.system.g

@@ -65,7 +65,9 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.tables import Table
+from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import Loop, check_stationary, homodyne_loop
+from robsmooth.homodyne.parameters import HomodyneParameters
 
 TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
 USELESS = 0.02  # relative truncation error above which there is no result
@@ -131,8 +133,8 @@ class StationaryErrors:
 
 @one_thread
 def stationary_errors(
-    parameters,
-    smoother,
+    parameters: HomodyneParameters,
+    smoother: Estimator,
     degree: int | None = None,
     *,
     oscillator: str = "filtered",

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from scipy.special import erf
 
@@ -50,7 +51,7 @@ class HomodyneParameters:
     beta: float
     gamma: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("lam", "kappa", "alpha", "beta"):
             object.__setattr__(self, name, validation.positive(name, getattr(self, name)))
         gamma = validation.real("gamma", self.gamma, low=0, high=1, low_open=True, high_open=True)
@@ -88,11 +89,11 @@ class HomodyneParameters:
     def _repr_html_(self) -> str:
         return self.table().html()
 
-    def remainder(self, error: np.ndarray) -> np.ndarray:
+    def remainder(self, error: ArrayLike) -> NDArray[np.float64]:
         r"""Return :math:`f(e) = \sin e - \beta e` at errors in rad."""
         return np.sin(error) - self.beta * np.asarray(error)
 
-    def channel(self, nu: np.ndarray) -> np.ndarray:
+    def channel(self, nu: ArrayLike) -> NDArray[np.float64]:
         r"""Return :math:`\psi(\nu) = 2\alpha f(\nu/2\alpha\gamma)`."""
         scale = 2.0 * self.alpha * self.gamma
         return 2.0 * self.alpha * self.remainder(np.asarray(nu) / scale)

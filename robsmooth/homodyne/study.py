@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.systems.augmented import augment
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 AXES = ("gamma", "noise", "order", "lag")
 QUANTITIES = (
@@ -109,15 +113,15 @@ class Study:
 
 def parameter_study(
     parameters: HomodyneParameters,
-    lags: Sequence[float],
-    orders: Sequence[int],
-    gammas: Sequence[float],
-    noises: Sequence[float],
+    lags: Sequence[float] | NDArray[np.float64],
+    orders: Sequence[int] | NDArray[np.int_],
+    gammas: Sequence[float] | NDArray[np.float64],
+    noises: Sequence[float] | NDArray[np.float64],
     *,
     runs: int = 256,
     seed: int = 0,
-    client=None,
-    checkpoint: str | os.PathLike | None = None,
+    client: "Client | None" = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> Study:
     """Design the paper's smoother over a grid, and find the errors of each, linear and nonlinear.

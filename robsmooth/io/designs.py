@@ -31,6 +31,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -61,7 +62,9 @@ _ABOUT = {
 }
 
 
-def save(value: UncertainSystem | AugmentedSystem | Estimator, path: str | os.PathLike) -> None:
+def save(
+    value: UncertainSystem | AugmentedSystem | Estimator, path: str | os.PathLike[str]
+) -> None:
     """Save a system, a plant or an estimator to one readable file.
 
     Parameters
@@ -102,7 +105,7 @@ def save(value: UncertainSystem | AugmentedSystem | Estimator, path: str | os.Pa
 
 
 def load(
-    path: str | os.PathLike, functions: Mapping[str, Callable] | None = None
+    path: str | os.PathLike[str], functions: Mapping[str, Callable[[Any], Any]] | None = None
 ) -> UncertainSystem | AugmentedSystem | Estimator:
     """Load what `save` wrote, or what was written by hand in its format.
 
@@ -144,7 +147,7 @@ def load(
         raise ValueError(f"{path.name}: {error}") from None
 
 
-def _language(path: str | os.PathLike) -> tuple[Path, str]:
+def _language(path: str | os.PathLike[str]) -> tuple[Path, str]:
     path = Path(path)
     language = path.suffix[1:].lower()
     if language not in ("toml", "json"):
@@ -287,7 +290,7 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:
 class _Reader:
     """Makes the objects of one file, and keeps which functions it names."""
 
-    def __init__(self, functions: Mapping[str, Callable]):
+    def __init__(self, functions: Mapping[str, Callable[[Any], Any]]) -> None:
         self.functions = functions
         self.named: set[str] = set()
 

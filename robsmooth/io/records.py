@@ -34,8 +34,8 @@ Write = Callable[[NDArray[np.float64], NDArray[np.float64]], None]
 
 def smooth_record(
     smoother: DiscreteSmoother,
-    source: str | os.PathLike,
-    target: str | os.PathLike,
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
     *,
     columns: Columns | None = None,
     reference: Columns | None = None,

@@ -3,12 +3,12 @@
 import math
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._numerics.steps import dividing_step, steps_in, whole_steps
 from robsmooth._support import notation, validation
@@ -103,7 +103,7 @@ class SimulationResult:
     step: float
     seed: int
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for value in (self.constraints, self.violated, self.equivalent_delta):
             frozen(value)
 
@@ -180,7 +180,7 @@ class SamplePaths:
 def simulate(
     smoother: Estimator,
     *,
-    uncertainties: Sequence = (),
+    uncertainties: Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]] = (),
     reference: Reference = "system",
     copy_noise: bool = False,
     runs: int = 256,
@@ -294,7 +294,7 @@ def simulate(
 def sample_paths(
     smoother: Estimator,
     *,
-    uncertainties: Sequence = (),
+    uncertainties: Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]] = (),
     reference: Reference = "system",
     copy_noise: bool = False,
     runs: int = 3,

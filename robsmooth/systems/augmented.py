@@ -21,6 +21,7 @@ from functools import cached_property, wraps
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from robsmooth._support import notation, validation
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 _J_RESIDUAL = 1e-9  # largest misfit of Assumption 1, relative to each row's size
 
 
-def _matrix(build: Callable[["AugmentedSystem"], Matrix]) -> cached_property:
+def _matrix(build: Callable[["AugmentedSystem"], Matrix]) -> "cached_property[Matrix]":
     """Make a method a property that is computed once and read-only."""
     return cached_property(wraps(build)(lambda self: frozen(build(self))))
 
@@ -159,11 +160,11 @@ class AugmentedSystem:
         """The k + 3g matrices of the quadratic constraints on the channel outputs."""
         return self._constraint_matrices(self.output_sizes, weighted=True)
 
-    def M(self, multipliers: Sequence[float]) -> Matrix:
+    def M(self, multipliers: ArrayLike) -> Matrix:
         """Return M(lambda), the sum of lambda_i M_i."""
         return _combination(multipliers, self.M_i, sum(self.input_sizes))
 
-    def N(self, multipliers: Sequence[float]) -> Matrix:
+    def N(self, multipliers: ArrayLike) -> Matrix:
         """Return N(lambda), the sum of lambda_i N_i."""
         return _combination(multipliers, self.N_i, sum(self.output_sizes))
 
@@ -198,8 +199,8 @@ class AugmentedSystem:
 
     def structured_delta(
         self,
-        uncertainties: Sequence[float | Matrix] = (),
-        nonlinearities: Sequence[float] = (),
+        uncertainties: Sequence[ArrayLike] | Matrix = (),
+        nonlinearities: Sequence[float] | Matrix = (),
     ) -> Matrix:
         """Return the block-diagonal Delta with xi-tilde = Delta zeta-tilde, as in Section IV-C.
 
@@ -304,7 +305,7 @@ class AugmentedSystem:
 
 
 def augment(
-    system: UncertainSystem, delay: float, order: int, *, J_21: float | Matrix = 1.0
+    system: UncertainSystem, delay: float, order: int, *, J_21: ArrayLike = 1.0
 ) -> AugmentedSystem:
     """Join a system with the model of the delay of its outputs (Section III).
 
@@ -337,7 +338,7 @@ def augment(
 
 
 def compact(
-    system: UncertainSystem, delay: float, order: int, *, J_21: float | Matrix = 1.0
+    system: UncertainSystem, delay: float, order: int, *, J_21: ArrayLike = 1.0
 ) -> AugmentedSystem:
     """Do as `augment`, for a system that need not satisfy Assumption 1.
 

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix, frozen
@@ -65,11 +66,11 @@ class DelayModel:
             f"{channels} channels)"
         )
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for value in (self.F, self.G, self.H, self.J):
             frozen(value)
 
-    def response(self, omega: np.ndarray) -> np.ndarray:
+    def response(self, omega: ArrayLike) -> NDArray[np.complex128]:
         """Return the transfer matrix at the angular frequencies `omega` (rad/s): (..., m, m)."""
         s = 1j * np.asarray(omega)[..., None, None]
         identity = np.eye(self.F.shape[0])

@@ -20,9 +20,10 @@ the *reference* :math:`r_i` an estimate of :math:`\nu_i`. What the detector take
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix
@@ -36,7 +37,7 @@ REFERENCES = ("filtered", "smoothed")
 _CHANNELS = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Uncertainty:
     r"""One uncertainty channel: :math:`\xi_s` is no larger than :math:`\zeta_s` in the mean square.
 
@@ -62,10 +63,8 @@ class Uncertainty:
     C: Matrix
     D: Matrix
 
-    def __post_init__(self):
-        for name in ("B", "C", "D"):
-            value = validation.matrix(f"Uncertainty {name}", getattr(self, name), (None, None))
-            object.__setattr__(self, name, value)
+    def __init__(self, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> None:
+        _set(self, **_channel("Uncertainty", B, C, D))
 
     def __repr__(self) -> str:
         return f"Uncertainty({_matrices(self)})"
@@ -75,7 +74,7 @@ class Uncertainty:
         return rf"$$B_1 = {B},\quad C_1 = {C},\quad D_{{21}} = {D}$$"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Nonlinearity:
     r"""One scalar nonlinearity :math:`\mu_i = \psi_i(\nu_i)`, of which the estimator runs a copy.
 
@@ -109,19 +108,25 @@ class Nonlinearity:
     C: Matrix
     D: Matrix
     lipschitz: float
-    function: Callable | None = None
+    function: Callable[[Any], Any] | None = None
     reference: str | None = None
 
-    def __post_init__(self):
-        for name in ("B", "C", "D"):
-            value = validation.matrix(f"Nonlinearity {name}", getattr(self, name), (None, None))
-            object.__setattr__(self, name, value)
-        lipschitz = validation.positive("Nonlinearity lipschitz", self.lipschitz)
-        object.__setattr__(self, "lipschitz", lipschitz)
-        if self.function is not None:
-            _check_function("Nonlinearity function", self.function)
-        if self.reference is not None:
-            validation.choice("Nonlinearity reference", self.reference, REFERENCES)
+    def __init__(
+        self,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike,
+        lipschitz: float,
+        function: Callable[[Any], Any] | None = None,
+        reference: str | None = None,
+    ) -> None:
+        matrices = _channel("Nonlinearity", B, C, D)
+        lipschitz = validation.positive("Nonlinearity lipschitz", lipschitz)
+        if function is not None:
+            _check_function("Nonlinearity function", function)
+        if reference is not None:
+            validation.choice("Nonlinearity reference", reference, REFERENCES)
+        _set(self, **matrices, lipschitz=lipschitz, function=function, reference=reference)
 
     def __repr__(self) -> str:
         function = getattr(self.function, "__name__", type(self.function).__name__)
@@ -137,7 +142,7 @@ class Nonlinearity:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class UncertainSystem:
     r"""The uncertain nonlinear system of Section II (the module docstring has its equations).
 
@@ -172,25 +177,32 @@ class UncertainSystem:
     uncertainties: tuple[Uncertainty, ...] = ()
     nonlinearities: tuple[Nonlinearity, ...] = ()
 
-    def __post_init__(self):
-        A = validation.matrix("A", self.A, (None, None))
+    def __init__(
+        self,
+        A: ArrayLike,
+        B1: ArrayLike,
+        C0: ArrayLike,
+        C2: ArrayLike,
+        D21: ArrayLike,
+        uncertainties: Iterable[Uncertainty] = (),
+        nonlinearities: Iterable[Nonlinearity] = (),
+    ) -> None:
+        A = validation.matrix("A", A, (None, None))
         n = A.shape[0]
         if n == 0 or A.shape[1] != n:
             raise ValueError(f"A must be square and not empty, got shape {A.shape}")
-        B1 = validation.matrix("B1", self.B1, (n, None))
-        C0 = validation.matrix("C0", self.C0, (None, n))
-        C2 = validation.matrix("C2", self.C2, (None, n))
+        B1 = validation.matrix("B1", B1, (n, None))
+        C0 = validation.matrix("C0", C0, (None, n))
+        C2 = validation.matrix("C2", C2, (None, n))
         for name, value in (("C0", C0), ("C2", C2)):
             if value.shape[0] == 0:
                 raise ValueError(f"{name} must have at least one row, got shape {value.shape}")
-        D21 = validation.matrix("D21", self.D21, (C2.shape[0], B1.shape[1]))
-        for name, value in (("A", A), ("B1", B1), ("C0", C0), ("C2", C2), ("D21", D21)):
-            object.__setattr__(self, name, value)
+        D21 = validation.matrix("D21", D21, (C2.shape[0], B1.shape[1]))
+        _set(self, A=A, B1=B1, C0=C0, C2=C2, D21=D21)
 
-        uncertainties = _members("uncertainties", self.uncertainties, Uncertainty)
-        nonlinearities = _members("nonlinearities", self.nonlinearities, Nonlinearity)
-        object.__setattr__(self, "uncertainties", uncertainties)
-        object.__setattr__(self, "nonlinearities", nonlinearities)
+        uncertainties = _members("uncertainties", uncertainties, Uncertainty)
+        nonlinearities = _members("nonlinearities", nonlinearities, Nonlinearity)
+        _set(self, uncertainties=uncertainties, nonlinearities=nonlinearities)
         for s, channel in enumerate(uncertainties):
             width = channel.B.shape[1]
             _check_channel(f"uncertainties[{s}]", channel, self, inputs=width, outputs=None)
@@ -201,12 +213,12 @@ class UncertainSystem:
     def from_plant(
         cls,
         plant: "control.StateSpace",
-        process_noise: float | Matrix,
-        measurement_noise: float | Matrix,
+        process_noise: ArrayLike,
+        measurement_noise: ArrayLike,
         *,
-        outputs: Matrix | None = None,
-        process_uncertainty: Matrix | None = None,
-        measurement_uncertainty: Matrix | None = None,
+        outputs: ArrayLike | None = None,
+        process_uncertainty: ArrayLike | None = None,
+        measurement_uncertainty: ArrayLike | None = None,
         uncertainties: Iterable[Uncertainty] = (),
         nonlinearities: Iterable[Nonlinearity] = (),
     ) -> "UncertainSystem":
@@ -278,8 +290,8 @@ class UncertainSystem:
     def from_statespace(
         cls,
         sys: "control.StateSpace",
-        lipschitz: Sequence[float] = (),
-        functions: Sequence[Callable | None] | None = None,
+        lipschitz: ArrayLike = (),
+        functions: Sequence[Callable[[Any], Any] | None] | None = None,
         references: Sequence[str | None] | None = None,
     ) -> "UncertainSystem":
         """Read a system from a python-control object whose signals are named as `to_statespace`'s.
@@ -469,6 +481,21 @@ class UncertainSystem:
         return "$$\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}$$"
 
 
+def _set(frozen: object, **values: object) -> None:
+    """Set the fields of a frozen dataclass, as only its constructor may."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
+def _channel(name: str, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> dict[str, Matrix]:
+    """Return the matrices of a channel by their names, each checked."""
+    given = {"B": B, "C": C, "D": D}
+    return {
+        letter: validation.matrix(f"{name} {letter}", value, (None, None))
+        for letter, value in given.items()
+    }
+
+
 def _matrices(channel: Uncertainty | Nonlinearity) -> str:
     return ", ".join(f"{name}={notation.array(getattr(channel, name))}" for name in "BCD")
 
@@ -522,7 +549,7 @@ def _takes_scalars(function: Callable) -> bool:
     return True
 
 
-def _noise_factor(name: str, intensity: float | Matrix, size: int) -> Matrix:
+def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
     """Return the symmetric square root of a noise's intensity."""
     if np.ndim(intensity) == 0:
         return np.sqrt(validation.real(name, intensity, low=0.0)) * np.eye(size)

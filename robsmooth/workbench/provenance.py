@@ -45,7 +45,7 @@ def collect(seed: int | None = None, started: float | None = None, **extra: obje
     }
 
 
-def write(result: str | os.PathLike, **about: object) -> Path:
+def write(result: str | os.PathLike[str], **about: object) -> Path:
     """Write `collect(**about)` beside `result` as `<stem>.provenance.json`; return its path."""
     path = Path(result).with_suffix(".provenance.json")
     files.write_json(path, collect(**about))

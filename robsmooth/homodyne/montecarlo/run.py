@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
@@ -26,12 +27,17 @@ from robsmooth._support.checkpoint import Journal, open_journal
 from robsmooth._support.kernels import check_compiler
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
+from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import Loop, homodyne_loop
 from robsmooth.homodyne.montecarlo.euler import FILTERED, SMOOTHED
 from robsmooth.homodyne.montecarlo.lanes import threads_of_kernels
 from robsmooth.homodyne.montecarlo.noise import GENERATOR, LANES
 from robsmooth.homodyne.montecarlo.protocols import PRECISIONS, PROTOCOLS, Simulation
+from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.simulation.statistics import MeanSquare, Tally
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 STEPS_OF_A_GROUP = 400_000_000  # path-steps: about half a second
 BLOCKS_OF_A_GROUP = 256  # at most: bounds the memory
@@ -96,14 +102,14 @@ class MonteCarloResult:
     step: float
     seed: int
     precision: str
-    provenance: dict = field(repr=False)
+    provenance: dict[str, Any] = field(repr=False)
 
     @property
     def slip_rate(self) -> float:
         """Cycle slips a second of a path, 1/s."""
         return self.slips / (self.path_steps * self.step)
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         """All fields as a dict that the json module writes; a number that is none becomes None."""
         result = dict(vars(self))
         for name, value in result.items():
@@ -149,16 +155,16 @@ class MonteCarloResult:
 
 
 def monte_carlo(
-    parameters,
-    smoother,
+    parameters: HomodyneParameters,
+    smoother: Estimator,
     protocol: str = "ergodic",
     runs: int | None = None,
     duration: float | None = None,
     step: float | None = None,
     seed: int = 0,
     precision: str = "mixed",
-    client=None,
-    checkpoint: str | os.PathLike | None = None,
+    client: "Client | None" = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     progress: bool = False,
     *,
     oscillator: str = "filtered",

@@ -1,0 +1,164 @@
+"""The whole public surface in use: type checkers must know what each thing is, and a run agrees."""
+
+from pathlib import Path
+from typing import Any, assert_type
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robsmooth as rs
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+# --- systems, from what users have: lists, arrays, numbers ----------------------------------------
+
+decay = rs.Uncertainty(B=[[1.0]], C=[[0.1]], D=[[0.0]])
+gain = rs.Uncertainty([[0.0]], np.array([[0.05]]), ((1,),))
+sine = rs.Nonlinearity([[0.0]], [[0.1]], [[1]], 1, np.sin)
+A, B1, C0, C2, D21 = [[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]]
+system = rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties=[decay, gain])
+loop = rs.UncertainSystem(A, B1, C0, C2, D21, (decay, gain), (sine for _ in range(1)))
+assert_type(decay, rs.Uncertainty)
+assert_type(decay.B, Floats)
+assert_type(sine.lipschitz, float)
+assert_type(system, rs.UncertainSystem)
+assert_type(system.A, Floats)
+assert_type(system.uncertainties, tuple[rs.Uncertainty, ...])
+assert_type(loop.nonlinearities, tuple[rs.Nonlinearity, ...])
+assert_type(system.n, int)
+
+plant = rs.augment(system, delay=0.2, order=2)
+nonlinear = rs.augment(loop, 0.2, 2, J_21=[[1.0]])
+assert_type(plant, rs.AugmentedSystem)
+assert_type(plant.A_p, Floats)
+assert_type(plant.M_i, tuple[Floats, ...])
+assert_type(plant.M([1.0, 2.0]), Floats)
+assert_type(plant.delay, float)
+assert_type(plant.order, int)
+Delta = plant.structured_delta((0.5, [[-1.0]]))
+assert_type(Delta, Floats)
+
+back = rs.UncertainSystem.from_statespace(system.to_statespace())
+assert_type(back, rs.UncertainSystem)
+controlled = rs.UncertainSystem.from_plant(system.to_statespace("W", "w"), np.eye(2), 1.0)
+assert_type(controlled, rs.UncertainSystem)
+
+# --- estimators -----------------------------------------------------------------------------------
+
+smoother = rs.minimize_bound(plant, cost="smoothed")
+given = rs.design_smoother(plant, smoother.tau, smoother.multipliers, cost="smoothed")
+limiting = rs.limiting_smoother(plant, given.tau, given.multipliers, "smoothed", rates=[0, 0])
+assert_type(smoother, rs.RobustSmoother)
+assert_type(given, rs.RobustSmoother)
+assert_type(limiting, rs.RobustSmoother)
+assert_type(smoother.bound, float)
+assert_type(smoother.bound_infimum, float | None)
+assert_type(smoother.limit, rs.RobustSmoother | None)
+assert_type(smoother.multipliers, Floats)
+assert_type(smoother.A_c, Floats)
+assert_type(smoother.poles, Complexes)
+assert_type(smoother.plant, rs.AugmentedSystem)
+
+classical = rs.baselines.fixed_lag_smoother(system, 0.2, 2)
+assert_type(classical, rs.Estimator)
+assert_type(rs.baselines.kalman_bucy(loop, copies=True), rs.Estimator)
+assert_type(rs.baselines.linear_robust_filter(system), tuple[rs.Estimator, rs.RobustSmoother])
+assert_type(rs.baselines.ngcf(loop), rs.RobustSmoother)
+assert_type(rs.baselines.optimal_fixed_lag_error(system, 0.2), Floats)
+assert_type(rs.baselines.optimal_two_sided_error(system), Floats)
+
+# --- records --------------------------------------------------------------------------------------
+
+discrete = smoother.discretize(dt=1e-3)
+assert_type(discrete, rs.DiscreteSmoother)
+assert_type(discrete.run([[0.1], [0.2]]), Floats)
+assert_type(discrete.step([0.3]), Floats)
+assert_type(discrete.times(3, "filtered"), Floats)
+assert_type(discrete.filtered, Floats)
+assert_type(discrete.samples, int)
+assert_type(discrete.compiled, bool)
+np.save("record.npy", np.ones((10, 1)))
+assert_type(rs.smooth_record(discrete, "record.npy", Path("smoothed.npy")), int)
+rs.save(smoother, "smoother.toml")
+loaded = rs.load(Path("smoother.toml"), functions={})
+assert_type(loaded, rs.UncertainSystem | rs.AugmentedSystem | rs.Estimator)
+
+# --- errors of an estimator -----------------------------------------------------------------------
+
+assert_type(rs.error_covariance(smoother, Delta), Floats)
+assert_type(rs.delta_sweep(rs.baselines.ngcf(loop), [-1.0, 0.0], "filtered"), Floats)
+worst = rs.worst_case(smoother, starts=2)
+assert_type(worst, rs.WorstCase)
+assert_type(worst.Delta, Floats)
+assert_type(worst.mean_square, float)
+assert_type(worst.guarantee, float | None)
+dynamic = rs.worst_dynamic_case(smoother, starts=1)
+assert_type(dynamic, rs.WorstDynamicCase)
+assert_type(dynamic.constant, rs.WorstCase)
+assert_type(dynamic.Delta, Complexes)
+assert_type(dynamic.spectra, Floats)
+certified = rs.analysis_bound(smoother)
+assert_type(certified, rs.AnalysisBound)
+assert_type(certified.mean_square, float)
+assert_type(certified.multipliers, Floats)
+
+sweep = rs.lag_sweep(system, [0.1, 0.2], [1, 2])
+assert_type(sweep, rs.LagSweep)
+assert_type(sweep.nominal, Floats)
+assert_type(sweep.two_sided, float)
+assert_type(rs.lag_sweep(system, np.array([0.1]), np.array([1])).gain, Floats)
+assert_type(rs.best_lag(system, 1), tuple[float, float])
+choice = rs.choose_lag(system, fraction=0.5)
+assert_type(choice, rs.LagChoice)
+assert_type(choice.order, int)
+assert_type(choice.lags, dict[int, float])
+
+# --- simulations ----------------------------------------------------------------------------------
+
+simulated = rs.simulate(smoother, uncertainties=[0.5, lambda t, zeta: -zeta], runs=4, duration=1.0)
+assert_type(simulated, rs.SimulationResult)
+assert_type(simulated.smoothed, rs.SimulatedError)
+assert_type(simulated.smoothed.covariance, Floats)
+paths = rs.sample_paths(smoother, runs=2, duration=1.0)
+assert_type(paths, rs.SamplePaths)
+assert_type(paths.w, Floats)
+
+# --- the paper's example --------------------------------------------------------------------------
+
+paper = rs.homodyne.PAPER
+assert_type(paper, rs.homodyne.HomodyneParameters)
+assert_type(paper.uncertain_system(), rs.UncertainSystem)
+assert_type(paper.with_gain(0.5), rs.homodyne.HomodyneParameters)
+assert_type(rs.homodyne.fraction_inside(0.5, 0.1), float)
+kalman = rs.baselines.kalman_bucy(paper.uncertain_system(), copies=True)
+linearised = rs.statistical_linearisation(kalman, paper.equivalent_slope)
+assert_type(linearised.filtered, float)
+stationary = rs.stationary_errors(paper, kalman)
+assert_type(stationary, rs.StationaryErrors)
+assert_type(stationary.smoothed, float)
+result = rs.monte_carlo(paper, kalman, runs=128, client=None, checkpoint=Path("mc.txt"))
+assert_type(result, rs.MonteCarloResult)
+assert_type(result.smoothed, rs.MeanSquare)
+assert_type(result.smoothed.mean_square, float)
+assert_type(result.smoothed.interval(), tuple[float, float])
+assert_type(result.provenance, dict[str, Any])
+study = rs.parameter_study(paper, [1e-6], [1], [0.4], [1.0], runs=128)
+assert_type(study, rs.Study)
+assert_type(study.ratio, Floats)
+
+found = rs.verdicts(kinds=["model"])
+assert_type(found[0].verdict, str)
+assert_type(found[0].value, float | str | None)
+
+# --- errors and warnings --------------------------------------------------------------------------
+
+for warning in (rs.InadmissibleWarning, rs.LossOfLockWarning):
+    assert issubclass(warning, Warning)
+try:
+    rs.design_smoother(plant, 1e-9, [1.0, 1.0])
+except rs.InfeasibleDesignError as error:
+    assert_type(error.condition, str)
+except rs.UnstableLoopError:
+    raise
+assert_type(rs.__version__, str)
