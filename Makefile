@@ -5,6 +5,7 @@ PROFILE = paper
 ONLY    =
 DASK    =
 LAB     =
+RESOLUTION = highest
 
 UV      = .uv/bin/uv
 BIN     = .venv/bin
@@ -23,7 +24,7 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 unexport PYTHONDONTWRITEBYTECODE
 
 .NOTPARALLEL:
-.PHONY: help setup figures lab test test-browser report bench format lock upgrade clean distclean
+.PHONY: help setup figures lab test test-library test-browser report bench format lock upgrade clean distclean
 
 help:  ## list the targets and variables
 	@echo 'Targets:'
@@ -33,6 +34,7 @@ help:  ## list the targets and variables
 	@echo '  ONLY        notebooks to run, for example ONLY=03 or ONLY=02,sweep (default: all)'
 	@echo '  DASK        a Dask scheduler to compute on, for example DASK=tcp://10.0.0.1:8786'
 	@echo '  PYTHON      the Python, 3.11 or newer, to make .venv with (default: python3)'
+	@echo '  RESOLUTION  what test-library installs: highest (default) or lowest-direct'
 	@echo '  LAB         more options of JupyterLab, for example LAB=--no-browser'
 
 setup: $(ENVIRONMENT)  ## make .venv from the lock, hash-checked (the other targets do it as needed)
@@ -51,6 +53,18 @@ test: $(DEVELOPMENT)  ## lint, format check, and all tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# The rooms that need no extra but these two, in an environment of their own, without the lock.
+LIBRARY        = $(addprefix tests/,support numerics systems estimators analysis simulation io homodyne)
+LIBRARY_PYTHON = build/library/bin/python
+
+test-library: .uv/stamp  ## the library's tests, without the lock: see RESOLUTION and PYTHON
+	@$(UV) venv --quiet --clear --python '$(PYTHON)' build/library
+	@$(UV) pip install --quiet --python $(LIBRARY_PYTHON) --resolution '$(RESOLUTION)' \
+	  --editable '.[control,cluster]'
+	@$(UV) pip install --quiet --python $(LIBRARY_PYTHON) --group test
+	@$(UV) pip list --python $(LIBRARY_PYTHON)
+	$(LIBRARY_PYTHON) -m pytest -n 2 --dist loadfile $(LIBRARY)
 
 test-browser: $(DEVELOPMENT)  ## the notebooks and the report in chromium, which apt installs if need be
 	@$(BIN)/python -m tests.interface.browser.chromium

@@ -6,9 +6,11 @@ import stat
 import subprocess
 import sys
 import tomllib
+from itertools import chain
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCKS = ("requirements.lock", "requirements-dev.lock", "requirements-uv.lock")
@@ -19,6 +21,12 @@ def pinned(lock):
     entries = re.split(r"\n(?=\S)", (ROOT / lock).read_text())
     lines = [re.sub(r"\n\s*#.*", "", entry) for entry in entries if not entry.startswith("#")]
     return {re.match(r"[\w.-]+", line)[0]: line.strip() for line in lines}
+
+
+def names(requirements):
+    """Of packages elsewhere; what includes another group has none."""
+    asked = [Requirement(each).name for each in requirements if isinstance(each, str)]
+    return set(asked) - {"robsmooth"}
 
 
 def make(*arguments):
@@ -48,11 +56,22 @@ def test_a_development_environment_holds_the_run_environment():
 
 def test_the_locks_hold_what_the_project_asks_for():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    groups = project["dependency-groups"]
-    run = project["project"]["dependencies"] + groups["build"]
-    assert set(run) <= pinned("requirements.lock").keys()
-    assert set(groups["dev"]) <= pinned("requirements-dev.lock").keys()
-    assert not set(groups["dev"]) & pinned("requirements.lock").keys()
+    groups, extras = project["dependency-groups"], project["project"]["optional-dependencies"]
+    library = names(project["project"]["dependencies"] + groups["build"])
+    notebooks = names(extras["notebooks"] + extras["control"] + extras["plot"])
+    development = names(groups["dev"] + groups["test"] + extras["cluster"])
+    assert library | notebooks <= pinned("requirements.lock").keys()
+    assert development <= pinned("requirements-dev.lock").keys()
+    assert not development & pinned("requirements.lock").keys()
+
+
+def test_the_locks_hold_no_version_that_the_project_does_not_allow():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    asked = [*project["dependencies"], *chain(*project["optional-dependencies"].values())]
+    for requirement in map(Requirement, asked):
+        if requirement.name != "robsmooth":
+            entry = pinned("requirements-dev.lock")[requirement.name]
+            assert re.match(r"[\w.-]+==([\w.]+)", entry)[1] in requirement.specifier
 
 
 def test_make_alone_lists_every_target():
@@ -83,6 +102,27 @@ def test_ci_runs_the_tests():
     assert script.stat().st_mode & stat.S_IXUSR
     assert script.read_text().splitlines()[-1] == "make test"
     assert "run: .ci/run" in (ROOT / ".github/workflows/ci.yml").read_text()
+
+
+def test_ci_runs_actions_by_their_commits_and_once_for_a_push():
+    workflow = (ROOT / ".github/workflows/ci.yml").read_text()
+    actions = re.findall(r"uses: (\S+)", workflow)
+    assert actions
+    for action in actions:
+        assert re.fullmatch(r"actions/[\w-]+@[0-9a-f]{40}", action)
+    assert "push:\n    branches: [main]\n  pull_request:\n" in workflow
+    assert "cancel-in-progress: true" in workflow
+
+
+def test_ci_tests_the_lowest_and_the_newest_versions_of_every_python():
+    workflow = (ROOT / ".github/workflows/ci.yml").read_text()
+    assert "make test-library PYTHON=python RESOLUTION=lowest-direct" in workflow
+    assert "make test-library PYTHON=python RESOLUTION=highest" in workflow
+    (newest,) = re.findall(r"python: \[(.*)\]", workflow)
+    assert newest == ", ".join(f'"3.{minor}"' for minor in (11, 12, 13, 14))
+    assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["requires-python"] == (
+        ">=3.11"
+    )
 
 
 @pytest.fixture

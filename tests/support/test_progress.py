@@ -8,7 +8,6 @@ import termios
 from contextlib import suppress
 
 import pytest
-from jupyter_client.manager import start_new_kernel
 
 from robsmooth import homodyne, lag_sweep
 from robsmooth._support.progress import progress_bar
@@ -98,7 +97,8 @@ def test_a_comparison_shows_its_estimators(terminal):
 
 @pytest.fixture(scope="module")
 def kernel():
-    manager, client = start_new_kernel(
+    jupyter = pytest.importorskip("jupyter_client.manager", reason="the library needs no Jupyter")
+    manager, client = jupyter.start_new_kernel(
         startup_timeout=PATIENCE, kernel_name="python3", env=without_switches()
     )
     yield client
