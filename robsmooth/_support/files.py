@@ -1,10 +1,12 @@
-"""Files appear whole or not at all: written beside their place, then renamed into it."""
+"""Files appear whole or not at all, and a file that is locked has one user at a time."""
 
+import errno
 import json
 import os
 import secrets
+import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 
@@ -45,11 +47,52 @@ def write_json(path: str | os.PathLike[str], value: object) -> None:
     ValueError
         Where a number is not finite: JSON has no word for it.
     """
-    text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False, default=_plain)
+    text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False, default=_builtin)
     write_text(path, text + "\n")
 
 
-def _plain(value: object) -> object:
+def _builtin(value: object) -> object:
+    """A scalar or an array of NumPy as a number or a list of Python."""
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"value of type {type(value).__name__} has no JSON form")
+
+
+@contextmanager
+def exclusive_lock(path: str | os.PathLike) -> Iterator[sqlite3.Connection]:
+    """Open the SQLite database at a path, and keep everything else from opening it meanwhile.
+
+    An empty or missing file is an empty database, and stays one until something is written to it.
+    SQLite has this lock on every system. The system takes it back when the process ends, however
+    it ends. Nothing else in the process may open the file meanwhile: on POSIX systems to close it
+    again gives up the lock.
+
+    Yields
+    ------
+    sqlite3.Connection
+        In autocommit mode.
+
+    Raises
+    ------
+    BlockingIOError
+        Where something else has the lock, in this process or another.
+    OSError
+        Where the file cannot be opened or locked.
+    sqlite3.DatabaseError
+        For a file with other content.
+    """
+    path = Path(path).absolute()  # ":memory:" is the name of a file, too
+    try:
+        connection = sqlite3.connect(path, timeout=0, isolation_level=None)
+    except sqlite3.OperationalError as error:
+        raise OSError(errno.EIO, str(error), str(path)) from None
+    with closing(connection):
+        try:
+            connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # until it is closed
+            connection.execute("BEGIN EXCLUSIVE")
+            connection.execute("ROLLBACK")
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode == sqlite3.SQLITE_BUSY:
+                raise BlockingIOError(errno.EAGAIN, "in use elsewhere", str(path)) from None
+            raise OSError(errno.EIO, str(error), str(path)) from None
+        yield connection

@@ -184,7 +184,7 @@ def parameter_study(
     ]
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
     with open_journal(checkpoint, identity) as journal:
-        results = journal.records if journal else []
+        results = list(journal.records()) if journal else []
         calls = [(loop,) for loop in loops[len(results) :]]
         # what was done before counts for the progress, but not for the rate
         with progress_bar(

@@ -9,7 +9,6 @@ Freshness is judged by content, not by times: a notebook is fresh when everythin
 the hash it had, and everything it produced is still there unchanged.
 """
 
-import fcntl
 import hashlib
 import json
 import platform
@@ -17,7 +16,7 @@ import shutil
 import time
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -399,9 +398,9 @@ def _result(
 def _alone(work: Path) -> Iterator[None]:
     """Keep a second run out of the same folder."""
     work.mkdir(parents=True, exist_ok=True)
-    with open(work / "lock", "w") as lock:
+    with ExitStack() as stack:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+            stack.enter_context(files.exclusive_lock(work / "lock"))
+        except BlockingIOError as error:
             raise PipelineError(f"another run is at work in {work}; wait for it") from error
         yield
