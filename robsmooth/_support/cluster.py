@@ -1,7 +1,8 @@
 """Where calls are computed: here, or on a Dask cluster; the results come in the same order.
 
-On a cluster a call may move to another worker when one dies, so a function must give the same
-result wherever it runs. To that end a worker computes only with the same software as here.
+When a worker ends, Dask computes its calls again on another, so a function must give the same
+result wherever it runs. To that end a worker computes only with the same software as here. Dask's
+own comparison of versions comes to a warning, and knows nothing of the sources of this package.
 
 Dask is an optional dependency: nothing here imports it before a cluster is asked for.
 """
@@ -10,30 +11,32 @@ import asyncio
 import hashlib
 import logging
 import pickle
+import re
 import sys
 import threading
 import time
-import uuid
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from importlib import metadata
-from pathlib import Path
+from importlib.resources import files
+from itertools import islice
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 from robsmooth._support.extras import extra
 
 if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
     from distributed import Client, Future
 
 CALLS_PER_THREAD = 2  # sent ahead: one that is computed and one that waits for it to end
 CALLS_AHEAD = 2  # and some more, while results are on their way
 LOOK_EVERY = 1.0  # s, how often the cluster is looked at
 ANSWER_TIME = 30.0  # s, for the scheduler to answer
-SCHEMES = ("tcp", "tls")
+ADDRESS = re.compile(r"(tcp|tls)://([^\s/:@\[\]]+|\[[\w:.%]+\]):(\d+)")
 PACKAGES = ("numpy", "numba", "scipy")  # what results depend on to the last bit
 LOGGERS = ("distributed", "distributed.client", "tornado.application")
 
@@ -81,26 +84,31 @@ def in_order(
 def workers(client: "Client | None", *, timeout: float = 30.0) -> int:
     """Number of threads that the workers have for calls; 1 for None, where calls come one by one.
 
-    Parameters
-    ----------
-    client : distributed.Client, optional
-    timeout : float
-        How long to wait for the first worker, s.
+    Waits up to `timeout` seconds for the first worker.
 
     Raises
     ------
     ConnectionError
-        Where no worker joins within `timeout` seconds, or the scheduler is lost.
+        Where no worker joins in time, or the scheduler is lost.
     """
     _check_client(client)
     if client is None:
         return 1
     deadline = time.monotonic() + timeout
-    while not (threads := _threads(client)):
+    while True:
+        try:
+            threads = sum(client.nthreads(callback_timeout=ANSWER_TIME).values())
+        except Exception as error:
+            raise _lost(client) from error
+        if threads:
+            return threads
         if time.monotonic() >= deadline:
-            raise _no_worker(client, timeout)
+            address = client.scheduler.address
+            raise ConnectionError(
+                f"no worker has joined the scheduler at {address} for {timeout:g} s: start some "
+                f"there, as with `dask worker {address}`"
+            )
         time.sleep(min(0.1, timeout))
-    return threads
 
 
 @contextmanager
@@ -128,17 +136,32 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
     if address == "":
         yield None
         return
-    _check_address(address)
+    parts = isinstance(address, str) and ADDRESS.fullmatch(address)
+    if not parts or not 0 < int(parts[3]) < 2**16:
+        raise ValueError(
+            "the address of a scheduler must be tcp://host:port or tls://host:port, got "
+            f"{address!r}"
+        )
     with extra("cluster", "a cluster"):
-        import distributed
-    with _quiet():
-        _check_scheduler(address, timeout)
+        from distributed import Client
+    with ExitStack() as stack:
+        for logger in map(logging.getLogger, LOGGERS):
+            stack.callback(logger.setLevel, logger.level)
+            logger.setLevel(logging.CRITICAL)
         try:
-            client = distributed.Client(address, timeout=timeout, set_as_default=False)
-        except OSError as error:
-            raise _no_scheduler(address, timeout, error) from None
-        with client:
-            yield client
+            kind = _kind_of_server(address, timeout)
+            if kind == "Scheduler":
+                client = Client(address, timeout=timeout, set_as_default=False)
+        except Warning:  # an error where warnings are errors
+            raise
+        except Exception as error:
+            reason = "is it running?" if isinstance(error, OSError) else str(error)
+            raise ConnectionError(
+                f"no Dask scheduler answers at {address} within {timeout:g} s: {reason}"
+            ) from None
+        if kind != "Scheduler":
+            raise ConnectionError(f"at {address} is a Dask {kind.lower()}, not a scheduler")
+        yield stack.enter_context(client)
 
 
 def alone() -> AbstractContextManager:
@@ -163,30 +186,32 @@ def worker_threads() -> int | None:
 
 @cache
 def software() -> dict[str, str]:
-    """Versions of what a result depends on, with a digest of this package's sources."""
+    """Versions of what a result depends on, and the SHA-256 of this package's sources."""
     versions = {"python": f"{sys.version_info.major}.{sys.version_info.minor}"}
     for name in PACKAGES:
         with suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
-    return {**versions, "robsmooth": sources_version()}
+    return {**versions, "robsmooth": _SOURCES}
 
 
-def sources_version() -> str:
-    """SHA-256 of this package's Python sources as they were imported, in hexadecimal digits."""
-    return _SOURCES
-
-
-def _digest_sources(package: Path) -> str:
+def _digest_sources(package: "Traversable") -> str:
     digest = hashlib.sha256()
-    for source in sorted(package.rglob("*.py")):
-        content = source.read_bytes()
-        digest.update(f"{source.relative_to(package).as_posix()} {len(content)}\n".encode())
-        digest.update(content)
+    for name, content in sorted(_sources(package)):
+        digest.update(f"{name} {len(content)}\n".encode() + content)
     return digest.hexdigest()
 
 
+def _sources(folder: "Traversable", prefix: str = "") -> Iterator[tuple[str, bytes]]:
+    """Names and contents of the modules in a package, which may be in an archive."""
+    for entry in folder.iterdir():
+        if entry.is_dir() and entry.name != "__pycache__":
+            yield from _sources(entry, f"{prefix}{entry.name}/")
+        elif entry.name.endswith((".py", ".pyc")):
+            yield prefix + entry.name, entry.read_bytes()
+
+
 # Of now, and not of when it is asked for: by then the files may have been edited.
-_SOURCES = _digest_sources(Path(__file__).resolve().parents[1])
+_SOURCES = _digest_sources(files("robsmooth"))
 
 
 # --- on a worker ----------------------------------------------------------------------------------
@@ -231,95 +256,49 @@ def _check_software(wanted: dict[str, str]) -> None:
 # --- on the client --------------------------------------------------------------------------------
 
 
-class _Cluster:
-    """A client's cluster, of which the number of threads is kept up to date."""
-
-    def __init__(self, client: "Client", timeout: float):
-        self.client = client
-        self.timeout = timeout
-        self.threads = workers(client, timeout=timeout)
-        self.looked = time.monotonic()
-        self.missed: float | None = None  # since when there is no worker
-
-    def look(self) -> None:
-        """Raise where the scheduler is lost, or there has been no worker for too long."""
-        _check_running(self.client)
-        now = time.monotonic()
-        if now < self.looked + LOOK_EVERY:
-            return
-        self.looked = now
-        self.threads = _threads(self.client)
-        if self.threads:
-            self.missed = None
-        elif self.missed is None:
-            self.missed = now
-        elif now > self.missed + self.timeout:
-            raise _no_worker(self.client, self.timeout)
-
-    @property
-    def room(self) -> int:
-        """Number of calls that may be on their way."""
-        return CALLS_PER_THREAD * self.threads + CALLS_AHEAD
-
-
 def _on_cluster(
     function: Callable, calls: Iterable[tuple], client: "Client", timeout: float
 ) -> Iterator[Any]:
     import cloudpickle
 
-    shipped = cloudpickle.dumps(function)
-    cluster = _Cluster(client, timeout)
+    shipped, calls = cloudpickle.dumps(function), enumerate(calls)
     pending: deque[Future] = deque()
-    try:
-        for index, call in enumerate(calls):
-            while len(pending) >= cluster.room:
-                yield _result(cluster, pending.popleft())
-            cluster.look()
-            pending.append(
-                client.submit(
-                    pickle.loads,
-                    pickle.dumps(_Call(software(), shipped, cloudpickle.dumps(call))),
-                    key=f"robsmooth-{uuid.uuid4()}",
-                    priority=-index,
-                )
-            )
-        while pending:
-            yield _result(cluster, pending.popleft())
-    finally:
-        for future in pending:
-            _release(future)
-
-
-def _result(cluster: _Cluster, future: "Future") -> Any:
-    """Wait for a call, and take its result off the cluster."""
-    patience = LOOK_EVERY  # with a result's transfer: it may be large, or lost with its worker
+    look_at, patience = 0.0, LOOK_EVERY
     try:
         while True:
-            cluster.look()
-            with suppress(TimeoutError):
-                future.exception(timeout=LOOK_EVERY)  # waits for the end, and fetches no result
-            if future.status == "finished":
-                try:
-                    return future.result(timeout=patience)
-                except TimeoutError:
+            if time.monotonic() >= look_at:
+                threads = workers(client, timeout=timeout)
+                look_at = time.monotonic() + LOOK_EVERY
+            room = CALLS_PER_THREAD * threads + CALLS_AHEAD - len(pending)
+            for index, call in islice(calls, max(room, 0)):
+                task = pickle.dumps(_Call(software(), shipped, cloudpickle.dumps(call)))
+                pending.append(client.submit(pickle.loads, task, pure=False, priority=-index))
+            if not pending:
+                return
+            has_failed = pending[0].status == "error"
+            try:
+                result = _result(pending[0], client, patience)
+            except TimeoutError:
+                if has_failed:  # it is the function's own
+                    raise
+                if pending[0].status == "finished":  # and large, or lost with its worker
                     patience *= 2
-                except (OSError, CancelledError) as error:
-                    if future.status != "error":
-                        raise _lost(cluster.client) from error
-            if future.status == "error":
-                _raise_error(future)
-            if future.status == "cancelled":
-                raise _lost(cluster.client)
+                continue
+            pending.popleft()
+            patience = LOOK_EVERY
+            yield result
     finally:
-        _release(future)
+        for future in pending:  # else an error's traceback would keep them
+            with suppress(RuntimeError):  # there is no connection any more
+                future.release()
 
 
-def _raise_error(future: "Future") -> None:
-    """Raise what a call has raised, or what ended it."""
+def _result(future: "Future", client: "Client", patience: float) -> Any:
+    """Take the result of a call off the cluster; TimeoutError where it is not there in time."""
     from distributed import KilledWorker
 
     try:
-        future.result()
+        return future.result(timeout=patience)
     except KilledWorker as error:
         raise RuntimeError(
             f"the same call was on {error.allowed_failures + 1} worker(s) that ended: it may need "
@@ -332,24 +311,10 @@ def _raise_error(future: "Future") -> None:
             f"a worker cannot import {error.name}: start the workers in an environment with the "
             "same robsmooth as here"
         ) from None
-
-
-def _release(future: "Future") -> None:
-    """Let the cluster forget a call, and drop it where it is not computed yet."""
-    with suppress(Exception):  # there may be no connection any more
-        future.release()
-
-
-def _threads(client: "Client") -> int:
-    """Number of threads that the cluster has now."""
-    _check_running(client)
-    try:
-        return sum(client.nthreads(callback_timeout=ANSWER_TIME).values())
-    except Exception as error:
+    except (OSError, CancelledError) as error:
+        if isinstance(error, TimeoutError) or future.status == "error":  # the function's own
+            raise
         raise _lost(client) from error
-
-
-# --- checks ---------------------------------------------------------------------------------------
 
 
 def _check_client(client: "Client | None") -> None:
@@ -360,79 +325,27 @@ def _check_client(client: "Client | None") -> None:
         raise TypeError(f"client must be a distributed.Client or None, got {client!r}")
     if client.asynchronous:
         raise TypeError("client must be synchronous: make it without asynchronous=True")
-    _check_running(client)
-
-
-def _check_running(client: "Client") -> None:
     if client.status != "running":
         raise _lost(client)
 
 
-def _check_address(address: str) -> None:
-    try:
-        parts = urlsplit(address)
-        valid = bool(parts.hostname and parts.port) and address in (
-            f"{scheme}://{parts.netloc}" for scheme in SCHEMES
-        )
-    except (AttributeError, TypeError, ValueError):
-        valid = False
-    if not valid:
-        allowed = " or ".join(f"{scheme}://host:port" for scheme in SCHEMES)
-        raise ValueError(f"the address of a scheduler must be {allowed}, got {address!r}")
+def _lost(client: "Client") -> ConnectionError:
+    return ConnectionError(
+        f"there is no connection to the Dask scheduler (the client is {client.status}): it ended, "
+        "does not answer or was restarted, or the client was closed"
+    )
 
 
-def _check_scheduler(address: str, timeout: float) -> None:
-    """Check that a scheduler answers: a client waits for ever for a peer that says nothing."""
+def _kind_of_server(address: str, timeout: float) -> str:
+    """What answers at an address; a client would wait for ever for one that says nothing."""
     from distributed.core import rpc
     from distributed.security import Security
 
-    async def identity() -> dict:
+    async def ask() -> str:
         security = Security().get_connection_args("client")
-        async with rpc(address, timeout=timeout, connection_args=security) as scheduler:
-            return await scheduler.identity()
+        server = rpc(address, timeout=timeout, connection_args=security)
+        async with asyncio.timeout(timeout), server:
+            return (await server.identity())["type"]
 
-    async def identity_in_time() -> dict:
-        return await asyncio.wait_for(identity(), timeout)
-
-    try:
-        with ThreadPoolExecutor(1) as thread:  # a notebook's own runs an event loop already
-            kind = thread.submit(asyncio.run, identity_in_time()).result()["type"]
-    except Exception as error:
-        raise _no_scheduler(address, timeout, error) from None
-    if kind != "Scheduler":
-        raise ConnectionError(f"at {address} is a Dask {kind.lower()}, not a scheduler")
-
-
-def _no_scheduler(address: str, timeout: float, error: Exception) -> ConnectionError:
-    reason = "is it running?" if isinstance(error, OSError) else str(error)
-    return ConnectionError(f"no Dask scheduler answers at {address} within {timeout:g} s: {reason}")
-
-
-def _no_worker(client: "Client", timeout: float) -> ConnectionError:
-    address = client.scheduler.address
-    return ConnectionError(
-        f"no worker has joined the scheduler at {address} for {timeout:g} s: start some there, "
-        f"as with `dask worker {address}`"
-    )
-
-
-def _lost(client: "Client") -> ConnectionError:
-    if client.status == "running":
-        return ConnectionError("the cluster has dropped a call: it may have been restarted")
-    return ConnectionError(
-        f"there is no connection to the Dask scheduler (the client is {client.status}): it ended, "
-        "or the client was closed"
-    )
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence Dask's loggers, and set them back."""
-    before = {name: logging.getLogger(name).level for name in LOGGERS}
-    for name in LOGGERS:
-        logging.getLogger(name).setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for name, level in before.items():
-            logging.getLogger(name).setLevel(level)
+    with ThreadPoolExecutor(1) as thread:  # a notebook's own runs an event loop already
+        return thread.submit(asyncio.run, ask()).result()

@@ -3,6 +3,7 @@ import logging
 import os
 import random
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -18,7 +19,7 @@ import distributed
 import numpy as np
 import pytest
 
-from robsmooth._support import cluster as executors
+from robsmooth._support import cluster as cluster_module
 from robsmooth._support.cluster import alone, connect, in_order, worker_threads, workers
 from tests.helpers.clusters import cluster_of_threads, start_cluster
 from tests.helpers.waiting import PATIENCE, wait_until
@@ -41,8 +42,8 @@ def client(cluster):
 
 @pytest.fixture
 def patient(monkeypatch):
-    """Time limits of Dask and of `executors` that are longer than any test."""
-    monkeypatch.setattr(executors, "ANSWER_TIME", 2 * PATIENCE)
+    """Time limits of Dask and of `cluster_module` that are longer than any test."""
+    monkeypatch.setattr(cluster_module, "ANSWER_TIME", 2 * PATIENCE)
     with dask.config.set({"distributed.comm.timeouts.connect": 2 * PATIENCE}):
         yield
 
@@ -114,7 +115,7 @@ def test_few_calls_are_on_their_way_and_none_are_kept(cluster, client):
             yield (taken,)
 
     taken = 0
-    most = executors.CALLS_PER_THREAD * 2 + executors.CALLS_AHEAD
+    most = cluster_module.CALLS_PER_THREAD * 2 + cluster_module.CALLS_AHEAD
     for result in in_order(lambda number: number, calls(), client):
         assert taken - result <= most
         assert len(client.futures) <= most + 2
@@ -144,6 +145,12 @@ def test_what_the_function_raises_comes_as_itself_after_the_results_before(clien
         next(results)
     assert caught.value.args == error.args
     assert list(results) == []
+
+
+def test_a_result_that_takes_long_to_transfer_arrives(client, monkeypatch):
+    monkeypatch.setattr(cluster_module, "LOOK_EVERY", 1e-3)
+    size = 30_000_000
+    assert [len(result) for result in in_order(bytes, [(size,)] * 3, client)] == [size] * 3
 
 
 def test_an_iterator_that_is_closed_early_drops_what_is_on_its_way(
@@ -246,7 +253,7 @@ def test_without_a_worker_there_is_an_error_and_one_that_joins_is_used(monkeypat
                 monkeypatch.context() as patch,
                 pytest.raises(ConnectionError, match=r"no worker has joined .* for 12 s: start"),
             ):
-                patch.setattr(executors, "time", clock)
+                patch.setattr(cluster_module, "time", clock)
                 function(client, timeout=12)
             assert clock.now == pytest.approx(12, abs=0.2)
         cluster.scale(1)
@@ -255,8 +262,8 @@ def test_without_a_worker_there_is_an_error_and_one_that_joins_is_used(monkeypat
 
 
 def test_a_worker_that_joins_raises_the_number_of_calls_on_their_way(monkeypatch):
-    monkeypatch.setattr(executors, "LOOK_EVERY", 0.05)
-    before = executors.CALLS_PER_THREAD + executors.CALLS_AHEAD
+    monkeypatch.setattr(cluster_module, "LOOK_EVERY", 0.05)
+    before = cluster_module.CALLS_PER_THREAD + cluster_module.CALLS_AHEAD
     with cluster_of_threads(threads_per_worker=1) as (cluster, client):
         results = in_order(time.sleep, repeat((0.01,)), client)
         with closing(results):
@@ -268,7 +275,7 @@ def test_a_worker_that_joins_raises_the_number_of_calls_on_their_way(monkeypatch
 
 
 def test_workers_that_all_leave_are_missed_after_a_while(monkeypatch):
-    monkeypatch.setattr(executors, "LOOK_EVERY", 0.1)
+    monkeypatch.setattr(cluster_module, "LOOK_EVERY", 0.1)
     with cluster_of_threads() as (cluster, client):
         results = in_order(time.sleep, repeat((0.05,)), client, timeout=0.5)
         next(results)
@@ -278,8 +285,8 @@ def test_workers_that_all_leave_are_missed_after_a_while(monkeypatch):
 
 
 def test_a_worker_with_other_software_is_refused(client, monkeypatch):
-    mine = {**executors.software(), "numpy": "1.0", "robsmooth": "0" * 64}
-    monkeypatch.setattr(executors, "software", lambda: mine)
+    mine = {**cluster_module.software(), "numpy": "1.0", "robsmooth": "0" * 64}
+    monkeypatch.setattr(cluster_module, "software", lambda: mine)
     with pytest.raises(RuntimeError, match="a worker has other software") as caught:
         list(in_order(abs, numbers(3), client))
     assert re.search(
@@ -289,7 +296,7 @@ def test_a_worker_with_other_software_is_refused(client, monkeypatch):
 
 def test_the_digest_of_the_sources_depends_on_their_names_and_contents(tmp_path):
     def digest():
-        return executors._digest_sources(tmp_path)
+        return cluster_module._digest_sources(tmp_path)
 
     digests = [digest()]
     (tmp_path / "sub").mkdir()
@@ -297,8 +304,35 @@ def test_the_digest_of_the_sources_depends_on_their_names_and_contents(tmp_path)
         (tmp_path / name).write_text(text)
         digests.append(digest())
     (tmp_path / "notes.txt").touch()
+    (tmp_path / "__pycache__").mkdir()
+    (tmp_path / "__pycache__" / "a.pyc").touch()
     assert digest() == digests[-1]
     assert len(set(digests)) == len(digests)
+
+
+def test_the_digest_of_an_archive_is_that_of_the_folder_in_it(tmp_path):
+    """Imported from a zip file, of which nothing can be read as a file or written."""
+    room = tmp_path / "robsmooth" / "_support"
+    room.mkdir(parents=True)
+    (room.parent / "__init__.py").touch()
+    (room / "__init__.py").touch()
+    shutil.copy(cluster_module.__file__, room)
+    archive = shutil.make_archive(tmp_path / "installed", "zip", tmp_path, "robsmooth")
+    program = "from robsmooth._support import cluster; print(cluster.__file__, cluster.software())"
+    ended = subprocess.run(
+        [
+            sys.executable,
+            "-P",
+            "-S",
+            "-c",
+            f"import sys; sys.path.insert(0, {archive!r}); {program}",
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert f"{archive}/robsmooth" in ended.stdout
+    assert cluster_module._digest_sources(room.parent) in ended.stdout
 
 
 # --- what goes wrong with the scheduler -----------------------------------------------------------
@@ -324,7 +358,9 @@ def test_a_scheduler_that_closes_is_missed_at_once(patient):
             in_order(abs, [], client)
 
 
-def test_a_worker_without_this_package_and_then_a_scheduler_that_is_killed(tmp_path, patient):
+def test_a_worker_without_this_package_then_a_scheduler_that_freezes_and_is_killed(
+    tmp_path, monkeypatch, patient
+):
     def start(*arguments):
         options = ["--no-dashboard", "--host", "127.0.0.1"]
         started.append(
@@ -353,8 +389,15 @@ def test_a_worker_without_this_package_and_then_a_scheduler_that_is_killed(tmp_p
                 list(in_order(abs, numbers(1), client, timeout=PATIENCE))
             sleeps = "import time\ndef _compute(*_): time.sleep(0.05)"
             (package / "cluster.py").write_text(sleeps)
-            results = in_order(abs, repeat((1,)), client, timeout=2 * PATIENCE)
-            next(results)
+            some, results = (
+                in_order(abs, repeat((1,)), client, timeout=2 * PATIENCE) for _ in range(2)
+            )
+            next(some), next(results)
+            os.kill(started[0].pid, signal.SIGSTOP)
+            monkeypatch.setattr(cluster_module, "ANSWER_TIME", 0.5)
+            with pytest.raises(ConnectionError, match=r"the client is running.*does not answer"):
+                deque(some, maxlen=0)
+            os.kill(started[0].pid, signal.SIGCONT)
             started[0].kill()
             with missing_the_scheduler():
                 deque(results, maxlen=0)
@@ -446,10 +489,10 @@ def test_a_notebook_can_connect_because_its_event_loop_is_left_alone(cluster):
 
 
 def test_loggers_are_set_back(cluster):
-    levels = [logging.getLogger(name).level for name in executors.LOGGERS]
+    levels = [logging.getLogger(name).level for name in cluster_module.LOGGERS]
     with connect(cluster.scheduler_address):
         assert not logging.getLogger("distributed.client").isEnabledFor(logging.ERROR)
-    assert [logging.getLogger(name).level for name in executors.LOGGERS] == levels
+    assert [logging.getLogger(name).level for name in cluster_module.LOGGERS] == levels
 
 
 # --- in a worker ----------------------------------------------------------------------------------
@@ -465,7 +508,7 @@ def test_a_worker_knows_its_threads_and_computes_alone_where_asked(client):
         return worker_threads()
 
     assert worker_threads() is None
-    assert list(in_order(lambda: executors.worker_threads(), [()], client)) == [1]
+    assert list(in_order(lambda: cluster_module.worker_threads(), [()], client)) == [1]
     inside = []
     with cluster_of_threads(threads_per_worker=4) as (_, client):
         # Unpickled once, hence one list for all threads of the worker.
