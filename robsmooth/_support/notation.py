@@ -11,8 +11,10 @@ from numpy.typing import ArrayLike
 
 LIMIT = 6  # of more rows, columns or entries than these, the middle ones are left out
 _DIGITS = 4
-_ROUNDING = 1e-16  # of an entry, relative to the geometric mean of its row's and column's largest
-_REAL = 1e-12  # a pole with a smaller imaginary part, relative to its size, is a real one
+# An entry this small is zero in print: over the geometric mean of its row's and column's largest.
+_NEGLIGIBLE_ENTRY = 1e-16
+# A pole whose imaginary part is this small, over its size, is real in print.
+_NEGLIGIBLE_IMAGINARY_PART = 1e-12
 
 
 def number(value: float, digits: int = _DIGITS) -> str:
@@ -47,7 +49,7 @@ def estimate(mean: float, error: float) -> str:
 def vector(values: Iterable[float]) -> str:
     r"""Return numbers as LaTeX, in parentheses."""
     values = list(values)
-    entries = [r"\dots" if i is None else number(values[i]) for i in _shown(len(values))]
+    entries = [r"\dots" if i is None else number(values[i]) for i in _shown_entries(len(values))]
     return f"({', '.join(entries)})"
 
 
@@ -58,7 +60,7 @@ def matrix(value: ArrayLike) -> str:
         return r"0_{{{}\times{}}}".format(*value.shape)
     sizes = np.abs(value)
     roots = np.sqrt(sizes.max(axis=1, keepdims=True)) * np.sqrt(sizes.max(axis=0))
-    value = np.where(sizes < _ROUNDING * roots, 0.0, value)
+    value = np.where(sizes < _NEGLIGIBLE_ENTRY * roots, 0.0, value)
     if value.shape == (1, 1):
         return number(value[0, 0])
 
@@ -67,7 +69,7 @@ def matrix(value: ArrayLike) -> str:
             return r"\vdots" if j is not None else r"\ddots"
         return r"\cdots" if j is None else number(value[i, j])
 
-    rows, columns = map(_shown, value.shape)
+    rows, columns = map(_shown_entries, value.shape)
     lines = r" \\ ".join(" & ".join(entry(i, j) for j in columns) for i in rows)
     return rf"\begin{{bmatrix}}{lines}\end{{bmatrix}}"
 
@@ -92,18 +94,18 @@ def poles(values: Iterable[complex]) -> str:
     r"""Return eigenvalues of a real matrix as LaTeX, each conjugate pair once."""
     texts = []
     for pole in values:
-        if abs(pole.imag) <= _REAL * abs(pole):
+        if abs(pole.imag) <= _NEGLIGIBLE_IMAGINARY_PART * abs(pole):
             texts.append(number(pole.real))
         elif pole.imag > 0.0:
             texts.append(rf"{number(pole.real)} \pm {number(pole.imag)}\,i")
-    return r",\ ".join(r"\dots" if i is None else texts[i] for i in _shown(len(texts)))
+    return r",\ ".join(r"\dots" if i is None else texts[i] for i in _shown_entries(len(texts)))
 
 
 def array(value: ArrayLike) -> str:
     """Return an array as text: its entries, or where a matrix has many, its shape."""
     value = np.asarray(value)
     if value.ndim == 1:
-        entries = ["..." if i is None else f"{value[i]:.5g}" for i in _shown(len(value))]
+        entries = ["..." if i is None else f"{value[i]:.5g}" for i in _shown_entries(len(value))]
         return f"[{', '.join(entries)}]"
     if value.size > LIMIT:
         return f"<{' x '.join(map(str, value.shape))}>"
@@ -116,7 +118,7 @@ def _nested(entries: list | float) -> str:
     return f"{entries:.5g}"
 
 
-def _shown(size: int) -> list[int | None]:
+def _shown_entries(size: int) -> list[int | None]:
     """Return which of the entries are shown; None stands for those that are not."""
     if size <= LIMIT:
         return list(range(size))

@@ -29,18 +29,17 @@ def progress_bar(iterable: Iterable | None = None, *, shown: bool = True, **sett
     -------
     tqdm.tqdm
     """
-    if not shown or _set("CI") or _set("TQDM_DISABLE"):
-        return tqdm(iterable, disable=True, **settings)
-    if not _in_notebook():
-        return tqdm(iterable, disable=not _in_terminal(), **settings)
-    if find_spec("ipywidgets") is None:
-        return tqdm(iterable, disable=False, **settings)
-    from tqdm.notebook import tqdm as notebook_bar
+    in_notebook = _in_notebook()
+    disabled = _is_set("CI") or _is_set("TQDM_DISABLE")
+    shown = shown and not disabled and (in_notebook or _in_terminal())
+    if shown and in_notebook and find_spec("ipywidgets") is not None:
+        from tqdm.notebook import tqdm as notebook_bar
 
-    return notebook_bar(iterable, disable=False, **settings)
+        return notebook_bar(iterable, disable=False, **settings)
+    return tqdm(iterable, disable=not shown, **settings)
 
 
-def _set(name: str) -> bool:
+def _is_set(name: str) -> bool:
     return os.environ.get(name, "").lower() not in ("", "0", "false")
 
 

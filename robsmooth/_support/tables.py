@@ -138,8 +138,8 @@ class Table:
         return f"{cell:.{self.digits}g}" if isinstance(cell, float) else str(cell)
 
 
-def facts(rows: Iterable[tuple[str, Cell]], caption: str, digits: int = 4) -> Table:
-    """Return a table of values by their names, without those that are None."""
+def table_of_values(rows: Iterable[tuple[str, Cell]], caption: str, digits: int = 4) -> Table:
+    """Return a table of names and values, without the values that are None."""
     known = [(name, value) for name, value in rows if value is not None]
     return Table(("", "value"), known, caption, digits)
 
@@ -152,21 +152,33 @@ def _numeric(column: Sequence[str]) -> bool:
 
 def _html(text: str) -> str:
     r"""Escape what HTML would misread, and put mathematics between \( and \)."""
-    parts = html.escape(text).split("$")
-    if len(parts) % 2 == 0:  # the last dollar sign is one
-        parts[-2:] = ["$".join(parts[-2:])]
+    parts = _split_at_mathematics(html.escape(text))
     for inside in range(1, len(parts), 2):
         parts[inside] = rf"\({parts[inside]}\)"
     return "".join(parts)
 
 
 _LATEX = {"±": r"$\pm$", "µ": r"$\mu$", "%": r"\%", "&": r"\&", "#": r"\#", "_": r"\_"}
-_LATEX |= {"<": "$<$", ">": "$>$", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"}
+_LATEX |= {
+    "<": "$<$",
+    ">": "$>$",
+    "^": r"\textasciicircum{}",
+    "~": r"\textasciitilde{}",
+    "$": r"\$",
+}
 
 
 def _latex(text: str) -> str:
     """Escape what LaTeX would misread, outside of mathematics."""
-    parts = text.split("$")
+    parts = _split_at_mathematics(text)
     for outside in range(0, len(parts), 2):
         parts[outside] = "".join(_LATEX.get(letter, letter) for letter in parts[outside])
     return "$".join(parts)
+
+
+def _split_at_mathematics(text: str) -> list[str]:
+    """Words and mathematics in turn; the last of an odd number of dollar signs is one."""
+    parts = text.split("$")
+    if len(parts) % 2 == 0:
+        parts[-2:] = ["$".join(parts[-2:])]
+    return parts

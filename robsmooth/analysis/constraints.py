@@ -33,7 +33,7 @@ from scipy.optimize import minimize
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.tables import facts
+from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop
@@ -102,7 +102,7 @@ class AnalysisBound:
             (r"multipliers $\theta$, s (unit of $w$)²", f"${notation.vector(self.multipliers)}$"),
         ]
         caption = "The worst that the constraints on the uncertainty allow."
-        return facts(rows, caption, digits=5).html()
+        return table_of_values(rows, caption, digits=5).html()
 
 
 @one_thread

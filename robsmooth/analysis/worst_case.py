@@ -27,7 +27,7 @@ from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth._support.tables import Table, facts
+from robsmooth._support.tables import Table, table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.analysis.constraints import analysis_bound
 from robsmooth.analysis.covariance import closed_loop, error_covariance
@@ -92,7 +92,7 @@ class WorstCase:
             (r"$\Delta$ of the worst", f"${notation.matrix(self.Delta)}$"),
         ]
         caption = "Mean square errors, in the squared unit of $w$, and the worst uncertainty."
-        return facts(rows, caption, digits=5).html()
+        return table_of_values(rows, caption, digits=5).html()
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import notation, validation
-from robsmooth._support.tables import facts
+from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.statespace import Blocks
@@ -155,4 +155,4 @@ class Estimator:
         caption = (
             f"{what}: lag ${notation.number(plant.delay)}$ s, delay model of order {plant.order}."
         )
-        return facts([*rows, *shared], caption, digits=6).html()
+        return table_of_values([*rows, *shared], caption, digits=6).html()

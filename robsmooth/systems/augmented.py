@@ -26,7 +26,7 @@ from scipy.linalg import block_diag
 
 from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth._support.tables import facts
+from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.statespace import Blocks
@@ -272,7 +272,7 @@ class AugmentedSystem:
             f"Augmented system: {self.n} states, of which {self.n - self.system.n} model the delay "
             f"of ${notation.number(self.delay)}$ s with order {self.order}."
         )
-        return facts(rows, caption).html()
+        return table_of_values(rows, caption).html()
 
     def _no_columns(self, count: int) -> Matrix:
         return np.zeros((self.system.n, count))

@@ -33,6 +33,7 @@ from tests.helpers.waiting import PATIENCE, wait_until
 NOISY = with_parameters(kappa=4e5)
 RUNS, BLOCKS = 1333, 11  # the last block is not a whole one
 MORE_THREADS = min(numba.config.NUMBA_NUM_THREADS, 2)
+WITH_THE_TESTS = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
 
 each_protocol = pytest.mark.parametrize("protocol", ["paper", "ergodic"])
 
@@ -158,7 +159,7 @@ test_trust.simulate(runs=50_000, checkpoint=sys.argv[1], threads=1)
 """
     with subprocess.Popen(
         [sys.executable, "-c", program, path],
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+        env=WITH_THE_TESTS,
         stdout=subprocess.PIPE,
     ) as process:
         try:
@@ -170,6 +171,21 @@ test_trust.simulate(runs=50_000, checkpoint=sys.argv[1], threads=1)
     resumed = simulate(runs=50_000, checkpoint=path)
     assert simulated[0] > 5
     assert resumed == simulate(runs=50_000)
+
+
+def test_without_fcntl_as_on_windows_a_run_is_checkpointed_and_resumed(path):
+    program = """
+import sys
+sys.modules["fcntl"] = None
+import robsmooth as rs
+from robsmooth.workbench import runner
+from tests.helpers.loops import PARAMETERS, printed_smoother
+for _ in range(2):
+    with runner._alone(runner.Path(sys.argv[1]).parent):
+        rs.monte_carlo(PARAMETERS, printed_smoother(), runs=64, checkpoint=sys.argv[1])
+"""
+    subprocess.run([sys.executable, "-c", program, path], check=True, env=WITH_THE_TESTS)
+    assert records(path) == 1
 
 
 @each_protocol

@@ -1,5 +1,8 @@
 import json
 import os
+import sqlite3
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -58,3 +61,59 @@ def test_json_refuses_what_is_not_finite(tmp_path, value):
 def test_json_names_a_type_it_cannot_write(tmp_path):
     with pytest.raises(TypeError, match="type set has no JSON form"):
         files.write_json(tmp_path / "result.json", {1, 2})
+
+
+# --- a lock ---------------------------------------------------------------------------------------
+
+# Whatever has SQLite can ask for the lock; this starts faster than a program that imports the room.
+LOCK = """
+import sqlite3, sys
+lock = sqlite3.connect(sys.argv[1], timeout=0, isolation_level=None)
+lock.execute("BEGIN EXCLUSIVE")
+print("locked", flush=True)
+sys.stdin.read()
+"""
+
+
+def another_process(path):
+    return subprocess.Popen(
+        [sys.executable, "-c", LOCK, path],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_one_has_the_lock_and_the_file_stays_empty(tmp_path):
+    path = tmp_path / "lock"
+    for _ in range(2):
+        with files.exclusive_lock(path):
+            for _ in range(2):  # being refused in this process takes nothing from the lock
+                with pytest.raises(BlockingIOError), files.exclusive_lock(path):
+                    pass
+                _, refusal = another_process(path).communicate()
+                assert "database is locked" in refusal
+    assert os.listdir(tmp_path) == ["lock"]
+    assert path.read_bytes() == b""
+
+
+def test_a_process_that_is_killed_leaves_the_lock_to_others(tmp_path):
+    path = tmp_path / "lock"
+    with another_process(path) as other:
+        assert other.stdout.readline() == "locked\n"
+        with pytest.raises(BlockingIOError), files.exclusive_lock(path):
+            pass
+        other.kill()
+    with files.exclusive_lock(path):
+        pass
+
+
+def test_a_file_that_cannot_be_locked_is_an_error(tmp_path):
+    with pytest.raises(OSError, match="unable to open"), files.exclusive_lock(tmp_path):
+        pass
+    notes = tmp_path / "notes.txt"
+    notes.write_text("of a user\n")
+    with pytest.raises(sqlite3.DatabaseError), files.exclusive_lock(notes):
+        pass
+    assert notes.read_text() == "of a user\n"

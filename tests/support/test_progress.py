@@ -25,8 +25,8 @@ def without_switches():
     return {name: value for name, value in os.environ.items() if name not in SWITCHES}
 
 
-def said(capture):
-    """What a bar of three steps says."""
+def shown_by_a_bar(capture):
+    """What a bar of three steps shows."""
     assert list(progress_bar(range(3), unit="step")) == [0, 1, 2]
     captured = capture.readouterr()
     assert captured.out == ""
@@ -49,20 +49,20 @@ def test_a_bar_is_shown_in_a_terminal():
 def test_no_bar_where_stderr_is_no_terminal(capfd, monkeypatch):
     for name in SWITCHES:
         monkeypatch.delenv(name, raising=False)
-    assert said(capfd) == ""
+    assert shown_by_a_bar(capfd) == ""
 
 
 @pytest.mark.parametrize("name", SWITCHES)
 @pytest.mark.parametrize("value", ["true", "1"])
 def test_no_bar_where_the_environment_says_so(terminal, monkeypatch, name, value):
     monkeypatch.setenv(name, value)
-    assert said(terminal) == ""
+    assert shown_by_a_bar(terminal) == ""
 
 
 @pytest.mark.parametrize("value", ["", "0", "False"])
 def test_a_bar_where_the_environment_says_no(terminal, monkeypatch, value):
     monkeypatch.setenv("CI", value)
-    assert "3/3" in said(terminal)
+    assert "3/3" in shown_by_a_bar(terminal)
 
 
 def test_a_bar_counts_what_it_is_told(terminal):

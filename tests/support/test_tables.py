@@ -139,6 +139,7 @@ def test_mathematics_is_marked_and_a_lone_dollar_sign_is_none():
     assert r"\(\begin{bmatrix}1 &amp; 2\end{bmatrix}\)" in text
     assert ">5 $<" in text
     assert r"\(a\) or 1 $" in text
+    assert r"$a$ or 1 \$" in table.latex() and r"5 \$" in table.latex()
 
 
 def test_a_table_without_rows_has_its_header():

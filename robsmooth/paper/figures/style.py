@@ -23,7 +23,7 @@ _METADATA = {
 
 _MARKERS = "os^Dvp"
 # What is drawn in several figures looks the same in all of them: its place in the style's cycle.
-_PLACES: dict[str | int, int] = {
+_CYCLE_POSITIONS: dict[str | int, int] = {
     "filtered": 0,
     "NGCF": 0,  # solid blue and broken red, as the paper has them
     "smoothed": 1,
@@ -65,15 +65,16 @@ def styles(names: Iterable[str | int], markers: bool = False) -> list[dict[str, 
     markers : bool
         Whether each has a marker too.
     """
-    looks = [
-        look | {"color": mpl.colors.to_hex(look["color"])}
-        for look in mpl.rcParams["axes.prop_cycle"]
+    cycle = [
+        style | {"color": mpl.colors.to_hex(style["color"])}
+        for style in mpl.rcParams["axes.prop_cycle"]
     ]
     if markers:
-        looks = [look | {"marker": marker} for look, marker in zip(looks, _MARKERS, strict=False)]
-    places = [_PLACES.get(name) for name in names]
-    left = itertools.cycle([place for place in range(len(looks)) if place not in places] or [0])
-    return [looks[next(left) if place is None else place] for place in places]
+        cycle = [style | {"marker": mark} for style, mark in zip(cycle, _MARKERS, strict=False)]
+    positions = [_CYCLE_POSITIONS.get(name) for name in names]
+    free = [position for position in range(len(cycle)) if position not in positions]
+    others = itertools.cycle(free or [0])
+    return [cycle[next(others) if position is None else position] for position in positions]
 
 
 def save_figure(figure: Figure, directory: Path | str, name: str) -> None:
