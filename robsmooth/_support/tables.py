@@ -158,14 +158,8 @@ def _html(text: str) -> str:
     return "".join(parts)
 
 
-_LATEX = {"±": r"$\pm$", "µ": r"$\mu$", "%": r"\%", "&": r"\&", "#": r"\#", "_": r"\_"}
-_LATEX |= {
-    "<": "$<$",
-    ">": "$>$",
-    "^": r"\textasciicircum{}",
-    "~": r"\textasciitilde{}",
-    "$": r"\$",
-}
+_LATEX = {"±": r"$\pm$", "µ": r"$\mu$", "%": r"\%", "&": r"\&", "#": r"\#", "_": r"\_", "$": r"\$"}
+_LATEX |= {"<": "$<$", ">": "$>$", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"}
 
 
 def _latex(text: str) -> str:
