@@ -121,7 +121,7 @@ def test_own_systems_are_predicted_by_their_equivalent_slopes():
 def test_own_system_with_a_detector_is_predicted_with_its_reference():
     design = limiting_smoother(augment(SYSTEM, 3.1e-6, 2), 1.1e-6, [1.0, 0.5, 0.0, 0.0])
     found = simulate(design, runs=64, duration=1e-3)
-    (row,) = tables.own_systems({"the paper's": (design, found)}).rows
+    (row,) = tables.own.own_systems({"the paper's": (design, found)}).rows
     assert row[2] == pytest.approx(found.smoothed.mean_square, rel=0.02)
 
 
