@@ -20,7 +20,7 @@ import numba
 import pytest
 
 import robsmooth as rs
-from robsmooth._support import cluster as executors
+from robsmooth._support import cluster as cluster_module
 from robsmooth._support.checkpoint import CheckpointError
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, run
 from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK, PROTOCOLS, ErgodicSimulation
@@ -276,8 +276,8 @@ def test_a_checkpoint_of_another_estimator_is_refused(path, simulated, matrix):
 def test_a_checkpoint_of_another_version_is_refused(monkeypatch, path, simulated, name):
     simulate(checkpoint=path)
     simulated.clear()
-    other = {**executors.software(), name: "0.0.1"}
-    monkeypatch.setattr(executors, "software", lambda: other)
+    other = {**cluster_module.software(), name: "0.0.1"}
+    monkeypatch.setattr(cluster_module, "software", lambda: other)
     with pytest.raises(CheckpointError, match=rf'software\.{name} is .* there and "0\.0\.1" here'):
         simulate(checkpoint=path)
     assert simulated == []
@@ -315,7 +315,7 @@ def cluster():
 
 @pytest.fixture
 def client(cluster):
-    with executors.connect(cluster.scheduler_address, timeout=PATIENCE) as client:
+    with cluster_module.connect(cluster.scheduler_address, timeout=PATIENCE) as client:
         yield client
 
 
@@ -418,7 +418,7 @@ def test_what_is_no_client_is_refused(simulated):
 
 def test_threads_of_this_machine_and_a_cluster_are_not_asked_for_together(cluster, simulated):
     with (
-        executors.connect(cluster.scheduler_address) as client,
+        cluster_module.connect(cluster.scheduler_address) as client,
         pytest.raises(ValueError, match="give either threads or client, not both"),
     ):
         simulate(client=client, threads=1)
