@@ -93,6 +93,26 @@ def smooth_record(
         Where the smoother's state leaves the range of floats.
     OSError
         Where a file cannot be opened or written.
+
+    See Also
+    --------
+    DiscreteSmoother.run : The same for an array.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> import robsmooth as rs
+    >>> system = rs.UncertainSystem(
+    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
+    ... )
+    >>> smoother = rs.baselines.fixed_lag_smoother(system, delay=0.2, order=2).discretize(0.1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     source, target = Path(folder, "y.npy"), Path(folder, "w.csv")
+    ...     np.save(source, np.zeros((100, 1)))
+    ...     rs.smooth_record(smoother, source, target)
+    100
     """
     validation.instance("smoother", smoother, DiscreteSmoother)
     output = validation.choice("output", output, OUTPUTS)
