@@ -13,15 +13,12 @@ _HOMES = {
     "robsmooth.analysis.covariance": (
         "delta_sweep",
         "error_covariance",
-        "statistical_linearisation",
     ),
-    "robsmooth.analysis.lag": ("LagChoice", "LagSweep", "best_lag", "choose_lag", "lag_sweep"),
-    "robsmooth.analysis.worst_case": (
-        "WorstCase",
-        "WorstDynamicCase",
-        "worst_case",
-        "worst_dynamic_case",
-    ),
+    "robsmooth.analysis.lag": ("LagSweep", "lag_sweep"),
+    "robsmooth.analysis.lag_choice": ("LagChoice", "best_lag", "choose_lag"),
+    "robsmooth.analysis.statistical_linearisation": ("statistical_linearisation",),
+    "robsmooth.analysis.worst_case": ("WorstCase", "worst_case"),
+    "robsmooth.analysis.worst_dynamic_case": ("WorstDynamicCase", "worst_dynamic_case"),
     "robsmooth.estimators.baselines": (),
     "robsmooth.estimators.bound": ("minimize_bound",),
     "robsmooth.estimators.discrete": ("DiscreteSmoother",),
@@ -40,14 +37,13 @@ _HOMES = {
     "robsmooth.io.designs": ("load", "save"),
     "robsmooth.io.records": ("smooth_record",),
     "robsmooth.paper.verdicts": ("verdicts",),
-    "robsmooth.simulation.simulate": (
+    "robsmooth.simulation.results": (
         "InadmissibleWarning",
         "SamplePaths",
         "SimulatedError",
         "SimulationResult",
-        "sample_paths",
-        "simulate",
     ),
+    "robsmooth.simulation.simulate": ("sample_paths", "simulate"),
     "robsmooth.systems.augmented": ("AugmentedSystem", "augment"),
     "robsmooth.systems.system": ("Nonlinearity", "UncertainSystem", "Uncertainty"),
 }

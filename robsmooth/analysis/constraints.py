@@ -36,17 +36,17 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop
+from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop, which_loop
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.delay import pade_delay
 
-_FLOOR = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
-_UNSEEN = 1e-12  # of the largest output there could be: what one has that no noise excites
-_REACH = 14.0  # how far a search goes from its start, in natural logarithms
-_REFUSED = 1e2  # the objective, a logarithm, where the Riccati equation has no solution
-_ROUNDS = 8
-_PROGRESS = 1e-10  # a round that lowers the bound by less, relatively, is the last
-_ON_THE_WAY = 10  # iterations
+_LEAST_START = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
+_LEAST_ENERGY = 1e-12  # of the largest that an output could have: one that no noise excites
+_LARGEST_CHANGE = 14.0  # of a multiplier in one search, in natural logarithms
+_INFEASIBLE = 1e2  # the objective, a logarithm, where the Riccati equation has no solution
+_RESTARTS = 8
+_LEAST_DECREASE = 1e-10  # a search that lowers the bound by less, relatively, is the last
+_CONTINUATION_ITERATIONS = 10  # of the search at a fraction of the uncertainty
 _MULTIPLES = 4.0 ** np.arange(10)  # of theta: the more, the more the uncertainty counts
 _SMALLEST_STEP = 1e-3  # in the fraction of the uncertainty
 
@@ -73,6 +73,21 @@ class AnalysisBound:
         input no energy. Empty where there is no bound.
     feedback : (r + 2g, N) array
         The worst input as a feedback of the states X. Empty where there is no bound.
+
+    See Also
+    --------
+    analysis_bound : Makes it.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
+    >>> bound = rs.analysis_bound(smoother)
+    >>> round(bound.mean_square, 4), round(bound.guarantee, 4)
+    (0.2053, 0.2434)
+    >>> bound.gap < 1e-6  # an admissible input reaches it
+    True
     """
 
     mean_square: float
@@ -109,8 +124,9 @@ class AnalysisBound:
 def analysis_bound(
     smoother: Estimator,
     output: str = "guaranteed",
-    copy_noise: bool = True,
+    loop: str = "theory",
     *,
+    copy_noise: bool | None = None,
     delay_order: int = 10,
 ) -> AnalysisBound:
     """Return the largest error that the constraints on the uncertainty allow an estimator.
@@ -121,8 +137,10 @@ def analysis_bound(
         Any design of this package, robust or not.
     output : {"guaranteed", "filtered", "smoothed"}
         The error, as in `worst_case`.
-    copy_noise : bool
-        Whether the design's fictitious noise drives the copies.
+    loop : {"theory", "real"}
+        Whether the design's fictitious noise drives the copies, as in the theory.
+    copy_noise : bool, optional
+        Another way to say `loop`, also in its place: True for "theory", False for "real".
     delay_order : int
         Pade order of the delay of w where `output` is "smoothed": the true delay has no finite
         state. The result is for that model, whose states follow those of the loop.
@@ -136,17 +154,32 @@ def analysis_bound(
     ValueError, TypeError
         For an argument that is not as described.
 
+    See Also
+    --------
+    worst_case : The worst constant uncertainty, which is no worse.
+    minimize_bound : The design with the least bound V of the paper.
+
     References
     ----------
     I. R. Petersen, V. A. Ugrinovskii and A. V. Savkin, *Robust Control Design Using H-infinity
     Methods*, Springer, 2000, on the S-procedure for stochastic uncertainty constraints.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
+    >>> round(rs.analysis_bound(smoother).mean_square, 4)
+    0.2053
+    >>> round(rs.analysis_bound(smoother, "smoothed", loop="real").mean_square, 4)
+    0.0911
     """
-    loop = open_loop(smoother, output, copy_noise)
+    opened = open_loop(smoother, output, which_loop(loop, copy_noise))
     delay_order = validation.integer("delay_order", delay_order, low=1)
-    if loop.delay > 0.0:
-        loop = _with_delay_model(loop, delay_order)
-    problem = _problem(loop, smoother.plant)
-    fraction, theta = _follow(problem)
+    if opened.delay > 0.0:
+        opened = _with_delay_model(opened, delay_order)
+    problem = _problem(opened, smoother.plant)
+    fraction, theta = _continuation(problem)
     proven = guarantee(smoother, output)
     if fraction < 1.0:
         return AnalysisBound(math.inf, math.nan, fraction, proven, np.empty(0), np.empty((0, 0)))
@@ -221,25 +254,25 @@ class _Problem:
         gain = fraction * np.linalg.solve(np.tensordot(theta, self.M, axes=1), self.inputs.T)
         P = solve_riccati(self.A, self.C.T @ self.C + fraction * weighted, -self.inputs @ gain).X
         feedback = gain @ P
-        spread = solve_continuous_lyapunov(self.A + self.inputs @ feedback, -self.B @ self.B.T)
-        allowed = fraction * np.tensordot(self.N, spread, axes=2)
-        used = np.tensordot(self.M, feedback @ spread @ feedback.T, axes=2) / fraction
+        covariance = solve_continuous_lyapunov(self.A + self.inputs @ feedback, -self.B @ self.B.T)
+        allowed = fraction * np.tensordot(self.N, covariance, axes=2)
+        used = np.tensordot(self.M, feedback @ covariance @ feedback.T, axes=2) / fraction
         return _Point(
             bound=float(np.trace(self.B.T @ P @ self.B)),
             slack=allowed - used,
             feedback=feedback,
         )
 
-    def start(self) -> np.ndarray:
+    def initial_multipliers(self) -> np.ndarray:
         """Return the best theta for a vanishing uncertainty, each constraint by itself."""
         P = solve_continuous_lyapunov(self.A.T, -self.C.T @ self.C)
-        spread = solve_continuous_lyapunov(self.A, -self.B @ self.B.T)
-        reach = np.trace(self.N, axis1=1, axis2=2) * np.trace(spread)
-        allowed = np.maximum(np.tensordot(self.N, spread, axes=2), _UNSEEN * reach)
-        push = self.inputs.T @ P
-        used = np.tensordot(self.M, push @ spread @ push.T, axes=2)
-        nominal = np.tensordot(self.C.T @ self.C, spread, axes=2)
-        return np.sqrt(np.maximum(used, 0.0) / allowed) + _FLOOR * nominal / allowed
+        covariance = solve_continuous_lyapunov(self.A, -self.B @ self.B.T)
+        largest = np.trace(self.N, axis1=1, axis2=2) * np.trace(covariance)
+        allowed = np.maximum(np.tensordot(self.N, covariance, axes=2), _LEAST_ENERGY * largest)
+        sensitivity = self.inputs.T @ P
+        used = np.tensordot(self.M, sensitivity @ covariance @ sensitivity.T, axes=2)
+        nominal = np.tensordot(self.C.T @ self.C, covariance, axes=2)
+        return np.sqrt(np.maximum(used, 0.0) / allowed) + _LEAST_START * nominal / allowed
 
 
 def _problem(loop: OpenLoop, plant: AugmentedSystem) -> _Problem:
@@ -262,21 +295,21 @@ def _problem(loop: OpenLoop, plant: AugmentedSystem) -> _Problem:
     )
 
 
-def _follow(problem: _Problem) -> tuple[float, np.ndarray]:
+def _continuation(problem: _Problem) -> tuple[float, np.ndarray]:
     """Return the largest fraction of the uncertainty that has a bound, at most 1, and its theta.
 
     A good theta for some of the uncertainty, or a multiple of it, gives a bound for a little more.
     """
     if not np.linalg.eigvals(problem.A).real.max() < 0.0:
         return 0.0, np.empty(0)
-    theta, fraction, step = problem.start(), 0.0, 1.0
+    theta, fraction, step = problem.initial_multipliers(), 0.0, 1.0
     while fraction < 1.0 and step > _SMALLEST_STEP:
         trial = min(1.0, fraction + step)
         feasible = _feasible_multiple(problem, theta, trial)
         if feasible is None:
             step /= 2.0
         else:
-            theta = _descend(problem, feasible, trial, iterations=_ON_THE_WAY)
+            theta = _quasi_newton(problem, feasible, trial, iterations=_CONTINUATION_ITERATIONS)
             fraction = trial
     return fraction, theta
 
@@ -295,15 +328,15 @@ def _feasible_multiple(problem: _Problem, theta: np.ndarray, fraction: float) ->
 def _minimise(problem: _Problem, theta: np.ndarray) -> np.ndarray:
     """Return the theta of the least bound: a search started anew until it gains nothing."""
     before = math.inf
-    for _ in range(_ROUNDS):
+    for _ in range(_RESTARTS):
         bound = problem.at(theta).bound
-        if bound > (1.0 - _PROGRESS) * before:
+        if bound > (1.0 - _LEAST_DECREASE) * before:
             break
-        before, theta = bound, _descend(problem, theta)
+        before, theta = bound, _quasi_newton(problem, theta)
     return theta
 
 
-def _descend(
+def _quasi_newton(
     problem: _Problem, theta: np.ndarray, fraction: float = 1.0, iterations: int = 200
 ) -> np.ndarray:
     """Return a theta with a lower bound, by a quasi-Newton search over its logarithm."""
@@ -315,7 +348,7 @@ def _descend(
         try:
             point = problem.at(trial, fraction)
         except RiccatiError:
-            return _REFUSED, np.zeros_like(trial)
+            return _INFEASIBLE, np.zeros_like(trial)
         return math.log(point.bound), point.slack * trial / point.bound
 
     start = np.log(theta)
@@ -324,7 +357,7 @@ def _descend(
         start,
         jac=True,
         method="L-BFGS-B",
-        bounds=list(zip(start - _REACH, start + _REACH, strict=True)),
+        bounds=list(zip(start - _LARGEST_CHANGE, start + _LARGEST_CHANGE, strict=True)),
         options={"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-11},
     )
     return np.exp(result.x) if result.fun <= objective(start)[0] else theta

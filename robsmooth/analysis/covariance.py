@@ -24,32 +24,29 @@ what the state one lag back contributes, and the noise since then (`robsmooth._n
 finds `W` without the subtraction). The state is :math:`[x_p;\; x_p - \hat x_p]`, so that a small
 error is small from the start.
 
-The paper drives the copies with the fictitious noise of the design. A real loop has no such noise:
-`copy_noise=False` leaves it out.
+The paper drives the copies with the fictitious noise of the design: that is ``loop="theory"``. A
+real loop has no such noise: ``loop="real"`` leaves it out.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from robsmooth._numerics import linearisation
 from robsmooth._numerics.lyapunov import check_certainty, covariances
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import Reference, argument_weights, matrices
+from robsmooth.estimators.loop import OUTPUTS, Reference, error_rows, matrices, which_loop
 from robsmooth.systems.augmented import AugmentedSystem
 
-OUTPUTS = ("smoothed", "filtered")
 _BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once
-_ROUNDING = 1e-12  # of eigenvalues, relative to the largest entry
-_FAR = 1e3  # times the variance at the tangent: no statistical linearisation holds there
-_CONVERGED, _ITERATIONS = 1e-13, 1000  # of the slopes of statistical linearisation
+_EIGENVALUE_ERROR = 1e-12  # relative to the largest entry of the matrix
+_NORM_ERROR = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,14 +84,14 @@ class ClosedLoop:
         return _squared(rows @ T, found.stationary)
 
     def error_covariance(self, output: str) -> Matrix:
-        """Return the (m, m) stationary covariance of the smoothed or filtered error."""
+        """Return the (m, m) stationary covariance of one of the errors of `open_loop`."""
         return _error_covariance(self.estimator, self.A, self.B, output)
 
 
 def closed_loop(
     estimator: Estimator,
     Delta: ArrayLike,
-    copy_noise: bool = True,
+    loop: str = "theory",
     allow_inadmissible: bool = False,
     reference: Reference = None,
 ) -> ClosedLoop:
@@ -109,8 +106,8 @@ def closed_loop(
         nonlinearities weighted by their Lipschitz constants. That is necessary to be
         admissible, not sufficient: the bound of a design is for the block-diagonal ones with the
         same slope for a nonlinearity and its copy, which `AugmentedSystem.structured_delta` makes.
-    copy_noise : bool
-        Whether the design's fictitious noise drives the copies of the nonlinearities.
+    loop : {"theory", "real"}
+        Whether the design's fictitious noise drives the copies, as in the paper's formula.
     allow_inadmissible : bool
         Whether a Delta with norm above one is let through.
     reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
@@ -138,7 +135,7 @@ def closed_loop(
     Delta = validation.matrix("Delta", Delta, shape)
     if not allow_inadmissible:
         _check_norm(_norm(plant, Delta))
-    A, B = _loop(estimator, Delta, copy_noise, reference)
+    A, B = _closed(estimator, Delta, loop, reference)
     _check_stability(A)
     return ClosedLoop(A, B, estimator)
 
@@ -152,7 +149,7 @@ def _norm(plant: AugmentedSystem, Delta: Matrix) -> float:
 
 
 def _check_norm(norm: float) -> None:
-    if norm > 1.0 + 1e-12:
+    if norm > 1.0 + _NORM_ERROR:
         raise ValueError(
             f"Delta must have norm at most 1 to be admissible, got {norm:.6g} (columns of "
             "nonlinearities count divided by their Lipschitz constants); "
@@ -163,17 +160,17 @@ def _check_norm(norm: float) -> None:
 def _check_stability(A: Matrix) -> None:
     """Refuse a loop that is clearly unstable; what rounding hides, its covariance will tell."""
     abscissa = np.linalg.eigvals(A).real.max()
-    if not abscissa < _ROUNDING * np.abs(A).max():
+    if not abscissa < _EIGENVALUE_ERROR * np.abs(A).max():
         raise UnstableLoopError(
             f"the closed loop is not stable: it has an eigenvalue with real part {abscissa:.4g} 1/s"
         )
 
 
-def _loop(
-    estimator: Estimator, Delta: Matrix, copy_noise: bool, reference: Reference = None
+def _closed(
+    estimator: Estimator, Delta: Matrix, loop: str, reference: Reference = None
 ) -> tuple[Matrix, Matrix]:
     """Return A and B of (eqclosed), for one Delta or (N, ., .) of them."""
-    A, B, inputs, outputs = matrices(estimator, copy_noise, reference)
+    A, B, inputs, outputs = matrices(estimator, loop, reference)
     return A + inputs @ Delta @ outputs, B
 
 
@@ -187,12 +184,10 @@ def _error_coordinates(estimator: Estimator) -> Matrix:
 
 def _error_covariance(estimator: Estimator, A: Matrix, B: Matrix, output: str) -> Matrix:
     """Return the (..., m, m) error covariance of one loop, or of many with drifts A."""
-    plant, T = estimator.plant, _error_coordinates(estimator)
-    estimate = estimator.C_a if output == "smoothed" else estimator.C_f
-    truth = np.hstack([plant.C_p0, np.zeros_like(estimate)]) @ T
-    estimate = np.hstack([np.zeros_like(plant.C_p0), estimate]) @ T
-    B = T @ B
-    found = covariances(T @ A @ T, B, plant.delay if output == "smoothed" else 0.0)
+    T = _error_coordinates(estimator)
+    truth, estimate, delay = error_rows(estimator, output)
+    truth, estimate = truth @ T, estimate @ T
+    found = covariances(T @ A @ T, T @ B, delay)
     E, error = found.transition, found.error
     past = truth - estimate @ E
     result = _squared(past, found.stationary) + _squared(estimate, found.grown)
@@ -213,9 +208,11 @@ def error_covariance(
     smoother: Estimator,
     Delta: ArrayLike,
     output: str = "smoothed",
-    copy_noise: bool = True,
+    loop: str = "theory",
     allow_inadmissible: bool = False,
     reference: Reference = None,
+    *,
+    copy_noise: bool | None = None,
 ) -> Matrix:
     r"""Return the stationary error covariance under a constant uncertainty.
 
@@ -225,15 +222,18 @@ def error_covariance(
         Any design of this package.
     Delta : (r + 2g, h + 2g) array
         :math:`\tilde\xi = \Delta\tilde\zeta`, of norm at most one, as in `closed_loop`.
-    output : {"smoothed", "filtered"}
-        The error of the smoothed estimate one lag back, or of the filtered one now.
-    copy_noise : bool
+    output : {"smoothed", "filtered", "guaranteed"}
+        The error of the smoothed estimate one lag back, of the filtered one now, or that which the
+        bound of a `RobustSmoother` is for, as in `worst_case`.
+    loop : {"theory", "real"}
         Whether the design's fictitious noise drives the copies, as in the paper's formula.
     allow_inadmissible : bool
         Whether a Delta with norm above one is let through.
     reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
         What is taken off the nonlinearities' arguments, as in `simulate`. The paper's formula has
         no reference.
+    copy_noise : bool, optional
+        Another way to say `loop`, also in its place: True for "theory", False for "real".
 
     Returns
     -------
@@ -249,13 +249,31 @@ def error_covariance(
     ValueError, TypeError
         For a Delta of the wrong shape or with norm above one, or an unknown output.
 
+    See Also
+    --------
+    delta_sweep : The same for many slopes of the nonlinearities.
+    worst_case : The constant uncertainty with the largest error.
+    analysis_bound : A bound for every admissible uncertainty.
+
     References
     ----------
     Section III-A, equation (eqCo).
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
+    >>> Delta = plant.structured_delta([], [-0.5])
+    >>> rs.error_covariance(smoother, Delta).round(4)
+    array([[0.0976]])
+    >>> rs.error_covariance(smoother, Delta, loop="real").round(4)
+    array([[0.0609]])
     """
-    output = validation.choice("output", output, OUTPUTS)
-    loop = closed_loop(smoother, Delta, copy_noise, allow_inadmissible, reference)
-    return loop.error_covariance(output)
+    validation.choice("output", output, OUTPUTS)
+    loop = which_loop(loop, copy_noise)
+    closed = closed_loop(smoother, Delta, loop, allow_inadmissible, reference)
+    return closed.error_covariance(output)
 
 
 @one_thread
@@ -263,7 +281,7 @@ def delta_sweep(
     smoother: Estimator,
     nonlinearities: Iterable[float],
     output: str = "smoothed",
-    copy_noise: bool = True,
+    loop: str = "theory",
 ) -> NDArray[np.float64]:
     """Return the error covariance for each slope of the nonlinearities, as in Fig. 4.
 
@@ -274,7 +292,7 @@ def delta_sweep(
     nonlinearities : (N,) array
         The paper's Delta_2 in [-1, 1], the same for every nonlinearity and its copy; the
         uncertainties are zero.
-    output, copy_noise
+    output, loop
         As in `error_covariance`.
 
     Returns
@@ -285,10 +303,23 @@ def delta_sweep(
     ------
     UnstableLoopError, ArithmeticError, ValueError, TypeError
         As `error_covariance`, where it would at any of them.
+
+    See Also
+    --------
+    error_covariance : The same for any one uncertainty.
+    worst_case : The constant uncertainty with the largest error.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
+    >>> rs.delta_sweep(smoother, [-1.0, 0.0, 1.0], "filtered")[:, 0, 0].round(4)
+    array([0.2053, 0.1248, 0.0897])
     """
     validation.instance("smoother", smoother, Estimator)
     slopes = validation.array("nonlinearities", nonlinearities, ndim=1)
-    output = validation.choice("output", output, OUTPUTS)
+    validation.choice("output", output, OUTPUTS)
     plant = smoother.plant
     pattern = plant.structured_delta((), [1.0] * plant.system.g)
     _check_norm(_norm(plant, pattern) * np.abs(slopes).max(initial=0.0))
@@ -296,111 +327,7 @@ def delta_sweep(
     chunk = max(_BATCH // (plant.n + len(smoother.A_c)) ** 2, 1)
     for start in range(0, slopes.size, chunk):
         some = slice(start, start + chunk)
-        A, B = _loop(smoother, slopes[some, None, None] * pattern, copy_noise)
+        A, B = _closed(smoother, slopes[some, None, None] * pattern, loop)
         _check_stability(A)
         result[some] = _error_covariance(smoother, A, B, output)
     return result
-
-
-@dataclass(frozen=True)
-class StatisticalLinearisation:
-    """The stationary nonlinear loop, each nonlinearity replaced by its equivalent gain.
-
-    Attributes
-    ----------
-    slope : float
-        The equivalent Delta_2 of the nonlinearity.
-    filtered, smoothed : float
-        Mean square errors, in the squared unit of w.
-    copy_slope : float
-        The equivalent Delta_2 of the estimator's copy of the nonlinearity.
-    """
-
-    slope: float
-    filtered: float
-    smoothed: float
-    copy_slope: float
-
-
-@one_thread
-def statistical_linearisation(
-    smoother: Estimator,
-    equivalent_slope: Callable[[float], float],
-    reference: Reference = "system",
-) -> StatisticalLinearisation:
-    r"""Predict the errors of the nonlinear loop, from slopes that belong to its own variances.
-
-    The nonlinearity, and the copy of it, are replaced by slopes that depend on the variances of
-    their arguments, which are those of the linear loop with these slopes
-    (`robsmooth._numerics.linearisation` iterates). In the homodyne loop the argument is the
-    filtered error, of variance P = P(slope(P)).
-
-    Parameters
-    ----------
-    smoother : Estimator
-        A design for a plant with one output and one nonlinearity, of a multiple of it.
-    equivalent_slope : callable
-        Maps the variance of the argument, in the squared unit of w, to the nonlinearity's
-        equivalent Delta_2. For the homodyne loop `HomodyneParameters.equivalent_slope`: the
-        Gaussian mean of the slope of :math:`\sin e` is :math:`e^{-P/2}`.
-    reference : {"system", "filtered", "smoothed"}, (1, n_c) array or None
-        What is taken off the argument, as in `simulate`.
-
-    Returns
-    -------
-    StatisticalLinearisation
-
-    Raises
-    ------
-    UnstableLoopError
-        Where no self-consistent variance exists: the linearised loop loses lock.
-    ValueError, TypeError
-        For another kind of plant or reference, or an `equivalent_slope` that is not callable or
-        does not return a finite number.
-    """
-    validation.instance("smoother", smoother, Estimator)
-    plant = smoother.plant
-    if plant.system.m != 1 or plant.system.g != 1:
-        raise ValueError(
-            "statistical linearisation takes one output and one nonlinearity, got "
-            f"m={plant.system.m} and g={plant.system.g}"
-        )
-    unit = argument_weights(plant.system, 0)
-    if unit is None or not unit.any():
-        raise ValueError(
-            "the argument of nonlinearities[0] must be a multiple of the output w, whose units "
-            f"equivalent_slope takes: got C = {plant.system.nonlinearities[0].C[0]} and "
-            f"C0 = {plant.system.C0[0]}"
-        )
-    if not callable(equivalent_slope):
-        raise TypeError(f"equivalent_slope must be callable, got {equivalent_slope!r}")
-
-    def slopes(variances: Matrix) -> Matrix:
-        return np.array(
-            [
-                validation.real("equivalent_slope of a variance", equivalent_slope(float(variance)))
-                for variance in variances
-            ]
-        )
-
-    def loop(slopes: Matrix) -> ClosedLoop:
-        Delta = plant.structured_delta((), [0.0])
-        Delta[-2:, -2:] = np.diag(slopes)
-        return closed_loop(smoother, Delta, False, allow_inadmissible=True, reference=reference)
-
-    arguments = matrices(smoother, False, reference)[3][-2:] / unit
-
-    def variances(slopes: Matrix) -> Matrix:
-        return np.maximum(np.diag(loop(slopes).covariance_of(arguments)), 0.0)
-
-    start = slopes(np.zeros(2))
-    found = linearisation.equivalent_slopes(
-        start,
-        variances,
-        slopes,
-        tolerance=_CONVERGED,
-        iterations=_ITERATIONS,
-        largest=_FAR * variances(start).max(),
-    )
-    errors = {name: float(loop(found).error_covariance(name)[0, 0]) for name in OUTPUTS}
-    return StatisticalLinearisation(slope=float(found[0]), copy_slope=float(found[1]), **errors)

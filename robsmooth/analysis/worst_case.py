@@ -1,50 +1,25 @@
-r"""The worst uncertainty of a design, constant or depending on frequency, against its bound.
+"""The worst constant uncertainty of an estimator, against the bound of its design.
 
 Admissible here is what satisfies the constraints at every moment or every frequency: blocks of norm
 at most one for the uncertainties, and for each nonlinearity a slope within its Lipschitz constant,
-the same for its copy. A projected gradient search climbs from several starts; its projection cuts
-singular values at one.
-
-A :math:`\Delta(j\omega)` may be different at every frequency. The mean square error
-
-.. math:: \frac{1}{2\pi}\int \max_{\Delta} \lVert T_e(j\omega; \Delta)\rVert_F^2\,d\omega
-
-takes the worst at each, and is above that of every linear time-invariant uncertainty. (The norm is
-subharmonic in :math:`\Delta`, so that the worst lies on the boundary: slopes become phases.) But
-what is worst at every frequency need not be causal. It then knows the noise to come, which the
-theory's uncertainties do not, and no theorem has it below a design's bound. The exact worst case of
-causal uncertainties is in `robsmooth.analysis.constraints`.
+the same for its copy. A projected gradient search finds the worst of them, from several starts.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.integrate import trapezoid
 from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
 
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.errors import UnstableLoopError
-from robsmooth._support.tables import Table, table_of_values
+from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.analysis.constraints import analysis_bound
-from robsmooth.analysis.covariance import closed_loop, error_covariance
+from robsmooth.analysis.covariance import error_covariance
+from robsmooth.analysis.projected_gradient import initial_deltas, projected_gradient
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop
 
-Evaluation = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-
-_ITERATIONS = 200
-_LONGEST, _SHORTEST = 1e3, 1e-9  # steps of the search, relative to the unit ball
-_PROGRESS = 1e-13  # a step that gains less, relatively, is a quiet one, and so is a loss of less
-_QUIET = 3  # after so many quiet steps in a row the search is over
 _MARGINAL = 1e-12  # a loop whose slowest mode decays by less, relative to the fastest, is unstable
-_DECADES = 4  # how far the frequencies go beyond the slowest and the fastest mode
-_POINTS = 200  # frequencies to begin with
-_DOUBLINGS = 6
-_QUADRATURE = 1e-4  # relative
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +37,21 @@ class WorstCase:
         The same without uncertainty.
     guarantee : float or None
         Twice the bound V of the design, where that is for this error.
+
+    See Also
+    --------
+    worst_case : Makes it.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
+    >>> worst = rs.worst_case(smoother, "filtered")
+    >>> bool(worst.nominal < worst.mean_square < worst.guarantee)
+    True
+    >>> round(worst.tightness, 3)
+    0.844
     """
 
     Delta: Matrix
@@ -69,7 +59,7 @@ class WorstCase:
     nominal: float
     guarantee: float | None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         frozen(self.Delta)
 
     @property
@@ -95,59 +85,11 @@ class WorstCase:
         return table_of_values(rows, caption, digits=5).html()
 
 
-@dataclass(frozen=True, eq=False)
-class WorstDynamicCase:
-    r"""The worst uncertainty at every frequency.
-
-    Attributes
-    ----------
-    mean_square : float
-        No linear time-invariant uncertainty has a larger mean square error (in the squared unit of
-        w), as far as the search at each frequency found the worst.
-    constant : WorstCase
-        The worst constant uncertainty.
-    frequencies : (F,) array
-        Angular frequencies, rad/s, evenly spaced in their logarithm.
-    Delta : (F, r + 2g, h + 2g) array
-        The worst uncertainty, complex.
-    spectra : (3, F) array
-        :math:`\lVert T_e\rVert_F^2` without uncertainty, under the worst constant one and under
-        `Delta`, in the squared unit of w times seconds. The integral over positive frequencies,
-        divided by pi, is the mean square error.
-    """
-
-    mean_square: float
-    constant: WorstCase
-    frequencies: NDArray[np.float64]
-    Delta: NDArray[np.complex128]
-    spectra: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        for value in (self.frequencies, self.Delta, self.spectra):
-            frozen(value)
-
-    def __repr__(self) -> str:
-        return f"WorstDynamicCase(mean_square={self.mean_square:.5g}, constant={self.constant})"
-
-    def _repr_html_(self) -> str:
-        low, high = (notation.number(end, 3) for end in self.frequencies[[0, -1]])
-        rows = [
-            ("none", self.constant.nominal),
-            ("worst constant", self.constant.mean_square),
-            ("worst at every frequency", self.mean_square),
-        ]
-        caption = (
-            f"Mean square errors, in the squared unit of $w$, from {len(self.frequencies)} "
-            f"frequencies between ${low}$ and ${high}$ rad/s."
-        )
-        return Table(("uncertainty", "mean square error"), rows, caption, digits=5).html()
-
-
 @one_thread
 def worst_case(
     smoother: Estimator,
     output: str = "smoothed",
-    copy_noise: bool = True,
+    loop: str = "theory",
     *,
     starts: int = 16,
     seed: int = 0,
@@ -162,7 +104,7 @@ def worst_case(
         The error of the smoothed estimate one lag back, of the filtered one now, or that which the
         bound of a `RobustSmoother` is for: the filtered one where its cost is, and else the error
         of w-hat against the output of the delay model.
-    copy_noise : bool
+    loop : {"theory", "real"}
         Whether the design's fictitious noise drives the copies, as in `error_covariance`.
     starts : int
         Number of corners of the admissible set to start from, besides its centre.
@@ -178,23 +120,32 @@ def worst_case(
     ------
     ValueError, TypeError
         For an argument that is not as described.
+
+    See Also
+    --------
+    worst_dynamic_case : The worst uncertainty at every frequency.
+    analysis_bound : A bound for every admissible uncertainty, constant or not.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
+    >>> rs.worst_case(smoother, "filtered")
+    WorstCase(mean_square=0.20529, nominal=0.12483, guarantee=0.24338, tightness=0.844)
     """
-    loop = open_loop(smoother, output, copy_noise)
+    opened = open_loop(smoother, output, loop)
     starts = validation.integer("starts", starts, low=1)
     seed = validation.integer("seed", seed, low=0)
-    entries = sum(rows * columns for rows, columns in (block.shape for block in loop.blocks))
-    corners = _starts(loop, min(starts, 2**entries), seed, float)
-    values, Delta = _climb(loop, corners, lambda Delta, _: _errors(loop, Delta))
+    entries = sum(rows * columns for rows, columns in (block.shape for block in opened.blocks))
+    starting = initial_deltas(opened, min(starts, 2**entries), seed, float)
+    values, Delta = projected_gradient(opened, starting, lambda Delta, _: _errors(opened, Delta))
     best = int(values.argmax())
 
     def mean_square(Delta: Matrix) -> float:
-        if not np.isfinite(_error(loop, Delta)[0]):
+        if not np.isfinite(mean_square_and_gradient(opened, Delta)[0]):
             return np.inf
-        if output != "guaranteed":
-            return float(np.trace(error_covariance(smoother, Delta, output, copy_noise)))
-        P = closed_loop(smoother, Delta, copy_noise).covariance()
-        error = loop.truth - loop.estimate
-        return float(np.trace(error @ P @ error.T))
+        return float(np.trace(error_covariance(smoother, Delta, output, loop)))
 
     return WorstCase(
         Delta=Delta[best],
@@ -204,135 +155,13 @@ def worst_case(
     )
 
 
-@one_thread
-def worst_dynamic_case(
-    smoother: Estimator,
-    output: str = "smoothed",
-    copy_noise: bool = True,
-    *,
-    starts: int = 8,
-    seed: int = 0,
-) -> WorstDynamicCase:
-    """Find the worst uncertainty at every frequency, and the integral of the error's spectrum.
-
-    Parameters
-    ----------
-    smoother : Estimator
-        Any design of this package whose loop multipliers prove stable.
-    output, copy_noise
-        As in `worst_case`.
-    starts : int
-        Number of random corners to start from at every frequency, besides the worst constant
-        uncertainty and what is worst beside it.
-    seed : int
-        Of the corners.
-
-    Returns
-    -------
-    WorstDynamicCase
-
-    Raises
-    ------
-    UnstableLoopError
-        Where no multipliers prove the loop stable under all uncertainties: the maximum could be
-        infinite.
-    ArithmeticError
-        Where the integral does not converge, or without uncertainty and under the worst constant
-        one does not agree with the Lyapunov equation.
-    ValueError, TypeError
-        For an argument that is not as described.
-    """
-    loop = open_loop(smoother, output, copy_noise)
-    starts = validation.integer("starts", starts, low=1)
-    constant = worst_case(smoother, output, copy_noise, seed=seed)
-    fraction = analysis_bound(smoother, output, copy_noise).fraction
-    if fraction < 1.0:
-        raise UnstableLoopError(
-            "no multipliers prove the loop stable under every uncertainty; they do with the "
-            f"uncertainty outputs scaled by {fraction:.3g}"
-        )
-    omega = _frequencies(loop)
-    corners = np.concatenate([constant.Delta[None], _starts(loop, starts, seed, complex)])
-    Delta = np.broadcast_to(corners, (len(omega), *corners.shape))
-    before = np.inf
-    for _ in range(_DOUBLINGS):
-        spectra, Delta = _spectra(loop, omega, constant.Delta, Delta)
-        nominal, fixed, worst = (_integral(omega, spectrum) for spectrum in spectra)
-        known = (constant.nominal, constant.mean_square, before)
-        if np.allclose((nominal, fixed, worst), known, rtol=_QUADRATURE, atol=0.0):
-            return WorstDynamicCase(worst, constant, omega, Delta, spectra)
-        before, omega = worst, np.geomspace(omega[0], omega[-1], 2 * len(omega) - 1)
-        Delta = np.repeat(Delta, 2, axis=0)[:-1, None]  # between two frequencies: as at the lower
-    raise ArithmeticError(
-        f"the integrals over {len(omega)} frequencies, {nominal:.6g} without uncertainty, "
-        f"{fixed:.6g} under the worst constant one and {worst:.6g} under the worst at each, are "
-        f"not close enough to {known[0]:.6g}, {known[1]:.6g} and, with half as many, {known[2]:.6g}"
-    )
-
-
-def _starts(loop: OpenLoop, count: int, seed: int, kind: type) -> np.ndarray:
-    """Return Delta zero, then random corners and their negatives, at least `count` of these."""
-    rng = np.random.default_rng(seed)
-    half = (count + 1) // 2
-    blocks = []
-    for block in loop.blocks:
-        drawn = rng.standard_normal((half, *block.shape))
-        if kind is complex:
-            drawn = drawn + 1j * rng.standard_normal(drawn.shape)
-        U, _, V = np.linalg.svd(drawn, full_matrices=False)
-        corner = U @ V
-        blocks.append(np.concatenate([np.zeros_like(corner[:1]), corner, -corner]))
-    return loop.assemble(blocks, (1 + 2 * half,)).astype(kind)
-
-
-def _climb(
-    loop: OpenLoop, Delta: np.ndarray, evaluate: Evaluation
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return what a projected gradient search reaches from each of the given Delta, and where.
-
-    `evaluate` returns values, and gradients with respect to Delta, of those Delta whose indices it
-    is given too. A value that is infinite ends the search.
-    """
-    index = np.arange(len(Delta))
-    values, gradients = evaluate(Delta, index)
-    Delta, steps, quiet = Delta.copy(), np.ones(len(Delta)), np.zeros(len(Delta), int)
-    for _ in range(_ITERATIONS):
-        live = index[(quiet < _QUIET) & (steps > _SHORTEST)]
-        if not live.size or np.isinf(values).any():
-            break
-        trial = _step(loop, Delta[live], gradients[live], steps[live])
-        found, slopes = evaluate(trial, live)
-        gained = found - values[live] > _PROGRESS * values[live]
-        better = found - values[live] >= -_PROGRESS * values[live]
-        quiet[live] = np.where(better & ~gained, quiet[live] + 1, 0)
-        steps[live] = np.where(better, np.minimum(3 * steps[live], _LONGEST), steps[live] / 4)
-        moved = live[better]
-        Delta[moved], values[moved] = trial[better], found[better]
-        gradients[moved] = slopes[better]
-    return values, Delta
-
-
-def _step(
-    loop: OpenLoop, Delta: np.ndarray, gradients: np.ndarray, steps: np.ndarray
-) -> np.ndarray:
-    """Step along the gradient, each block by itself, and cut singular values at one."""
-    blocks = []
-    for value, gradient in zip(loop.disassemble(Delta), loop.in_blocks(gradients), strict=True):
-        size = np.linalg.norm(gradient, axis=(-2, -1), keepdims=True)
-        size[size == 0.0] = 1.0
-        beyond = value + steps[:, None, None] * gradient / size
-        U, scales, V = np.linalg.svd(beyond, full_matrices=False)
-        blocks.append(U * np.minimum(scales, 1.0)[:, None, :] @ V)
-    return loop.assemble(blocks, (len(Delta),))
-
-
 def _errors(loop: OpenLoop, Delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return mean square errors and their gradients for constant uncertainties."""
-    values, gradients = zip(*(_error(loop, each) for each in Delta), strict=True)
+    values, gradients = zip(*(mean_square_and_gradient(loop, each) for each in Delta), strict=True)
     return np.array(values), np.array(gradients)
 
 
-def _error(loop: OpenLoop, Delta: Matrix) -> tuple[float, Matrix]:
+def mean_square_and_gradient(loop: OpenLoop, Delta: Matrix) -> tuple[float, Matrix]:
     """Return the mean square error and its gradient by the adjoint Lyapunov equation."""
     A = loop.A + loop.inputs @ Delta @ loop.outputs
     poles = np.linalg.eigvals(A)
@@ -340,75 +169,13 @@ def _error(loop: OpenLoop, Delta: Matrix) -> tuple[float, Matrix]:
         return np.inf, np.zeros_like(Delta)
     P = solve_continuous_lyapunov(A, -loop.B @ loop.B.T)
     truth, estimate, delay = loop.truth, loop.estimate, loop.delay
-    ahead = estimate @ expm(delay * A)  # the mean estimate, one lag from now
-    cross = ahead @ P @ truth.T
+    estimate_after_lag = estimate @ expm(delay * A)  # its mean, given the state now
+    cross = estimate_after_lag @ P @ truth.T
     value = np.trace(truth @ P @ truth.T - 2 * cross + estimate @ P @ estimate.T)
-    mixed = truth.T @ ahead
+    mixed = truth.T @ estimate_after_lag
     weight = truth.T @ truth + estimate.T @ estimate - mixed - mixed.T
     gradient = 2 * solve_continuous_lyapunov(A.T, -weight) @ P
     if delay > 0.0:
         through = expm_frechet(delay * A.T, estimate.T @ truth @ P, compute_expm=False)
         gradient -= 2 * delay * through
     return float(value), loop.inputs.T @ gradient @ loop.outputs.T
-
-
-def _frequencies(loop: OpenLoop) -> np.ndarray:
-    """Return frequencies around all modes of the nominal loop, beyond which spectra are powers."""
-    modes = np.abs(np.linalg.eigvals(loop.A))
-    reach = 10.0**_DECADES
-    return np.geomspace(modes.min() / reach, modes.max() * reach, _POINTS)
-
-
-def _integral(omega: np.ndarray, spectrum: np.ndarray) -> float:
-    """Return the integral over all frequencies, divided by 2 pi.
-
-    A spectrum is constant below the given frequencies, and falls with their square above.
-    """
-    inside = trapezoid(omega * spectrum, np.log(omega))
-    return float((omega[0] * spectrum[0] + inside + omega[-1] * spectrum[-1]) / np.pi)
-
-
-def _spectra(
-    loop: OpenLoop, omega: np.ndarray, constant: Matrix, starts: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return nominal, constant and worst spectrum, and the worst Delta at every frequency."""
-    s = 1j * omega[:, None, None]
-    driven = np.hstack([loop.B, loop.inputs]).astype(complex)
-    states = np.linalg.solve(s * np.eye(len(loop.A)) - loop.A, driven[None])
-    error = (loop.truth * np.exp(-s * loop.delay) - loop.estimate) @ states
-    zeta = loop.outputs @ states
-    noises = loop.B.shape[1]
-    error_W, error_xi = error[..., :noises], error[..., noises:]
-    zeta_W, zeta_xi = zeta[..., :noises], zeta[..., noises:]
-
-    def evaluate(Delta: np.ndarray, where: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return |T_e|^2 and its gradient at the frequencies with the given numbers."""
-        loops = np.linalg.inv(np.eye(Delta.shape[-1]) - zeta_xi[where] @ Delta)
-        signal = loops @ zeta_W[where]  # zeta under this Delta
-        through = error_xi[where] @ (np.eye(Delta.shape[-2]) + Delta @ loops @ zeta_xi[where])
-        T = error_W[where] + error_xi[where] @ Delta @ signal
-        gradient = _adjoint(through) @ T @ _adjoint(signal)
-        return (np.abs(T) ** 2).sum(axis=(1, 2)), gradient
-
-    def climb(starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the best that is reached at each frequency from its starts."""
-        each = starts.shape[1]
-        where = np.repeat(np.arange(len(omega)), each)
-        values, found = _climb(
-            loop, starts.reshape(-1, *starts.shape[2:]), lambda D, i: evaluate(D, where[i])
-        )
-        values = values.reshape(-1, each)
-        best = values.argmax(axis=1)
-        numbers = np.arange(len(omega))
-        return values[numbers, best], found.reshape(starts.shape)[numbers, best]
-
-    worst, Delta = climb(starts)
-    beside = np.stack([Delta, np.roll(Delta, 1, axis=0), np.roll(Delta, -1, axis=0)], axis=1)
-    worst, Delta = climb(beside)
-    everywhere = np.arange(len(omega))
-    fixed = [np.broadcast_to(D, Delta.shape) for D in (np.zeros_like(constant), constant)]
-    return np.array([*(evaluate(D, everywhere)[0] for D in fixed), worst]), Delta
-
-
-def _adjoint(matrices: np.ndarray) -> np.ndarray:
-    return matrices.conj().swapaxes(-1, -2)

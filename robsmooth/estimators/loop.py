@@ -27,8 +27,9 @@ from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.systems.system import REFERENCES, UncertainSystem
 
 OUTPUTS = ("smoothed", "filtered", "guaranteed")
+LOOPS = ("theory", "real")  # the copies are driven by the design's fictitious noise, or by none
 Reference = str | ArrayLike | None
-_ROUNDING = 1e-9  # of a row, relative: a combination of others to that is one
+_COMBINATION_TOLERANCE = 1e-9  # a row that is a combination of others to that, relative, is one
 
 
 @dataclass(frozen=True)
@@ -100,20 +101,30 @@ class OpenLoop:
         ]
 
 
+def which_loop(loop: str, copy_noise: bool | None = None) -> str:
+    """Return "theory" or "real"; True and False, of `copy_noise` or in its place, mean these."""
+    if copy_noise is not None:
+        loop = validation.boolean("copy_noise", copy_noise)
+    if isinstance(loop, bool | np.bool_):
+        return "theory" if loop else "real"
+    return validation.choice("loop", loop, LOOPS)
+
+
 def matrices(
-    estimator: Estimator, copy_noise: bool, reference: Reference = None
+    estimator: Estimator, loop: str, reference: Reference = None
 ) -> tuple[Matrix, Matrix, Matrix, Matrix]:
     """Return drift, noise intensity, inputs and outputs of the loop, as `OpenLoop` has them.
 
     The outputs are less a reference, as `reference_outputs` has it.
     """
+    validation.choice("loop", loop, LOOPS)
     plant, gain = estimator.plant, estimator.B_c
     noise = plant.D21_bar.copy()
-    if not copy_noise:
+    if loop == "real":
         noise[plant.system.l :] = 0.0
-    beside = np.zeros((plant.n, len(estimator.A_c)))
+    none = np.zeros((plant.n, len(estimator.A_c)))
     return (
-        np.block([[plant.A_p, beside], [gain @ plant.C2_tilde, estimator.A_c]]),
+        np.block([[plant.A_p, none], [gain @ plant.C2_tilde, estimator.A_c]]),
         np.vstack([plant.B_p1, gain @ noise]),
         np.vstack([plant.B1_tilde, gain @ plant.D21_tilde]),
         np.hstack(
@@ -185,32 +196,26 @@ def argument_weights(system: UncertainSystem, index: int) -> Matrix | None:
     outputs[outputs == 0.0] = 1.0
     scaled, target = C / states / outputs[:, None], target / states
     weights = np.linalg.lstsq(scaled.T, target, rcond=None)[0]
-    if np.abs(weights @ scaled - target).max() > _ROUNDING * np.abs(target).max():
+    if np.abs(weights @ scaled - target).max() > _COMBINATION_TOLERANCE * np.abs(target).max():
         return None
     return weights / outputs
 
 
-def open_loop(smoother: Estimator, output: str, copy_noise: bool) -> OpenLoop:
-    """Take the uncertainty out of the loop of an estimator and its plant.
+def error_rows(smoother: Estimator, output: str) -> tuple[Matrix, Matrix, float]:
+    """Return truth, estimate and delay of an error, as `OpenLoop` has them.
 
     Parameters
     ----------
     smoother : Estimator
-        Any design of this package.
     output : {"smoothed", "filtered", "guaranteed"}
-        The error of the smoothed estimate one lag back, of the filtered one now, or that of w-hat
-        which the bound of a `RobustSmoother` is for: it is the filtered one where the cost is, and
-        else w-hat's error against the output of the delay model.
-    copy_noise : bool
-        Whether the design's fictitious noise drives the copies.
+        As in `open_loop`.
 
-    Returns
-    -------
-    OpenLoop
+    Raises
+    ------
+    ValueError
+        For another output, or "guaranteed" where the estimator has no bound.
     """
-    validation.instance("smoother", smoother, Estimator)
-    output = validation.choice("output", output, OUTPUTS)
-    copy_noise = validation.boolean("copy_noise", copy_noise)
+    validation.choice("output", output, OUTPUTS)
     plant = smoother.plant
     truth, estimate, delay = plant.C_p0, smoother.C_a, plant.delay
     if output != "smoothed":
@@ -223,14 +228,41 @@ def open_loop(smoother: Estimator, output: str, copy_noise: bool) -> OpenLoop:
             )
         truth = plant.C_p0 if smoother.cost == "filtered" else plant.C_a
         estimate = smoother.C_c[: plant.system.m]
-    A, B, inputs, outputs = matrices(smoother, copy_noise)
+    truth, estimate = (
+        np.hstack([truth, np.zeros_like(estimate)]),
+        np.hstack([np.zeros_like(truth), estimate]),
+    )
+    return truth, estimate, delay
+
+
+def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
+    """Take the uncertainty out of the loop of an estimator and its plant.
+
+    Parameters
+    ----------
+    smoother : Estimator
+        Any design of this package.
+    output : {"smoothed", "filtered", "guaranteed"}
+        The error of the smoothed estimate one lag back, of the filtered one now, or that of w-hat
+        which the bound of a `RobustSmoother` is for: it is the filtered one where the cost is, and
+        else w-hat's error against the output of the delay model.
+    loop : {"theory", "real"}
+        Whether the design's fictitious noise drives the copies, as in the theory.
+
+    Returns
+    -------
+    OpenLoop
+    """
+    validation.instance("smoother", smoother, Estimator)
+    truth, estimate, delay = error_rows(smoother, output)
+    A, B, inputs, outputs = matrices(smoother, loop)
     return OpenLoop(
         A=A,
         B=B,
         inputs=inputs,
         outputs=outputs,
-        truth=np.hstack([truth, np.zeros_like(estimate)]),
-        estimate=np.hstack([np.zeros_like(truth), estimate]),
+        truth=truth,
+        estimate=estimate,
         delay=delay,
         blocks=tuple(
             block
@@ -243,12 +275,12 @@ def open_loop(smoother: Estimator, output: str, copy_noise: bool) -> OpenLoop:
 def guarantee(smoother: Estimator, output: str) -> float | None:
     """Return 2V where it is proven to be above the mean square of this error, else None.
 
-    It is, all the more, for a loop without the fictitious noise of the copies.
+    What is proven for the theory's loop holds for the real one too, which has less noise.
     """
     covered = isinstance(smoother, RobustSmoother) and (
         output == "guaranteed" or output == smoother.cost == "filtered"
     )
-    return 2.0 * smoother.bound if covered else None
+    return smoother.mean_square_bound if covered else None
 
 
 def _structure(smoother: Estimator) -> list[Block]:

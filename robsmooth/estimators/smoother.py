@@ -102,6 +102,11 @@ class RobustSmoother(Estimator):
         for value in (self.multipliers, self.X, self.Y):
             frozen(value)
 
+    @property
+    def mean_square_bound(self) -> float:
+        """The guarantee: 2V, above the mean square error of the cost, (unit of w)^2."""
+        return 2.0 * self.bound
+
     def __repr__(self) -> str:
         return (
             f"RobustSmoother(bound={self.bound:.4g}, cost={self.cost!r}, tau={self.tau:.4g}, "

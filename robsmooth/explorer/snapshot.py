@@ -18,16 +18,14 @@ from scipy.optimize import minimize_scalar
 from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
-from robsmooth.analysis.covariance import (
+from robsmooth.analysis.covariance import delta_sweep
+from robsmooth.analysis.statistical_linearisation import (
     StatisticalLinearisation,
-    closed_loop,
-    delta_sweep,
     statistical_linearisation,
 )
 from robsmooth.estimators import baselines
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.limit import limiting_smoother
-from robsmooth.estimators.loop import open_loop
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.explorer.settings import Settings
 from robsmooth.homodyne.certificate import least_tau, scalar_bound
@@ -240,7 +238,7 @@ def _or_sentence(find: Callable[[], T]) -> T | str:
 
 def _sweep(estimator: Estimator) -> Sweep:
     filtered, smoothed = (
-        delta_sweep(estimator, SLOPES, output, copy_noise=False)[:, 0, 0]
+        delta_sweep(estimator, SLOPES, output, loop="real")[:, 0, 0]
         for output in ("filtered", "smoothed")
     )
     return Sweep(filtered, smoothed)
@@ -248,22 +246,12 @@ def _sweep(estimator: Estimator) -> Sweep:
 
 def _guarantee(estimator: Estimator) -> Guarantee:
     """Find the error that the bound is for: against w, or against the output of the delay model."""
-    if not isinstance(estimator, RobustSmoother):
-        return Guarantee(_filtered(estimator), math.inf)
-    bounded = _filtered if estimator.cost == "filtered" else _against_the_model
-    return Guarantee(bounded(estimator), 2.0 * estimator.bound)
-
-
-def _filtered(estimator: Estimator) -> NDArray[np.float64]:
-    return delta_sweep(estimator, ADMISSIBLE, "filtered")[:, 0, 0]
-
-
-def _against_the_model(smoother: RobustSmoother) -> NDArray[np.float64]:
-    loop = open_loop(smoother, "guaranteed", copy_noise=True)
-    error = (loop.truth - loop.estimate)[0]
-    deltas = (smoother.plant.structured_delta((), [slope]) for slope in ADMISSIBLE)
-    covariances = [closed_loop(smoother, Delta).covariance() for Delta in deltas]
-    return np.array([error @ P @ error for P in covariances])
+    robust = isinstance(estimator, RobustSmoother)
+    output = "guaranteed" if robust else "filtered"
+    return Guarantee(
+        delta_sweep(estimator, ADMISSIBLE, output)[:, 0, 0],
+        estimator.mean_square_bound if robust else math.inf,
+    )
 
 
 def _poles(parameters: HomodyneParameters, estimator: Estimator) -> NDArray[np.complex128]:

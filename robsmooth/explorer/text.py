@@ -26,8 +26,8 @@ parameters = rs.homodyne.HomodyneParameters(
 system = parameters.uncertain_system()
 {design}
 slopes = np.linspace({low!r}, {high!r}, {points})
-filtered = rs.delta_sweep(smoother, slopes, "filtered", copy_noise=False)[:, 0, 0]
-smoothed = rs.delta_sweep(smoother, slopes, "smoothed", copy_noise=False)[:, 0, 0]
+filtered = rs.delta_sweep(smoother, slopes, "filtered", loop="real")[:, 0, 0]
+smoothed = rs.delta_sweep(smoother, slopes, "smoothed", loop="real")[:, 0, 0]
 simulated = rs.monte_carlo(parameters, smoother, runs={runs})
 
 print(smoother)

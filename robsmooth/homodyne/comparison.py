@@ -94,9 +94,9 @@ def compare(
         found[name] = Compared(
             estimator=estimator,
             output=output,
-            at=tuple(delta_sweep(estimator, slopes, output, copy_noise=False)[:, 0, 0].tolist()),
-            worst=worst_case(estimator, output, copy_noise=False),
-            allowed=analysis_bound(estimator, output, copy_noise=False),
+            at=tuple(delta_sweep(estimator, slopes, output, loop="real")[:, 0, 0].tolist()),
+            worst=worst_case(estimator, output, loop="real"),
+            allowed=analysis_bound(estimator, output, loop="real"),
             simulated=getattr(result, output),
             slips=result.slips,
             moments=stationary_errors(parameters, estimator),

@@ -215,7 +215,7 @@ def homodyne_loop(
     scale = 2 * alpha * gamma
     # "literal" takes sin(phi) - beta phi at its word: the nonlinearity is not of the difference.
     reference = scale * u if nonlinearity == "difference" else None
-    drift, noise, inputs, outputs = matrices(estimator, copy_noise=False, reference=reference)
+    drift, noise, inputs, outputs = matrices(estimator, loop="real", reference=reference)
     # of the sine and its copy, behind the channel of an uncertainty that is zero
     gains, arguments = 2 * alpha * inputs[:, 1:], outputs[1:] / scale
     linear = drift - beta * gains @ arguments

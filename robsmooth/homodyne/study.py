@@ -230,7 +230,7 @@ def _column(
 def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[str, float]:
     def linear(slope: float) -> float:
         Delta = smoother.plant.structured_delta((), [slope])
-        return float(error_covariance(smoother, Delta, copy_noise=False)[0, 0])
+        return float(error_covariance(smoother, Delta, loop="real")[0, 0])
 
     found = {"bound": 2 * smoother.bound, "nominal": linear(0.0), "edge": linear(-1.0)}
     try:

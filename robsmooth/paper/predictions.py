@@ -10,7 +10,10 @@ from functools import partial
 from scipy.optimize import brentq
 
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth.analysis.covariance import StatisticalLinearisation, statistical_linearisation
+from robsmooth.analysis.statistical_linearisation import (
+    StatisticalLinearisation,
+    statistical_linearisation,
+)
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.moments import FARTHEST, stationary_errors
 from robsmooth.homodyne.montecarlo import (

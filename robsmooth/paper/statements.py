@@ -12,7 +12,8 @@ import numpy as np
 
 from robsmooth import homodyne
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.analysis.covariance import delta_sweep, statistical_linearisation
+from robsmooth.analysis.covariance import delta_sweep
+from robsmooth.analysis.statistical_linearisation import statistical_linearisation
 from robsmooth.estimators import baselines
 from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne.parameters import HomodyneParameters

@@ -20,6 +20,7 @@ References
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.random import SFC64, Generator, SeedSequence
@@ -36,7 +37,7 @@ GROWTH = 1e6  # of an output, from the first chunk on: divergence
 
 
 @dataclass(frozen=True, eq=False)
-class Walk:
+class ExponentialIntegrator:
     """The scheme of the module's docstring for one loop and step.
 
     Attributes
@@ -60,7 +61,7 @@ class Walk:
     readout: Matrix
 
     @classmethod
-    def of(cls, loop: NonlinearLoop, step: float, measured: bool = False) -> "Walk":
+    def of(cls, loop: NonlinearLoop, step: float, measured: bool = False) -> Self:
         """Prepare the steps; `measured` has y integrated along with the state."""
         N = loop.order
         size = len(loop.drift) if measured else N
@@ -91,8 +92,8 @@ class Walk:
             return z
         rho = self.loop.remainder(time, zeta)
         z += self.first @ rho
-        ahead = self.readout[self._arguments] @ z
-        z += self.second @ (self.loop.remainder(time + self.step, ahead) - rho)
+        predicted = self.readout[self._arguments] @ z
+        z += self.second @ (self.loop.remainder(time + self.step, predicted) - rho)
         return z
 
     def records(

@@ -44,8 +44,8 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import Reference, matrices, reference_outputs
 from robsmooth.systems.augmented import AugmentedSystem
 
-_CONVERGED = 1e-6  # of a slope, relative to the Lipschitz constant
-_ROUNDING = 1e-9  # a deviation below this, relative to its terms, is none
+_SLOPE_TOLERANCE = 1e-6  # relative to the Lipschitz constant
+_ZERO_DEVIATION = 1e-9  # a deviation below this, relative to its terms, is rounding
 
 
 class Function(NamedTuple):
@@ -112,7 +112,7 @@ class NonlinearLoop:
         """A root of the stationary covariance of the linear loop, which must be stable."""
         return stationary_root(self.linear_drift[: self.order], self.noise[: self.order])
 
-    def response_rate(self) -> float:
+    def argument_rate(self) -> float:
         """How fast the arguments of the functions move and act on each other, 1/s.
 
         The largest of the root mean square drift of an argument over its size, and of the gain from
@@ -130,19 +130,19 @@ class NonlinearLoop:
                 reach = np.linalg.norm(reach)
             speeds.append((np.abs(rows @ self.inputs[:N, part.inputs]) * reach).max(axis=1))
         own = np.linalg.norm(rows @ root, axis=1)
-        moving = own > _ROUNDING * np.linalg.norm(np.abs(rows) @ np.abs(root), axis=1)
+        moving = own > _ZERO_DEVIATION * np.linalg.norm(np.abs(rows) @ np.abs(root), axis=1)
         rates = np.max(speeds, axis=0)[moving] / own[moving]
         return float(rates.max(initial=0.0)) or self.slowest_rate
 
     def remainder(self, time: float, arguments: NDArray) -> NDArray:
         """Return rho, (r + 2g, paths), of zeta-tilde, (h + 2g, paths)."""
-        result = -self._stand_in @ arguments
+        result = -self._slopes_of_functions @ arguments
         for part in self.functions:
             result[part.inputs] += part.function(time, arguments[part.outputs])
         return result
 
     @cached_property
-    def _stand_in(self) -> Matrix:
+    def _slopes_of_functions(self) -> Matrix:
         """Return the part of Delta that stands in for functions."""
         result = np.zeros_like(self.delta)
         for part in self.functions:
@@ -153,7 +153,7 @@ class NonlinearLoop:
 def nonlinear_loop(
     smoother: Estimator,
     uncertainties: Sequence = (),
-    copy_noise: bool = False,
+    loop: str = "real",
     reference: Reference = "system",
 ) -> NonlinearLoop:
     """Join a plant and its estimator; see `simulate` for the arguments.
@@ -166,10 +166,9 @@ def nonlinear_loop(
         For a bad argument, or a nonlinearity without a function.
     """
     validation.instance("smoother", smoother, Estimator)
-    copy_noise = validation.boolean("copy_noise", copy_noise)
     plant, system = smoother.plant, smoother.plant.system
     constants, functions = _uncertainties(plant, uncertainties)
-    drift, noise, inputs, outputs = matrices(smoother, copy_noise, reference)
+    drift, noise, inputs, outputs = matrices(smoother, loop, reference)
     functions += _nonlinearities(smoother, outputs)
 
     n, l, g = system.n, system.l, system.g  # noqa: E741 - the paper's letter
@@ -177,7 +176,7 @@ def nonlinear_loop(
     measured = np.hstack([plant.C2_tilde[:l], np.zeros((l, len(smoother.A_c)))])
     no_x = np.zeros((len(outputs), n))
     bounds = [c.lipschitz for c in system.nonlinearities]
-    loop = NonlinearLoop(
+    joined = NonlinearLoop(
         drift=np.vstack([drift[kept], measured])[:, kept],
         inputs=np.vstack([inputs[kept], plant.D21_tilde[:l]]),
         noise=np.vstack([noise[kept], plant.D21_bar[:l]]),
@@ -188,12 +187,12 @@ def nonlinear_loop(
         functions=tuple(functions),
         lipschitz=np.array([1.0] * (sum(plant.output_sizes) - 2 * g) + 2 * bounds),
     )
-    if not loop.slowest_rate > 0.0:
+    if not joined.slowest_rate > 0.0:
         raise UnstableLoopError(
             "the loop is not stable without its nonlinearities: its slowest mode has the decay "
-            f"rate {loop.slowest_rate:.3g} 1/s; put their slopes at zero into A and C2"
+            f"rate {joined.slowest_rate:.3g} 1/s; put their slopes at zero into A and C2"
         )
-    return _linearised(loop)
+    return _linearised(joined)
 
 
 def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
@@ -231,7 +230,7 @@ def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
             np.zeros(len(pairs)),
             variances,
             slopes,
-            tolerance=_CONVERGED,
+            tolerance=_SLOPE_TOLERANCE,
             unit=loop.lipschitz[places[1]],
         )
         variances(found)

@@ -1,26 +1,30 @@
-"""Errors, sample paths, and whether the loop stays where the theory holds."""
+"""Simulated errors, sample paths, and whether the loop stays where the theory holds."""
 
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from robsmooth._numerics.steps import dividing_step, steps_in, whole_steps
-from robsmooth._support import notation, validation
+from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.tables import Table
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import frozen
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import Reference
-from robsmooth.simulation.integrator import Walk
+from robsmooth.simulation.integrator import ExponentialIntegrator
 from robsmooth.simulation.loop import NonlinearLoop, nonlinear_loop
-from robsmooth.simulation.statistics import MeanSquare, Moments
+from robsmooth.simulation.results import (
+    InadmissibleWarning,
+    SamplePaths,
+    SimulatedError,
+    SimulationResult,
+)
+from robsmooth.simulation.statistics import Moments
 from robsmooth.systems.augmented import AugmentedSystem
 
 BLOCK = 512  # paths side by side
@@ -28,161 +32,16 @@ STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the response of the non
 TIME_CONSTANTS = 100  # default duration, in units of the slowest mode
 WARM_UP_TIME_CONSTANTS = 5
 CHECK_EVERY = 16  # steps
-_ROUNDING = 1e-6  # relative: a constraint that holds with equality is not violated by rounding
-
-
-class InadmissibleWarning(RuntimeWarning):
-    """The simulated loop left the region in which the theory's constraints hold."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SimulatedError(MeanSquare):
-    """An error's covariance over independent paths; its trace is the mean square.
-
-    Attributes
-    ----------
-    covariance : (m, m) array
-        Of the error, about zero, in the squared unit of w.
-    covariance_error : (m, m) array
-        Standard error of each entry.
-    """
-
-    covariance: Matrix
-    covariance_error: Matrix
-
-    def __repr__(self) -> str:
-        return f"SimulatedError({self}, covariance={notation.array(self.covariance)})"
-
-
-@dataclass(frozen=True, eq=False)
-class SimulationResult:
-    """Errors of an estimator in the nonlinear loop.
-
-    Attributes
-    ----------
-    smoothed, filtered : SimulatedError
-        Of the estimates of w one lag back, and of w now: ``.mean_square``, ``.standard_error``,
-        ``.covariance``, ``.covariance_error``, in the squared unit of w.
-    constraints : (k + 3g,) array
-        How much of each of the theory's constraints is used, in the order of the multipliers:
-        E[xi' M_i xi] / E[zeta' N_i zeta], at most one where the uncertainty is admissible. The
-        theory has no reference: in zeta are the nonlinearities' whole arguments.
-    violated : (k + 3g,) array
-        The fraction of time for which xi' M_i xi > zeta' N_i zeta, where in zeta are the arguments
-        less the reference. For a nonlinearity that is Lipschitz in a region only, the time that is
-        spent outside.
-    equivalent_delta : (r + 2g, h + 2g) array
-        The constant uncertainties, and for the nonlinearities the statistically equivalent slopes
-        of the Gaussian loop that they make: with it, and the same reference, `error_covariance`
-        predicts the errors.
-    runs : int
-        Independent paths.
-    path_steps : int
-        Steps simulated, over all paths, the warm-up included.
-    wall_time : float
-        s.
-    duration : float
-        Of a path, without the warm-up, s.
-    warm_up : float
-        Simulated before averaging began, s.
-    step : float
-        s.
-    seed : int
-    """
-
-    smoothed: SimulatedError
-    filtered: SimulatedError
-    constraints: NDArray[np.float64]
-    violated: NDArray[np.float64]
-    equivalent_delta: Matrix
-    runs: int
-    path_steps: int
-    wall_time: float
-    duration: float
-    warm_up: float
-    step: float
-    seed: int
-
-    def __post_init__(self) -> None:
-        for value in (self.constraints, self.violated, self.equivalent_delta):
-            frozen(value)
-
-    def __repr__(self) -> str:
-        return (
-            f"SimulationResult(smoothed {self.smoothed}, filtered {self.filtered}, {self._setting})"
-        )
-
-    def _repr_html_(self) -> str:
-        rows = [
-            (name, error._repr_latex_(), f"${notation.matrix(error.covariance)}$")
-            for name, error in (("smoothed", self.smoothed), ("filtered", self.filtered))
-        ]
-        columns = ("estimate", "mean square error", "covariance")
-        caption = f"The nonlinear loop, in the squared unit of $w$; {self._setting}."
-        return Table(columns, rows, caption).html()
-
-    @property
-    def _setting(self) -> str:
-        return (
-            f"constraints used to {self.constraints.max(initial=0.0):.3g}, violated for "
-            f"{self.violated.max(initial=0.0):.2%} of the time; {self.runs} runs of "
-            f"{self.duration:.4g} s, step {self.step:.4g} s, seed {self.seed}; "
-            f"{self.path_steps:.3g} path-steps in {self.wall_time:.2g} s"
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class SamplePaths:
-    """A few paths of the loop, to look at and to try estimators on.
-
-    Attributes
-    ----------
-    time : (N,) array
-        The ends of the steps, s.
-    y : (paths, N, l) array
-        The measured record: the mean of dy/dt over the step that ends at `time`.
-    reference : (paths, N, g) array
-        What was taken off the nonlinearities' arguments: the mean of its values at the ends of the
-        same step, as `DiscreteSmoother.run` takes it beside y. Zero without a reference.
-    w : (paths, N, m) array
-        The outputs at `time`.
-    filtered : (paths, N, m) array
-        The estimates of w at `time`, made then.
-    delayed : (paths, N, m) array
-        The outputs one lag before `time`.
-    smoothed : (paths, N, m) array
-        The estimates of `delayed`, made at `time`.
-    step : float
-        s.
-    delay : float
-        The lag of the smoothed estimates, s.
-    """
-
-    time: NDArray[np.float64]
-    y: NDArray[np.float64]
-    reference: NDArray[np.float64]
-    w: NDArray[np.float64]
-    filtered: NDArray[np.float64]
-    delayed: NDArray[np.float64]
-    smoothed: NDArray[np.float64]
-    step: float
-    delay: float
-
-    def __repr__(self) -> str:
-        paths, steps, l = self.y.shape  # noqa: E741 - the paper's letter
-        return (
-            f"SamplePaths({paths} paths of {steps} steps of {self.step:.4g} s, "
-            f"lag={self.delay:g} s, {l} measurements, {self.w.shape[2]} outputs)"
-        )
+_CONSTRAINT_TOLERANCE = 1e-6  # relative: one that holds with equality is not violated by rounding
 
 
 @one_thread
 def simulate(
     smoother: Estimator,
     *,
-    uncertainties: Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]] = (),
+    uncertainties: Sequence = (),
     reference: Reference = "system",
-    copy_noise: bool = False,
+    loop: str = "real",
     runs: int = 256,
     duration: float | None = None,
     step: float | None = None,
@@ -216,8 +75,9 @@ def simulate(
         that estimate of every argument :math:`\nu_i`, which must be a combination of w. The rows of
         an array read any other reference out of the estimator's state. None is no reference, not
         even where a nonlinearity has one of its own.
-    copy_noise : bool
-        Whether the design's fictitious noise drives the copies; a real loop has none.
+    loop : {"real", "theory"}
+        Whether the design's fictitious noise drives the copies, as in the theory; a real loop has
+        none.
     runs : int
         Independent paths.
     duration : float, optional
@@ -249,16 +109,34 @@ def simulate(
     ValueError, TypeError
         For an argument that is not as described, before anything is simulated.
 
+    See Also
+    --------
+    sample_paths : The first of the paths.
+    monte_carlo : A faster simulation of the paper's example.
+    error_covariance : The errors of a linear loop, without simulation.
+
     References
     ----------
     Section II, equations (eqsystem), (eqIQC1) to (eqIQC4) and (eqcontrol).
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> system = rs.UncertainSystem(
+    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
+    ... )
+    >>> smoother = rs.baselines.fixed_lag_smoother(system, delay=0.2, order=2)
+    >>> result = rs.simulate(smoother, runs=64, duration=20.0)
+    >>> exact = rs.error_covariance(smoother, smoother.plant.structured_delta([], []))[0, 0]
+    >>> bool(abs(result.smoothed.mean_square - exact) < 4 * result.smoothed.standard_error)
+    True
     """
     started = time.perf_counter()
-    loop = nonlinear_loop(smoother, uncertainties, copy_noise, reference)
+    joined = nonlinear_loop(smoother, uncertainties, loop, reference)
     runs, seed = _counts(runs, seed)
     progress = validation.boolean("progress", progress)
-    plan = _plan(loop, smoother.plant.delay, duration, step, TIME_CONSTANTS)
-    walk = Walk.of(loop, plan.step)
+    plan = _plan(joined, smoother.plant.delay, duration, step, TIME_CONSTANTS)
+    integrator = ExponentialIntegrator.of(joined, plan.step)
     plant = smoother.plant
     m, constraints = plant.system.m, len(plant.M_i)
     errors, checks = Moments(2 * (m * m + 1)), np.zeros((3, constraints))
@@ -267,7 +145,7 @@ def simulate(
     ) as bar:
         for first in range(0, runs, BLOCK):
             paths = range(first, min(first + BLOCK, runs))
-            of_errors, of_checks = _averages(walk, plant, plan, seed, paths, bar)
+            of_errors, of_checks = _averages(integrator, plant, plan, seed, paths, bar)
             errors.add(of_errors)
             checks += of_checks.sum(axis=2) / runs
 
@@ -277,7 +155,7 @@ def simulate(
         filtered=_error(errors, 0, m),
         constraints=np.divide(used, allowed, out=np.zeros(constraints), where=used > 0.0),
         violated=violated,
-        equivalent_delta=loop.delta.copy(),
+        equivalent_delta=joined.delta.copy(),
         runs=runs,
         path_steps=runs * plan.all_steps,
         wall_time=time.perf_counter() - started,
@@ -294,9 +172,9 @@ def simulate(
 def sample_paths(
     smoother: Estimator,
     *,
-    uncertainties: Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]] = (),
+    uncertainties: Sequence = (),
     reference: Reference = "system",
-    copy_noise: bool = False,
+    loop: str = "real",
     runs: int = 3,
     duration: float | None = None,
     step: float | None = None,
@@ -306,7 +184,7 @@ def sample_paths(
 
     Parameters
     ----------
-    smoother, uncertainties, reference, copy_noise, runs, duration, step, seed
+    smoother, uncertainties, reference, loop, runs, duration, step, seed
         As in `simulate`. The default duration is a fifth of the one there.
 
     Returns
@@ -317,12 +195,27 @@ def sample_paths(
     ------
     UnstableLoopError, RuntimeError, ValueError, TypeError
         As in `simulate`.
+
+    See Also
+    --------
+    simulate : The averages of many such paths.
+    DiscreteSmoother.run : Estimates from the record y of a path.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> system = rs.UncertainSystem(
+    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
+    ... )
+    >>> smoother = rs.baselines.fixed_lag_smoother(system, delay=0.2, order=2)
+    >>> rs.sample_paths(smoother, runs=2, duration=5.0)
+    SamplePaths(2 paths of 125 steps of 0.04 s, lag=0.2 s, 1 measurements, 1 outputs)
     """
-    loop = nonlinear_loop(smoother, uncertainties, copy_noise, reference)
+    joined = nonlinear_loop(smoother, uncertainties, loop, reference)
     runs, seed = _counts(runs, seed)
-    plan = _plan(loop, smoother.plant.delay, duration, step, TIME_CONSTANTS / 5)
-    walk = Walk.of(loop, plan.step, measured=True)
-    parts = list(_recorded(walk, smoother.plant, plan, seed, range(runs)))
+    plan = _plan(joined, smoother.plant.delay, duration, step, TIME_CONSTANTS / 5)
+    integrator = ExponentialIntegrator.of(joined, plan.step, measured=True)
+    parts = list(_recorded(integrator, smoother.plant, plan, seed, range(runs)))
     whole = _Part(*(np.concatenate(pieces) for pieces in zip(*parts, strict=True)))
     series = {
         name: frozen(np.moveaxis(getattr(whole, name), 2, 0))
@@ -365,7 +258,7 @@ def _plan(
         duration = time_constants / slowest
     duration = validation.positive("duration", duration)
     if step is None:
-        step = dividing_step(delay, STEP_OF_TIME_CONSTANT / loop.response_rate(), duration)
+        step = dividing_step(delay, STEP_OF_TIME_CONSTANT / loop.argument_rate(), duration)
     step = validation.positive("step", step)
     warm_up = WARM_UP_TIME_CONSTANTS / slowest + delay
     return _Plan(
@@ -388,21 +281,26 @@ class _Part(NamedTuple):
 
 
 def _recorded(
-    walk: Walk, plant: AugmentedSystem, plan: _Plan, seed: int, paths: range, bar=None
+    integrator: ExponentialIntegrator,
+    plant: AugmentedSystem,
+    plan: _Plan,
+    seed: int,
+    paths: range,
+    bar=None,
 ) -> Iterator[_Part]:
     """Simulate paths; leave out what is before time zero."""
-    m, g, arguments = plant.system.m, plant.system.g, len(walk.loop.arguments)
+    m, g, arguments = plant.system.m, plant.system.g, len(integrator.loop.arguments)
     rows = np.cumsum([m, m, m, arguments, arguments])
     of_detectors = slice(arguments - 2 * g, arguments - g)
     past, last = np.zeros((plan.lag, m, len(paths))), np.zeros((1, g, len(paths)))
-    for first, records in walk.records(seed, paths, plan.before, plan.steps):
+    for first, records in integrator.records(seed, paths, plan.before, plan.steps):
         w, filtered, smoothed, zeta, known, y = np.split(records, rows, axis=1)
         outputs = np.concatenate([past, w])
         past = outputs[len(w) :]
         references = np.concatenate([last, known[:, of_detectors]])
         last = references[-1:]
         means = (references[1:] + references[:-1]) / 2
-        times = walk.step * np.arange(first, first + len(w))
+        times = integrator.step * np.arange(first, first + len(w))
         parts = (times, w, filtered, outputs[: len(w)], smoothed, zeta, known, y, means)
         yield _Part(*(part[max(0, 1 - first) :] for part in parts))
         if bar is not None:
@@ -413,7 +311,12 @@ def _recorded(
 
 
 def _averages(
-    walk: Walk, plant: AugmentedSystem, plan: _Plan, seed: int, paths: range, bar
+    integrator: ExponentialIntegrator,
+    plant: AugmentedSystem,
+    plan: _Plan,
+    seed: int,
+    paths: range,
+    bar,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Simulate paths and return their averages over time.
 
@@ -427,11 +330,13 @@ def _averages(
     m, samples = plant.system.m, 0
     products = np.zeros((2, m, m, len(paths)))
     checks = np.zeros((3, len(plant.M_i), len(paths)))
-    for part in _recorded(walk, plant, plan, seed, paths, bar):
+    for part in _recorded(integrator, plant, plan, seed, paths, bar):
         errors = (part.w - part.filtered, part.delayed - part.smoothed)
         products += [np.einsum("tip,tjp->ijp", error, error) for error in errors]
         for k in range(0, len(part.time), CHECK_EVERY):
-            checks += _constraints(walk.loop, plant, part.time[k], part.zeta[k], part.known[k])
+            checks += _constraints(
+                integrator.loop, plant, part.time[k], part.zeta[k], part.known[k]
+            )
             samples += 1
     products /= plan.steps
     traces = np.einsum("eiip->ep", products)[:, None]
@@ -454,7 +359,7 @@ def _constraints(
         used[i] = (xi * (M @ xi)).sum(axis=0)
         allowed[i] = (whole * (N @ whole)).sum(axis=0)
         seen[i] = (zeta * (N @ zeta)).sum(axis=0)
-    return np.array([used, allowed, used > (1 + _ROUNDING) * seen])
+    return np.array([used, allowed, used > (1 + _CONSTRAINT_TOLERANCE) * seen])
 
 
 def _error(errors: Moments, first: int, m: int) -> SimulatedError:
@@ -480,7 +385,7 @@ def _warn(plant: AugmentedSystem, result: SimulationResult) -> None:
     found = [
         f"{name} for {violated:.2g} of the time ({used:.3g} in the mean)"
         for name, violated, used in zip(names, result.violated, result.constraints, strict=True)
-        if violated > 0.0 or used > 1 + _ROUNDING
+        if violated > 0.0 or used > 1 + _CONSTRAINT_TOLERANCE
     ]
     if found:
         warnings.warn(

@@ -39,6 +39,20 @@ class MeanSquare:
         In the same unit; not a number for a single path.
     variance_reduction : float
         How many times as many paths it would take without control variates.
+
+    See Also
+    --------
+    simulate, monte_carlo : Return such errors.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> error = rs.MeanSquare(0.1, standard_error=0.002)
+    >>> print(error)
+    0.1 +- 0.002
+    >>> low, high = error.interval(0.95)
+    >>> round(low, 4), round(high, 4)
+    (0.0961, 0.1039)
     """
 
     mean_square: float

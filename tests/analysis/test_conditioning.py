@@ -251,7 +251,7 @@ def test_a_hundred_states_are_designed_for_and_certified(n, order, g):
     other = augment(in_units(system, 1e-6, 10.0 ** rng.uniform(-6, 6, n)), 0.3e6, order)
     there = design_smoother(other, 1e9, multipliers)
     assert there.bound == pytest.approx(design.bound, rel=1e-9)
-    robust = error_covariance(design, nominal(design), copy_noise=False)
+    robust = error_covariance(design, nominal(design), loop="real")
     classical = nominal_error(fixed_lag_smoother(system, 0.3, order), "smoothed")
     optimal = optimal_fixed_lag_error(other.system, 0.3e6)
     for better, worse in ((optimal, classical), (classical, robust)):

@@ -22,7 +22,7 @@ from robsmooth._numerics.riccati import solve_riccati
 from robsmooth.analysis.constraints import _with_delay_model, analysis_bound
 from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators import baselines
-from robsmooth.estimators.loop import OUTPUTS, open_loop
+from robsmooth.estimators.loop import LOOPS, OUTPUTS, open_loop
 from tests.helpers.loops import looking_at_nothing
 from tests.helpers.strategies import admissible_delta, designs, seeds
 
@@ -37,22 +37,22 @@ def example(cost, system=None):
     return design_smoother(augment(system, 3.1e-6, 2), *NEAR_INFIMUM[cost], cost)
 
 
-@given(designs(), st.sampled_from(OUTPUTS), st.booleans(), seeds)
-def test_open_loop_closes_to_the_closed_loop(design, output, copy_noise, seed):
+@given(designs(), st.sampled_from(OUTPUTS), st.sampled_from(LOOPS), seeds)
+def test_open_loop_closes_to_the_closed_loop(design, output, loop, seed):
     Delta = admissible_delta(np.random.default_rng(seed), design.plant)
-    loop = open_loop(design, output, copy_noise)
-    closed = closed_loop(design, Delta, copy_noise)
-    assert_allclose(loop.A + loop.inputs @ Delta @ loop.outputs, closed.A, atol=1e-12)
-    assert_allclose(loop.B, closed.B, atol=1e-14)
-    kept = loop.assemble(loop.disassemble(Delta), ())
-    assert_allclose(loop.inputs @ kept @ loop.outputs, closed.A - loop.A, atol=1e-12)
+    opened = open_loop(design, output, loop)
+    closed = closed_loop(design, Delta, loop)
+    assert_allclose(opened.A + opened.inputs @ Delta @ opened.outputs, closed.A, atol=1e-12)
+    assert_allclose(opened.B, closed.B, atol=1e-14)
+    kept = opened.assemble(opened.disassemble(Delta), ())
+    assert_allclose(opened.inputs @ kept @ opened.outputs, closed.A - opened.A, atol=1e-12)
 
 
 @settings(max_examples=15)
 @given(st.sampled_from(["filtered", "smoothed"]).flatmap(lambda cost: designs(cost=cost)))
 def test_bound_of_a_design_is_the_analysis_at_its_multipliers_with_more_noise(design):
     plant, theta = design.plant, design.tau * design.multipliers
-    loop = open_loop(design, "guaranteed", True)
+    loop = open_loop(design, "guaranteed", "theory")
     C = loop.truth - loop.estimate
     spread = loop.inputs @ np.linalg.solve(plant.M(theta), loop.inputs.T)
     weighted = loop.outputs.T @ plant.N(theta) @ loop.outputs
@@ -64,13 +64,13 @@ def test_bound_of_a_design_is_the_analysis_at_its_multipliers_with_more_noise(de
 
 
 @settings(max_examples=15)
-@given(designs(), st.booleans(), seeds)
-def test_bound_is_between_every_admissible_delta_and_the_guarantee(design, copy_noise, seed):
-    found = analysis_bound(design, copy_noise=copy_noise)
+@given(designs(), st.sampled_from(LOOPS), seeds)
+def test_bound_is_between_every_admissible_delta_and_the_guarantee(design, loop, seed):
+    found = analysis_bound(design, loop=loop)
     rng = np.random.default_rng(seed)
     for _ in range(5):
         Delta = admissible_delta(rng, design.plant)
-        error = np.trace(error_covariance(design, Delta, "filtered", copy_noise))
+        error = np.trace(error_covariance(design, Delta, "filtered", loop))
         assert error <= found.mean_square * (1 + 1e-6)
     assert found.fraction == 1.0
     assert found.mean_square <= found.guarantee * (1 + 1e-6)
@@ -81,7 +81,7 @@ def test_bound_is_between_every_admissible_delta_and_the_guarantee(design, copy_
 @given(designs(), st.sampled_from(OUTPUTS))
 def test_worst_input_meets_the_constraints_and_attains_the_bound(design, output):
     found = analysis_bound(design, output, delay_order=4)
-    loop = open_loop(design, output, True)
+    loop = open_loop(design, output, "theory")
     if loop.delay > 0.0:
         loop = _with_delay_model(loop, 4)
     K = found.feedback
@@ -100,7 +100,7 @@ def test_worst_input_meets_the_constraints_and_attains_the_bound(design, output)
 @given(designs(), seeds)
 def test_no_other_multipliers_have_a_lower_bound(design, seed):
     found = analysis_bound(design)
-    loop, plant = open_loop(design, "guaranteed", True), design.plant
+    loop, plant = open_loop(design, "guaranteed", "theory"), design.plant
     C = loop.truth - loop.estimate
     rng = np.random.default_rng(seed)
     ours = np.where(np.isfinite(found.multipliers), found.multipliers, 1.0)
@@ -159,13 +159,13 @@ def test_output_that_no_noise_excites_is_no_obstacle():
     assert_allclose(found.mean_square, nominal, rtol=1e-4)
 
 
-@pytest.mark.parametrize("copy_noise", [True, False])
-def test_constant_slope_is_the_worst_for_the_filtered_error_of_the_example(copy_noise):
+@pytest.mark.parametrize("loop", LOOPS)
+def test_constant_slope_is_the_worst_for_the_filtered_error_of_the_example(loop):
     design = example("filtered")
     at_the_edge = error_covariance(
-        design, design.plant.structured_delta((), [-1.0]), "filtered", copy_noise
+        design, design.plant.structured_delta((), [-1.0]), "filtered", loop
     )
-    found = analysis_bound(design, copy_noise=copy_noise)
+    found = analysis_bound(design, loop=loop)
     assert_allclose(found.mean_square, at_the_edge[0, 0], rtol=3e-5)
     assert found.mean_square < 0.9 * found.guarantee
 
@@ -180,7 +180,7 @@ def test_constant_slope_is_not_the_worst_for_the_smoothed_error_of_the_example()
 def test_delay_model_of_the_smoothed_error_has_converged():
     for cost in NEAR_INFIMUM:
         coarse, fine = (
-            analysis_bound(example(cost), "smoothed", False, delay_order=order).mean_square
+            analysis_bound(example(cost), "smoothed", "real", delay_order=order).mean_square
             for order in (10, 16)
         )
         assert_allclose(coarse, fine, rtol=1e-5)
@@ -189,8 +189,8 @@ def test_delay_model_of_the_smoothed_error_has_converged():
 def test_classical_smoother_has_a_bound_too():
     system = homodyne.PAPER.uncertain_system()
     classical = baselines.fixed_lag_smoother(system, 3.1e-6, 2, copies=True)
-    found = analysis_bound(classical, "smoothed", copy_noise=False)
-    robust = analysis_bound(example("smoothed"), "smoothed", copy_noise=False)
+    found = analysis_bound(classical, "smoothed", loop="real")
+    robust = analysis_bound(example("smoothed"), "smoothed", loop="real")
     assert found.guarantee is None
     assert found.mean_square < robust.mean_square < 1.01 * found.mean_square
 
@@ -235,6 +235,8 @@ def test_what_is_not_understood_is_refused():
         analysis_bound("design")
     with pytest.raises(ValueError, match=r"output must be one of .*'guaranteed', got 'both'"):
         analysis_bound(design, "both")
+    with pytest.raises(ValueError, match="loop must be one of 'theory', 'real', got 'ideal'"):
+        analysis_bound(design, loop="ideal")
     with pytest.raises(TypeError, match="copy_noise must be True or False"):
         analysis_bound(design, copy_noise=1)
     with pytest.raises(ValueError, match="delay_order must be an integer of at least 1"):

@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 import robsmooth as rs
 from robsmooth import (
     UnstableLoopError,
+    analysis_bound,
     augment,
     delta_sweep,
     design_smoother,
@@ -24,6 +25,7 @@ from robsmooth import (
 from robsmooth.analysis import covariance
 from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators import baselines
+from robsmooth.estimators.loop import LOOPS
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.paper import published
 from tests.helpers.strategies import (
@@ -53,7 +55,7 @@ def general():
             return design
 
 
-def spectral_covariance(design, Delta, output, copy_noise):
+def spectral_covariance(design, Delta, output, loop):
     """The integral of |e^{-s delay} w - estimate|^2 over frequency, from the paper's blocks.
 
     Plant, estimator and uncertainty are kept apart, as in the block diagram: at each frequency the
@@ -61,7 +63,7 @@ def spectral_covariance(design, Delta, output, copy_noise):
     """
     plant = design.plant
     noise = plant.D21_bar.copy()
-    if not copy_noise:
+    if loop == "real":
         noise[plant.system.l :] = 0.0
     read_out, lag = {
         "smoothed": (plant.C_a, plant.delay),
@@ -100,10 +102,10 @@ def spectral_covariance(design, Delta, output, copy_noise):
     return (integral + tail) / math.pi
 
 
-@pytest.mark.parametrize("copy_noise", [True, False])
+@pytest.mark.parametrize("loop", LOOPS)
 @pytest.mark.parametrize("output", ["smoothed", "filtered"])
 @pytest.mark.parametrize("seed", [None, 0, "full"])
-def test_covariance_is_the_integral_of_the_errors_spectrum(general, seed, output, copy_noise):
+def test_covariance_is_the_integral_of_the_errors_spectrum(general, seed, output, loop):
     plant = general.plant
     if seed is None:
         Delta = np.zeros((len(plant.B1_tilde.T), len(plant.C1_tilde)))
@@ -112,9 +114,9 @@ def test_covariance_is_the_integral_of_the_errors_spectrum(general, seed, output
         Delta /= 3 * np.linalg.norm(Delta, 2)
     else:
         Delta = admissible_delta(np.random.default_rng(seed), plant)
-    expected = spectral_covariance(general, Delta, output, copy_noise)
+    expected = spectral_covariance(general, Delta, output, loop)
     assert_allclose(
-        error_covariance(general, Delta, output, copy_noise),
+        error_covariance(general, Delta, output, loop),
         expected,
         rtol=0,
         atol=2e-5 * np.abs(expected).max(),
@@ -125,7 +127,7 @@ def test_covariance_is_the_integral_of_the_errors_spectrum(general, seed, output
 @pytest.mark.parametrize("output", ["smoothed", "filtered"])
 def test_covariance_of_the_example_is_the_integral_of_the_errors_spectrum(example, output, slope):
     Delta = example.plant.structured_delta((), [slope])
-    expected = spectral_covariance(example, Delta, output, True)
+    expected = spectral_covariance(example, Delta, output, "theory")
     assert_allclose(error_covariance(example, Delta, output), expected, rtol=2e-5)
 
 
@@ -171,7 +173,7 @@ def test_leaving_out_the_fictitious_noise_lowers_the_error(general, example):
         Delta = design.plant.structured_delta((), [-0.5] * g)
         for output in ("smoothed", "filtered"):
             with_noise = error_covariance(design, Delta, output)
-            without = error_covariance(design, Delta, output, copy_noise=False)
+            without = error_covariance(design, Delta, output, loop="real")
             assert np.linalg.eigvalsh(with_noise - without).min() > -1e-12 * np.trace(with_noise)
             assert np.trace(without) < np.trace(with_noise)
 
@@ -203,7 +205,7 @@ def test_smoothed_error_tends_to_the_filtered_one_as_the_delay_vanishes(order):
 
 def test_sweep_is_the_covariance_point_by_point(example, general):
     slopes = np.linspace(-1, 0, 5)
-    for design, options in ((example, {}), (general, {"output": "filtered", "copy_noise": False})):
+    for design, options in ((example, {}), (general, {"output": "filtered", "loop": "real"})):
         swept = delta_sweep(design, slopes * 0.5, **options)
         m, g = design.plant.system.m, design.plant.system.g
         assert swept.shape == (5, m, m)
@@ -331,6 +333,44 @@ def test_wrong_arguments_are_errors(example):
             call()
     with pytest.raises(ValueError, match="nonlinearities must have 1 dimension"):
         delta_sweep(example, 0.5)
+    for call in (
+        lambda: error_covariance(example, zero, loop="ideal"),
+        lambda: delta_sweep(example, [0.0], loop="ideal"),
+        lambda: closed_loop(example, zero, loop="ideal"),
+    ):
+        with pytest.raises(ValueError, match=r"^loop must be one of 'theory', 'real', got 'ideal'"):
+            call()
+    with pytest.raises(TypeError, match=r"^copy_noise must be True or False, got 1"):
+        error_covariance(example, zero, copy_noise=1)
+
+
+@pytest.mark.parametrize(("copy_noise", "loop"), [(True, "theory"), (False, "real")])
+def test_copy_noise_is_another_way_to_say_the_loop(example, copy_noise, loop):
+    Delta = example.plant.structured_delta((), [-0.5])
+    expected = error_covariance(example, Delta, loop=loop)
+    assert_array_equal(error_covariance(example, Delta, "smoothed", copy_noise), expected)
+    assert_array_equal(error_covariance(example, Delta, copy_noise=copy_noise), expected)
+    expected = analysis_bound(example, "filtered", loop).mean_square
+    assert analysis_bound(example, "filtered", copy_noise).mean_square == expected
+    assert analysis_bound(example, "filtered", copy_noise=copy_noise).mean_square == expected
+
+
+def test_the_copies_have_fictitious_noise_unless_the_loop_is_real(example):
+    Delta = example.plant.structured_delta((), [-0.5])
+    theory, real = (error_covariance(example, Delta, loop=loop)[0, 0] for loop in LOOPS)
+    assert error_covariance(example, Delta)[0, 0] == theory > real
+
+
+def test_error_of_the_guarantee_is_the_filtered_one_or_that_against_the_delay_model(example):
+    Delta = example.plant.structured_delta((), [-0.5])
+    found = error_covariance(example, Delta, "guaranteed")
+    assert_allclose(found, error_covariance(example, Delta, "filtered"), rtol=1e-12)
+    tau, multipliers = NEAR_INFIMUM
+    design = design_smoother(example.plant, 2 * tau, multipliers, "smoothed")
+    error = np.hstack([design.plant.C_a, -design.C_c[: design.plant.system.m]])
+    expected = error @ closed_loop(design, Delta).covariance() @ error.T
+    assert_allclose(error_covariance(design, Delta, "guaranteed"), expected, rtol=1e-9)
+    assert found[0, 0] <= example.mean_square_bound
 
 
 # --- statistical linearisation ------------------------------------------------------------------
@@ -342,7 +382,7 @@ def test_statistical_linearisation_is_a_fixed_point(example):
     assert found.slope == pytest.approx(slope, rel=1e-12)
     Delta = np.diag([0.0, slope, found.copy_slope])
     for output in ("filtered", "smoothed"):
-        P = error_covariance(example, Delta, output, copy_noise=False, reference="filtered")
+        P = error_covariance(example, Delta, output, loop="real", reference="filtered")
         assert getattr(found, output) == pytest.approx(P[0, 0], rel=1e-12)
 
 
@@ -398,7 +438,7 @@ def test_statistical_linearisation_of_a_hardening_nonlinearity_is_found(rate):
     def error(variance):
         Delta = estimator.plant.structured_delta((), [slope(variance)])
         P = error_covariance(
-            estimator, Delta, "filtered", False, allow_inadmissible=True, reference="filtered"
+            estimator, Delta, "filtered", "real", allow_inadmissible=True, reference="filtered"
         )
         return P[0, 0] - variance
 
@@ -407,7 +447,7 @@ def test_statistical_linearisation_of_a_hardening_nonlinearity_is_found(rate):
 
 def test_statistical_linearisation_of_a_constant_slope_is_linear(example):
     found = statistical_linearisation(example, lambda variance: -0.3, None)
-    P = delta_sweep(example, [-0.3], "filtered", copy_noise=False)[0, 0, 0]
+    P = delta_sweep(example, [-0.3], "filtered", loop="real")[0, 0, 0]
     assert found.filtered == pytest.approx(P, rel=1e-9)
     assert found.slope == -0.3
 
@@ -446,7 +486,7 @@ def test_statistical_linearisation_that_runs_away_is_an_error(example):
     # with slopes towards the loop's instability, such that the error is always above the variance
     def loop(slope):
         Delta = example.plant.structured_delta((), [slope])
-        return closed_loop(example, Delta, copy_noise=False, allow_inadmissible=True)
+        return closed_loop(example, Delta, loop="real", allow_inadmissible=True)
 
     def error(slope):
         return loop(slope).error_covariance("filtered")[0, 0]

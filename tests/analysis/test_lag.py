@@ -19,7 +19,8 @@ from robsmooth import (
     homodyne,
 )
 from robsmooth.analysis import lag
-from robsmooth.analysis.lag import best_lag, choose_lag, lag_sweep
+from robsmooth.analysis.lag import lag_sweep
+from robsmooth.analysis.lag_choice import best_lag, choose_lag
 from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.baselines import optimal_fixed_lag_error, optimal_two_sided_error
@@ -33,7 +34,7 @@ TWO_SIDED = optimal_two_sided_error(EXAMPLE)[0, 0]
 
 def classical_error(system, delay, order):
     smoother = baselines.fixed_lag_smoother(system, delay, order, copies=True)
-    return np.trace(error_covariance(smoother, smoother.plant.structured_delta(), copy_noise=False))
+    return np.trace(error_covariance(smoother, smoother.plant.structured_delta(), loop="real"))
 
 
 def near_infimum(system, delay, order):
@@ -49,7 +50,7 @@ def test_sweep_has_the_errors_of_the_designs():
             smoother = baselines.fixed_lag_smoother(EXAMPLE, delay, order, copies=True)
             assert_allclose(sweep.nominal[i, j], classical_error(EXAMPLE, delay, order), rtol=1e-9)
             edge = smoother.plant.structured_delta((), [-1.0])
-            error = error_covariance(smoother, edge, copy_noise=False)[0, 0]
+            error = error_covariance(smoother, edge, loop="real")[0, 0]
             assert_allclose(sweep.worst[i, j], error, rtol=1e-9)
     optimal = [optimal_fixed_lag_error(EXAMPLE, delay)[0, 0] for delay in delays]
     assert_allclose(sweep.optimal, optimal)
@@ -90,7 +91,7 @@ def test_search_of_the_filtered_cost_serves_all_lags_and_orders(monkeypatch):
     carried, searched = with_lag, []
     monkeypatch.setattr(lag, "minimize_bound", lambda plant: searched.append(plant) or without)
     sweep = lag_sweep(EXAMPLE, [1e-6, LAG], [1, 2], "filtered cost")
-    assert sweep.nominal[1, 1] == worst_case(carried, copy_noise=False).nominal
+    assert sweep.nominal[1, 1] == worst_case(carried, loop="real").nominal
     assert [(plant.delay, plant.order) for plant in searched] == [(0.0, 0)]
 
 
@@ -101,7 +102,7 @@ def test_search_of_the_smoothed_cost_is_made_for_each_lag_and_order(monkeypatch)
     monkeypatch.setattr(lag, "minimize_bound", search)
     sweep = lag_sweep(EXAMPLE, [1e-6, LAG], [1, 2], "smoothed cost")
     design = search(augment(EXAMPLE, LAG, 2), "smoothed")
-    assert sweep.nominal[1, 1] == worst_case(design, copy_noise=False).nominal
+    assert sweep.nominal[1, 1] == worst_case(design, loop="real").nominal
 
 
 @pytest.mark.parametrize("criterion", ["nominal", "worst"])
@@ -156,7 +157,7 @@ def test_slack_trades_lag_for_order():
 
 def test_choice_by_the_worst_case():
     choice = choose_lag(EXAMPLE, 0.08, criterion="worst", design=near_infimum, max_order=3)
-    found = worst_case(near_infimum(EXAMPLE, choice.lag, choice.order), copy_noise=False)
+    found = worst_case(near_infimum(EXAMPLE, choice.lag, choice.order), loop="real")
     assert_allclose((choice.error, found.mean_square), 0.08, rtol=1e-9)
     # the nominal error meets it long before
     assert choose_lag(EXAMPLE, 0.08, design=near_infimum).lag < choice.lag / 3
@@ -169,7 +170,7 @@ def test_filter_is_chosen_where_it_meets_the_target():
 
 
 def test_robust_smoother_may_need_a_lag_for_what_the_optimal_filter_has():
-    worst = worst_case(near_infimum(EXAMPLE, 0.0, 0), copy_noise=False).mean_square
+    worst = worst_case(near_infimum(EXAMPLE, 0.0, 0), loop="real").mean_square
     choice = choose_lag(EXAMPLE, 0.9 * worst, criterion="worst", design=near_infimum, max_order=2)
     assert choice.shortest == 0.0 < choice.lag
     assert choice.target > FILTERING

@@ -1,6 +1,7 @@
 """The worst uncertainty: against grids, random ones, quadrature, and what theory says of it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,9 +20,10 @@ from robsmooth import (
     homodyne,
 )
 from robsmooth.analysis.constraints import analysis_bound
-from robsmooth.analysis.worst_case import _error, worst_case, worst_dynamic_case
+from robsmooth.analysis.worst_case import mean_square_and_gradient, worst_case
+from robsmooth.analysis.worst_dynamic_case import worst_dynamic_case
 from robsmooth.estimators import baselines
-from robsmooth.estimators.loop import OUTPUTS, open_loop
+from robsmooth.estimators.loop import LOOPS, OUTPUTS, open_loop
 from tests.helpers.loops import looking_at_nothing
 from tests.helpers.strategies import (
     admissible_delta,
@@ -48,31 +50,31 @@ def designed(seed, cost="filtered", size=0.1, **sizes):
 
 
 @settings(max_examples=20)
-@given(designs(), st.sampled_from(OUTPUTS), st.booleans(), seeds)
-def test_gradient_is_that_of_the_error(design, output, copy_noise, seed):
+@given(designs(), st.sampled_from(OUTPUTS), st.sampled_from(LOOPS), seeds)
+def test_gradient_is_that_of_the_error(design, output, loop, seed):
     rng = np.random.default_rng(seed)
-    loop = open_loop(design, output, copy_noise)
+    opened = open_loop(design, output, loop)
     Delta = 0.9 * admissible_delta(rng, design.plant)
-    value, gradient = _error(loop, Delta)
+    value, gradient = mean_square_and_gradient(opened, Delta)
     if output != "guaranteed":
-        assert_allclose(
-            value, np.trace(error_covariance(design, Delta, output, copy_noise)), rtol=1e-8
-        )
+        assert_allclose(value, np.trace(error_covariance(design, Delta, output, loop)), rtol=1e-8)
     direction = rng.standard_normal(Delta.shape)
     step = 1e-5
-    beside = [_error(loop, Delta + sign * step * direction)[0] for sign in (1, -1)]
+    beside = [
+        mean_square_and_gradient(opened, Delta + sign * step * direction)[0] for sign in (1, -1)
+    ]
     scale = np.linalg.norm(gradient) * np.linalg.norm(direction) + value
     assert abs((beside[0] - beside[1]) / (2 * step) - (gradient * direction).sum()) < 1e-5 * scale
 
 
 @settings(max_examples=15)
-@given(designs(), st.sampled_from(["smoothed", "filtered"]), st.booleans(), seeds)
-def test_no_admissible_uncertainty_is_worse(design, output, copy_noise, seed):
-    worst = worst_case(design, output, copy_noise)
+@given(designs(), st.sampled_from(["smoothed", "filtered"]), st.sampled_from(LOOPS), seeds)
+def test_no_admissible_uncertainty_is_worse(design, output, loop, seed):
+    worst = worst_case(design, output, loop)
     rng = np.random.default_rng(seed)
     for _ in range(20):
         Delta = admissible_delta(rng, design.plant)
-        error = np.trace(error_covariance(design, Delta, output, copy_noise))
+        error = np.trace(error_covariance(design, Delta, output, loop))
         assert error <= worst.mean_square * (1 + 1e-9)
     assert worst.nominal <= worst.mean_square
 
@@ -121,7 +123,7 @@ def test_worst_of_two_slopes_is_the_largest_of_a_grid():
 
 def test_worst_slope_of_the_example_is_the_edge_of_its_sector(example):
     for output in ("smoothed", "filtered"):
-        worst = worst_case(example, output, copy_noise=False)
+        worst = worst_case(example, output, loop="real")
         assert_array_equal(worst.Delta, example.plant.structured_delta((), [-1.0]))
 
 
@@ -184,11 +186,11 @@ def test_search_does_not_depend_on_the_seed():
     assert_allclose(first, second, rtol=1e-9)
 
 
-@pytest.mark.parametrize("copy_noise", [True, False])
+@pytest.mark.parametrize("loop", LOOPS)
 @pytest.mark.parametrize("output", OUTPUTS)
-def test_worst_phase_of_the_example_is_the_best_of_a_grid(example, output, copy_noise):
-    found = worst_dynamic_case(example, output, copy_noise)
-    loop = open_loop(example, output, copy_noise)
+def test_worst_phase_of_the_example_is_the_best_of_a_grid(example, output, loop):
+    found = worst_dynamic_case(example, output, loop)
+    opened = open_loop(example, output, loop)
     some = np.arange(0, len(found.frequencies), 37)
     phases = np.exp(1j * np.linspace(0, 2 * np.pi, 721))
     for i in some:
@@ -196,9 +198,9 @@ def test_worst_phase_of_the_example_is_the_best_of_a_grid(example, output, copy_
         best = 0.0
         for phase in phases:
             Delta = np.diag([0.0, phase, phase])
-            A = loop.A + loop.inputs @ Delta @ loop.outputs
-            states = np.linalg.solve(s * np.eye(len(A)) - A, loop.B)
-            T = (loop.truth * np.exp(-s * loop.delay) - loop.estimate) @ states
+            A = opened.A + opened.inputs @ Delta @ opened.outputs
+            states = np.linalg.solve(s * np.eye(len(A)) - A, opened.B)
+            T = (opened.truth * np.exp(-s * opened.delay) - opened.estimate) @ states
             best = max(best, (np.abs(T) ** 2).sum())
         assert best <= found.spectra[2, i] * (1 + 1e-9)
         assert_allclose(best, found.spectra[2, i], rtol=1e-4)
@@ -226,7 +228,7 @@ def test_worst_at_each_frequency_is_worse_than_constant_and_than_random(seed, si
     ):
         inside = np.trapezoid(spectrum * found.frequencies, log) / np.pi
         assert_allclose(inside, expected, rtol=2e-3)
-    loop, rng = open_loop(design, output, True), np.random.default_rng(seed)
+    loop, rng = open_loop(design, output, "theory"), np.random.default_rng(seed)
     for i in rng.integers(len(worst), size=40):
         blocks = [rng.standard_normal((2, *block.shape)) for block in loop.blocks]
         blocks = [real + 1j * imaginary for real, imaginary in blocks]
@@ -263,6 +265,19 @@ def test_dynamic_case_wants_a_loop_that_is_proven_stable():
         worst_dynamic_case(looking_at_nothing(1.5), "filtered")
 
 
+def test_without_uncertainty_nothing_is_worse_than_the_nominal_error():
+    system = UncertainSystem(A=[[-1.0]], B1=[[1, 0]], C0=[[1.0]], C2=[[1.0]], D21=[[0, 0.1]])
+    for smoother in (
+        baselines.fixed_lag_smoother(system, 0.2, 2),
+        baselines.kalman_bucy(replace(system, uncertainties=[Uncertainty([[0]], [[0]], [[0]])])),
+    ):
+        nothing = smoother.plant.structured_delta()
+        nominal = error_covariance(smoother, nothing)[0, 0]
+        found = worst_dynamic_case(smoother)
+        assert_allclose(found.mean_square, nominal, rtol=1e-4)
+        assert found.constant.mean_square == found.constant.nominal == nominal
+
+
 def test_worst_cases_do_not_depend_on_the_unit_of_time():
     design = designed(5, n=2, m=1, l=1, g=1)
     system, fast = design.plant.system, 2.0**30
@@ -285,9 +300,9 @@ def test_worst_cases_do_not_depend_on_the_unit_of_time():
         baselines.fixed_lag_smoother(s, lag, 2, copies=True)
         for s, lag in ((system, 0.7), (quick, 0.7 / fast))
     ]
-    slow, fast_one = (worst_case(each, copy_noise=False) for each in pair)
+    slow, fast_one = (worst_case(each, loop="real") for each in pair)
     assert_allclose(fast_one.mean_square, slow.mean_square, rtol=1e-9)
-    slow, fast_one = (worst_dynamic_case(each, "filtered", False, starts=2) for each in pair)
+    slow, fast_one = (worst_dynamic_case(each, "filtered", "real", starts=2) for each in pair)
     assert_allclose(fast_one.mean_square, slow.mean_square, rtol=1e-7)
     assert repr(slow).startswith("WorstDynamicCase(mean_square=")
 
@@ -298,8 +313,8 @@ def test_what_is_not_understood_is_refused(example):
             function("design")
         with pytest.raises(ValueError, match=r"output must be one of .*, got 'both'"):
             function(example, "both")
-        with pytest.raises(TypeError, match="copy_noise must be True or False"):
-            function(example, copy_noise=1)
+        with pytest.raises(ValueError, match="loop must be one of 'theory', 'real', got 'ideal'"):
+            function(example, loop="ideal")
         with pytest.raises(ValueError, match="starts must be an integer of at least 1"):
             function(example, starts=0)
         with pytest.raises(ValueError, match="seed must be an integer of at least 0"):

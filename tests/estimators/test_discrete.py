@@ -536,7 +536,7 @@ def classical():
 def test_the_error_tends_to_that_in_continuous_time():
     estimator = classical()
     Delta = np.zeros((4, 4))
-    limit = error_covariance(estimator, Delta, copy_noise=False)
+    limit = error_covariance(estimator, Delta, loop="real")
     excess = [
         np.abs(exact_errors(estimator, 0.6 / lag, lag) - limit).max() for lag in (16, 32, 64, 128)
     ]
@@ -569,7 +569,7 @@ def test_the_measured_error_is_the_one_that_theory_tells():
         # the row of sample k is of the time (k + 1) dt - lag, where the state is that of k - lag
         error = found[settle + lag :] - truth[settle:-lag, path]
         squares[path] = (error**2).mean(axis=0)
-    expected = np.diag(error_covariance(estimator, np.zeros((4, 4)), copy_noise=False))
+    expected = np.diag(error_covariance(estimator, np.zeros((4, 4)), loop="real"))
     deviation = squares.std(axis=0, ddof=1) / np.sqrt(paths)
     assert (deviation < 0.012 * expected).all()
     assert (np.abs(squares.mean(axis=0) - expected) < SIGMAS * deviation).all()

@@ -14,7 +14,7 @@ from scipy.sparse.linalg import expm_multiply
 from scipy.special import ive
 
 from robsmooth import UnstableLoopError, error_covariance
-from robsmooth.analysis.covariance import statistical_linearisation
+from robsmooth.analysis.statistical_linearisation import statistical_linearisation
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
@@ -264,7 +264,7 @@ def test_errors_of_a_quiet_loop_are_the_linear_ones(name):
     assert_allclose(found, linear_errors(loop, 1.0, 1.0), rtol=1e-10)
     tangent = DESIGNS[name].plant.structured_delta((), [PAPER.equivalent_slope(0.0)])
     covariances = [
-        error_covariance(DESIGNS[name], tangent, output, copy_noise=False, allow_inadmissible=True)
+        error_covariance(DESIGNS[name], tangent, output, loop="real", allow_inadmissible=True)
         for output in ("smoothed", "filtered")
     ]
     assert_allclose(found, quiet * np.ravel(covariances), rtol=1e-9)

@@ -39,7 +39,7 @@ def test_entries_are_those_of_the_designs(found):
     assert at["bound"] == pytest.approx(2 * best.bound, rel=1e-9)
     for name, slope in (("nominal", 0.0), ("edge", -1.0)):
         Delta = design.plant.structured_delta((), [slope])
-        linear = rs.error_covariance(design, Delta, copy_noise=False)[0, 0]
+        linear = rs.error_covariance(design, Delta, loop="real")[0, 0]
         assert at[name] == pytest.approx(linear, rel=1e-9)
     assert at["smoothed"] == simulated.smoothed.mean_square
     assert at["smoothed_error"] == simulated.smoothed.standard_error
@@ -47,7 +47,7 @@ def test_entries_are_those_of_the_designs(found):
     assert at["slip_rate"] == 0.0
     assert at["optimal"] == rs.baselines.optimal_fixed_lag_error(system, 3.1e-6)[0, 0]
     kalman = rs.baselines.kalman_bucy(system)
-    linear = rs.error_covariance(kalman, kalman.plant.structured_delta(), "filtered", False)[0, 0]
+    linear = rs.error_covariance(kalman, kalman.plant.structured_delta(), "filtered", "real")[0, 0]
     assert at["optimal_filtered"] == pytest.approx(linear, rel=1e-9)
 
 

@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from robsmooth import UnstableLoopError
 from robsmooth._numerics.linearisation import equivalent_slopes, of_function, of_sine
-from robsmooth.analysis.covariance import statistical_linearisation
+from robsmooth.analysis.statistical_linearisation import statistical_linearisation
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop

@@ -13,7 +13,7 @@ from matplotlib.text import Text
 
 from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne, sample_paths
 from robsmooth.analysis.lag import lag_sweep
-from robsmooth.analysis.worst_case import worst_dynamic_case
+from robsmooth.analysis.worst_dynamic_case import worst_dynamic_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.homodyne.certificate import scalar_bound
@@ -74,7 +74,7 @@ COMPARED = compare(
     runs=128,
     duration=1e-5,
 )
-DYNAMIC = worst_dynamic_case(CLASSICAL, copy_noise=False)
+DYNAMIC = worst_dynamic_case(CLASSICAL, loop="real")
 PATHS = sample_paths(CLASSICAL, runs=1, duration=3.1e-5, step=3.1e-7)
 OMEGA = np.geomspace(0.1, 10.0, 50)
 

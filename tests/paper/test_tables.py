@@ -33,8 +33,8 @@ def test_estimators_are_compared_by_the_same_numbers_as_by_themselves():
         {"classical": (classical, "smoothed")}, homodyne.PAPER, (-0.5,), runs=128, duration=1e-5
     ).values()
     Delta = classical.plant.structured_delta((), [-0.5])
-    assert case.at == (error_covariance(classical, Delta, copy_noise=False)[0, 0],)
-    assert case.worst.mean_square == worst_case(classical, copy_noise=False).mean_square
+    assert case.at == (error_covariance(classical, Delta, loop="real")[0, 0],)
+    assert case.worst.mean_square == worst_case(classical, loop="real").mean_square
     assert case.exact == stationary_errors(homodyne.PAPER, classical).smoothed
     assert case.promised is None
     (row,) = tables.beyond.side_by_side({"classical": case}, (-0.5,)).rows
@@ -113,7 +113,7 @@ def test_own_systems_are_predicted_by_their_equivalent_slopes():
     design = design_smoother(augment(_with_noise_channel(linear), 3.1e-6, 1), 1e-6, [0.9, 0.9])
     found = simulate(design, runs=64, duration=1e-4)
     (row,) = tables.own.own_systems({"linear": (design, found)}).rows
-    exact = error_covariance(design, design.plant.structured_delta(), copy_noise=False)[0, 0]
+    exact = error_covariance(design, design.plant.structured_delta(), loop="real")[0, 0]
     assert row[2] == pytest.approx(exact, rel=1e-12)
     assert row[5] == 2 * design.bound
 

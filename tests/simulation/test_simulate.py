@@ -22,13 +22,14 @@ from scipy.stats import norm
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
+from robsmooth.estimators.loop import LOOPS
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import monte_carlo
 from robsmooth.paper import published
 from robsmooth.simulation import simulate as run
-from robsmooth.simulation.integrator import Walk
+from robsmooth.simulation.integrator import ExponentialIntegrator
 from robsmooth.simulation.loop import Function, NonlinearLoop, nonlinear_loop
 from robsmooth.simulation.simulate import InadmissibleWarning, sample_paths, simulate
 from robsmooth.systems.augmented import augment, compact
@@ -122,13 +123,13 @@ def test_stationary_variance_converges_with_the_second_order(slope, bias_of_defa
     total, second = (quad(lambda x, p=p: x**p * np.exp(-potential(x)), -8, 8)[0] for p in (0, 2))
     loop = restored_loop(slope)
     biases = [
-        variance_of_the_chain(Walk.of(loop, step)) / (second / total) - 1
+        variance_of_the_chain(ExponentialIntegrator.of(loop, step)) / (second / total) - 1
         for step in 0.05 / 2.0 ** np.arange(5)
     ]
     orders = np.log2(np.divide(biases[:-1], biases[1:]))
     assert (np.diff(orders) > 0.0).all()
     assert orders[-1] == pytest.approx(2.0, abs=0.05)
-    assert run.STEP_OF_TIME_CONSTANT / loop.response_rate() == pytest.approx(0.05)
+    assert run.STEP_OF_TIME_CONSTANT / loop.argument_rate() == pytest.approx(0.05)
     assert abs(biases[0]) < bias_of_default
 
 
@@ -170,7 +171,7 @@ def test_equations_are_those_of_the_paper(referenced):
     )
     misfits = []
     for steps in (16, 32, 64):
-        walk = Walk.of(loop, 1.2 / steps, measured=True)
+        walk = ExponentialIntegrator.of(loop, 1.2 / steps, measured=True)
         z = np.vstack([start, np.zeros((l, 1))])
         integral = np.zeros((l, 1))
         for k in range(steps):
@@ -186,10 +187,10 @@ def test_equations_are_those_of_the_paper(referenced):
 # --- the errors -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("copy_noise", [False, True])
+@pytest.mark.parametrize("loop", LOOPS)
 @pytest.mark.parametrize(("delay", "order"), [(0.0, 0), (0.4, 0), (0.3, 2)])
-def test_errors_of_a_linear_loop_have_their_covariance(delay, order, copy_noise):
-    rng = np.random.default_rng(10 * order + copy_noise)
+def test_errors_of_a_linear_loop_have_their_covariance(delay, order, loop):
+    rng = np.random.default_rng(10 * order + (loop == "theory"))
     system = random_system(rng, n=3, m=2, l=2, g=2)
     Delta = admissible_delta(rng, compact(system, delay, order))
     # functions that are the slopes of Delta: rows are the inputs 2 + 2, then 2 and 2 copies
@@ -199,14 +200,14 @@ def test_errors_of_a_linear_loop_have_their_covariance(delay, order, copy_noise)
     result = simulate(
         estimator,
         uncertainties=[Delta[:2, :3], Delta[2:4, 3:4]],
-        copy_noise=copy_noise,
+        loop=loop,
         runs=200,
         duration=60.0,
         step=0.2 if order == 0 else 0.15,
     )
     assert_allclose(result.equivalent_delta, Delta, rtol=1e-9, atol=1e-12)
     for output in ("filtered", "smoothed"):
-        expected = error_covariance(estimator, Delta, output, copy_noise)
+        expected = error_covariance(estimator, Delta, output, loop)
         error = getattr(result, output)
         assert_within(error.covariance, expected, error.covariance_error)
         assert_within(error.mean_square, np.trace(expected), error.standard_error)
@@ -236,10 +237,8 @@ def test_system_without_channels_has_its_covariance():
 def test_guarantee_of_a_design_holds_in_the_nonlinear_loop(uncertainty):
     plant = augment(scalar_system(soft), 0.2, 2)
     design = feasible_design(np.random.default_rng(0), plant)
-    for copy_noise in (False, True):
-        result = simulate(
-            design, uncertainties=[uncertainty], copy_noise=copy_noise, runs=64, duration=30.0
-        )
+    for loop in LOOPS:
+        result = simulate(design, uncertainties=[uncertainty], loop=loop, runs=64, duration=30.0)
         error = result.filtered
         assert error.mean_square + 4 * error.standard_error < 2 * design.bound
 
@@ -248,7 +247,7 @@ def test_statistical_linearisation_predicts_the_errors_of_a_weak_nonlinearity():
     estimator = curved_estimator()
     result = simulate(estimator, runs=1024, duration=250.0)
     for output in ("filtered", "smoothed"):
-        predicted = error_covariance(estimator, result.equivalent_delta, output, copy_noise=False)
+        predicted = error_covariance(estimator, result.equivalent_delta, output, loop="real")
         error = getattr(result, output)
         assert error.standard_error < 0.003 * np.trace(predicted)
         assert error.mean_square == pytest.approx(np.trace(predicted), rel=0.01)
@@ -261,8 +260,8 @@ def test_uncertainty_may_be_a_function():
     result = simulate(estimator, uncertainties=[lambda _, zeta: -zeta], runs=512)
     Delta = estimator.plant.structured_delta([-1.0], [0.2])
     for output in ("filtered", "smoothed"):
-        expected = error_covariance(estimator, Delta, output, copy_noise=False)[0, 0]
-        nominal = error_covariance(estimator, 0 * Delta, output, copy_noise=False)[0, 0]
+        expected = error_covariance(estimator, Delta, output, loop="real")[0, 0]
+        nominal = error_covariance(estimator, 0 * Delta, output, loop="real")[0, 0]
         error = getattr(result, output)
         assert_within(error.mean_square, expected, error.standard_error)
         assert abs(nominal - expected) > 20 * error.standard_error
@@ -689,7 +688,7 @@ def test_nonlinearity_without_a_function_is_refused():
         ({"duration": 1e-3, "step": 0.1}, ValueError, "duration must be at least one step"),
         ({"step": 0.03}, ValueError, "step must divide the smoother's delay, 0.2 s, into whole"),
         ({"step": -1.0}, ValueError, "step must be"),
-        ({"copy_noise": 1}, TypeError, "copy_noise must be True or False, got 1"),
+        ({"loop": 1}, ValueError, "loop must be one of 'theory', 'real', got 1"),
         ({"progress": None}, TypeError, "progress must be True or False, got None"),
         ({"uncertainties": 0.5}, TypeError, "uncertainties must be a sequence"),
         ({"uncertainties": [0.1, 0.2]}, ValueError, "uncertainties must have 1 entries, got 2"),

@@ -123,14 +123,14 @@ def designs(compared: Mapping[str, Estimator]) -> Table:
 
 def covariances(compared: Mapping[str, Estimator]) -> Table:
     """Return nominal and worst error covariances, with the copies' fictitious noise and without."""
-    loops = {"paper's formula": True, "no copy noise": False}
+    loops = {"paper's formula": "theory", "no copy noise": "real"}
     records = [
         {"error": f"{name}, {output}"}
         | {
             rf"$\Delta_2={slope:g}$, {loop}": float(
-                delta_sweep(design, [slope], output, copy_noise)[0, 0, 0]
+                delta_sweep(design, [slope], output, kind)[0, 0, 0]
             )
-            for loop, copy_noise in loops.items()
+            for loop, kind in loops.items()
             for slope in (0.0, -1.0)
         }
         for name, design in compared.items()
@@ -146,16 +146,16 @@ def covariances(compared: Mapping[str, Estimator]) -> Table:
 def copy_noise(designs: Mapping[float, RobustSmoother]) -> Table:
     """Return bounds against the intensity J_21 that the design assumes for the copies."""
 
-    def filtered(design: RobustSmoother, copy_noise: bool) -> float:
+    def filtered(design: RobustSmoother, loop: str) -> float:
         nominal = design.plant.structured_delta()
-        return float(error_covariance(design, nominal, "filtered", copy_noise)[0, 0])
+        return float(error_covariance(design, nominal, "filtered", loop=loop)[0, 0])
 
     records = [
         {
             "$J_{21}$": f"{intensity:g}",
             "least $V$": design.bound_infimum or design.bound,
-            "filtered, with copy noise": filtered(design, True),
-            "filtered, without": filtered(design, False),
+            "filtered, with copy noise": filtered(design, "theory"),
+            "filtered, without": filtered(design, "real"),
         }
         for intensity, design in designs.items()
     ]

@@ -13,7 +13,7 @@ from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne.parameters import PAPER
 from robsmooth.paper.published import DELAY, ORDER
 from robsmooth.paper.tables import cells
-from robsmooth.simulation.simulate import SimulationResult
+from robsmooth.simulation.results import SimulationResult
 from robsmooth.systems.augmented import augment
 
 
@@ -43,7 +43,7 @@ def own_systems(results: Mapping[str, tuple[RobustSmoother, SimulationResult]]) 
         predicted = error_covariance(
             design,
             found.equivalent_delta,
-            copy_noise=False,
+            loop="real",
             allow_inadmissible=True,
             reference="system",
         )
