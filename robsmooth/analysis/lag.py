@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread

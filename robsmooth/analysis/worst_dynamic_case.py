@@ -14,6 +14,7 @@ causal uncertainties is in `robsmooth.analysis.constraints`.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
 from robsmooth._support import notation, validation
@@ -70,9 +71,9 @@ class WorstDynamicCase:
 
     mean_square: float
     constant: WorstCase
-    frequencies: np.ndarray
-    Delta: np.ndarray
-    spectra: np.ndarray
+    frequencies: NDArray[np.float64]
+    Delta: NDArray[np.complex128]
+    spectra: NDArray[np.float64]
 
     def __post_init__(self):
         for value in (self.frequencies, self.Delta, self.spectra):
