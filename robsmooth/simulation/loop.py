@@ -117,7 +117,8 @@ class NonlinearLoop:
 
         The largest of the root mean square drift of an argument over its size, and of the gain from
         one argument, through its function, to the drift of another. Without functions the first, of
-        the outputs.
+        the outputs. It belongs to the stationary loop: the `response_rate` of the homodyne loop,
+        which belongs to the response to an impulse, is another, if of the same size.
         """
         root, N = self.stationary_root, self.order
         size = np.linalg.norm(self.arguments @ root, axis=1)
@@ -125,10 +126,10 @@ class NonlinearLoop:
         rows = self.arguments[used] if used else self.readout
         speeds = [np.linalg.norm(rows @ self.linear_drift[:N] @ root, axis=1)]
         for part in self.functions:
-            reach = self.lipschitz[part.outputs] * size[part.outputs]
+            response = self.lipschitz[part.outputs] * size[part.outputs]
             if not part.elementwise:
-                reach = np.linalg.norm(reach)
-            speeds.append((np.abs(rows @ self.inputs[:N, part.inputs]) * reach).max(axis=1))
+                response = np.linalg.norm(response)
+            speeds.append((np.abs(rows @ self.inputs[:N, part.inputs]) * response).max(axis=1))
         own = np.linalg.norm(rows @ root, axis=1)
         moving = own > _ZERO_DEVIATION * np.linalg.norm(np.abs(rows) @ np.abs(root), axis=1)
         rates = np.max(speeds, axis=0)[moving] / own[moving]

@@ -215,8 +215,8 @@ def sample_paths(
     runs, seed = _counts(runs, seed)
     plan = _plan(joined, smoother.plant.delay, duration, step, TIME_CONSTANTS / 5)
     integrator = ExponentialIntegrator.of(joined, plan.step, measured=True)
-    parts = list(_recorded(integrator, smoother.plant, plan, seed, range(runs)))
-    whole = _Part(*(np.concatenate(pieces) for pieces in zip(*parts, strict=True)))
+    parts = list(_simulated_records(integrator, smoother.plant, plan, seed, range(runs)))
+    whole = _Records(*(np.concatenate(chunks) for chunks in zip(*parts, strict=True)))
     series = {
         name: frozen(np.moveaxis(getattr(whole, name), 2, 0))
         for name in ("y", "reference", "w", "filtered", "delayed", "smoothed")
@@ -266,7 +266,7 @@ def _plan(
     )
 
 
-class _Part(NamedTuple):
+class _Records(NamedTuple):
     """Some consecutive records of all paths, each (steps, rows, paths), from time zero on."""
 
     time: NDArray  # (steps,), s
@@ -274,35 +274,35 @@ class _Part(NamedTuple):
     filtered: NDArray
     delayed: NDArray
     smoothed: NDArray
-    zeta: NDArray  # less the reference, and
-    known: NDArray  # what that is
+    zeta: NDArray  # less the reference
+    subtracted: NDArray  # the reference in zeta
     y: NDArray
     reference: NDArray
 
 
-def _recorded(
+def _simulated_records(
     integrator: ExponentialIntegrator,
     plant: AugmentedSystem,
     plan: _Plan,
     seed: int,
     paths: range,
     bar=None,
-) -> Iterator[_Part]:
+) -> Iterator[_Records]:
     """Simulate paths; leave out what is before time zero."""
     m, g, arguments = plant.system.m, plant.system.g, len(integrator.loop.arguments)
     rows = np.cumsum([m, m, m, arguments, arguments])
     of_detectors = slice(arguments - 2 * g, arguments - g)
     past, last = np.zeros((plan.lag, m, len(paths))), np.zeros((1, g, len(paths)))
     for first, records in integrator.records(seed, paths, plan.before, plan.steps):
-        w, filtered, smoothed, zeta, known, y = np.split(records, rows, axis=1)
+        w, filtered, smoothed, zeta, subtracted, y = np.split(records, rows, axis=1)
         outputs = np.concatenate([past, w])
         past = outputs[len(w) :]
-        references = np.concatenate([last, known[:, of_detectors]])
+        references = np.concatenate([last, subtracted[:, of_detectors]])
         last = references[-1:]
         means = (references[1:] + references[:-1]) / 2
         times = integrator.step * np.arange(first, first + len(w))
-        parts = (times, w, filtered, outputs[: len(w)], smoothed, zeta, known, y, means)
-        yield _Part(*(part[max(0, 1 - first) :] for part in parts))
+        parts = (times, w, filtered, outputs[: len(w)], smoothed, zeta, subtracted, y, means)
+        yield _Records(*(part[max(0, 1 - first) :] for part in parts))
         if bar is not None:
             bar.update(len(records) * len(paths))
 
@@ -330,12 +330,12 @@ def _averages(
     m, samples = plant.system.m, 0
     products = np.zeros((2, m, m, len(paths)))
     checks = np.zeros((3, len(plant.M_i), len(paths)))
-    for part in _recorded(integrator, plant, plan, seed, paths, bar):
+    for part in _simulated_records(integrator, plant, plan, seed, paths, bar):
         errors = (part.w - part.filtered, part.delayed - part.smoothed)
         products += [np.einsum("tip,tjp->ijp", error, error) for error in errors]
         for k in range(0, len(part.time), CHECK_EVERY):
             checks += _constraints(
-                integrator.loop, plant, part.time[k], part.zeta[k], part.known[k]
+                integrator.loop, plant, part.time[k], part.zeta[k], part.subtracted[k]
             )
             samples += 1
     products /= plan.steps
@@ -345,21 +345,21 @@ def _averages(
 
 
 def _constraints(
-    loop: NonlinearLoop, plant: AugmentedSystem, at: float, zeta: NDArray, known: NDArray
+    loop: NonlinearLoop, plant: AugmentedSystem, time: float, zeta: NDArray, subtracted: NDArray
 ) -> NDArray[np.float64]:
     """Return what each constraint has at a time: (3, k + 3g, paths).
 
-    That is xi' M_i xi, zeta' N_i zeta, and whether the former is larger; the reference, `known`, is
-    in the zeta of the second, and not in that of the third.
+    That is xi' M_i xi, zeta' N_i zeta, and whether the former is larger: the zeta of the second has
+    the whole arguments, with the reference that was `subtracted`, and that of the third has not.
     """
-    xi = loop.delta @ zeta + loop.remainder(at, zeta)
-    whole = zeta + known
-    used, allowed, seen = np.empty((3, len(plant.M_i), zeta.shape[1]))
+    xi = loop.delta @ zeta + loop.remainder(time, zeta)
+    whole = zeta + subtracted
+    used, allowed, allowed_less_reference = np.empty((3, len(plant.M_i), zeta.shape[1]))
     for i, (M, N) in enumerate(zip(plant.M_i, plant.N_i, strict=True)):
         used[i] = (xi * (M @ xi)).sum(axis=0)
         allowed[i] = (whole * (N @ whole)).sum(axis=0)
-        seen[i] = (zeta * (N @ zeta)).sum(axis=0)
-    return np.array([used, allowed, used > (1 + _CONSTRAINT_TOLERANCE) * seen])
+        allowed_less_reference[i] = (zeta * (N @ zeta)).sum(axis=0)
+    return np.array([used, allowed, used > (1 + _CONSTRAINT_TOLERANCE) * allowed_less_reference])
 
 
 def _error(errors: Moments, first: int, m: int) -> SimulatedError:

@@ -74,7 +74,7 @@ def test_bound_is_between_every_admissible_delta_and_the_guarantee(design, loop,
         assert error <= found.mean_square * (1 + 1e-6)
     assert found.fraction == 1.0
     assert found.mean_square <= found.guarantee * (1 + 1e-6)
-    assert found.guarantee == 2 * design.bound
+    assert found.guarantee == design.mean_square_bound
 
 
 @settings(max_examples=15)

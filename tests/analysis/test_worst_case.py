@@ -166,7 +166,7 @@ def test_without_uncertainty_the_nominal_case_is_the_worst():
 @given(st.sampled_from(["filtered", "smoothed"]).flatmap(lambda cost: designs(cost=cost)))
 def test_guarantee_holds_for_the_error_that_it_is_for(design):
     worst = worst_case(design, "guaranteed")
-    assert worst.mean_square <= worst.guarantee == 2 * design.bound
+    assert worst.mean_square <= worst.guarantee == design.mean_square_bound
     assert worst.tightness == worst.mean_square / worst.guarantee
     assert worst_case(design, "smoothed").guarantee is None
     covered = worst_case(design, "filtered").guarantee
@@ -255,9 +255,9 @@ def test_an_uncertainty_that_knows_the_future_is_worse_than_the_exact_worst_case
 
 def test_no_theorem_has_the_worst_at_each_frequency_below_the_guarantee(example):
     above = designed(25, n=2, m=1, l=1, g=0)
-    assert worst_dynamic_case(above, "guaranteed").mean_square > 1.05 * 2 * above.bound
-    assert analysis_bound(above).mean_square < 2 * above.bound
-    assert worst_dynamic_case(example, "guaranteed").mean_square < 2 * example.bound
+    assert worst_dynamic_case(above, "guaranteed").mean_square > 1.05 * above.mean_square_bound
+    assert analysis_bound(above).mean_square < above.mean_square_bound
+    assert worst_dynamic_case(example, "guaranteed").mean_square < example.mean_square_bound
 
 
 def test_dynamic_case_wants_a_loop_that_is_proven_stable():

@@ -99,13 +99,13 @@ def restored_loop(slope):
     )
 
 
-def variance_of_the_chain(walk, reach=3.3, size=80, nodes=40):
+def variance_of_the_chain(integrator, reach=3.3, size=80, nodes=40):
     """Stationary E x^2 of the steps, without sampling: their transfer operator on polynomials."""
     angles = np.pi * (np.arange(size) + 0.5) / size
     x = reach * np.cos(angles)
     draws, weights = np.polynomial.hermite_e.hermegauss(nodes)
     z = np.repeat(x, nodes)[None]
-    after = walk.advance(0.0, z, z, walk.noise @ np.tile(draws, size)[None])[0]
+    after = integrator.advance(0.0, z, z, integrator.noise @ np.tile(draws, size)[None])[0]
     values_to_coefficients = 2 / size * np.cos(np.outer(np.arange(size), angles))
     values_to_coefficients[0] /= 2
     basis = chebvander(np.clip(after / reach, -1, 1), size - 1) @ values_to_coefficients
@@ -171,12 +171,12 @@ def test_equations_are_those_of_the_paper(referenced):
     )
     misfits = []
     for steps in (16, 32, 64):
-        walk = ExponentialIntegrator.of(loop, 1.2 / steps, measured=True)
+        integrator = ExponentialIntegrator.of(loop, 1.2 / steps, measured=True)
         z = np.vstack([start, np.zeros((l, 1))])
         integral = np.zeros((l, 1))
         for k in range(steps):
             zeta = loop.arguments @ z[: loop.order]
-            z = walk.advance(k * walk.step, z, zeta, np.zeros_like(z))
+            z = integrator.advance(k * integrator.step, z, zeta, np.zeros_like(z))
             integral += z[loop.order :]
         found = np.vstack([z[: loop.order], integral])[:, 0]
         misfits.append(np.abs(found - exact.y[:, -1]).max())
@@ -240,7 +240,7 @@ def test_guarantee_of_a_design_holds_in_the_nonlinear_loop(uncertainty):
     for loop in LOOPS:
         result = simulate(design, uncertainties=[uncertainty], loop=loop, runs=64, duration=30.0)
         error = result.filtered
-        assert error.mean_square + 4 * error.standard_error < 2 * design.bound
+        assert error.mean_square + 4 * error.standard_error < design.mean_square_bound
 
 
 def test_statistical_linearisation_predicts_the_errors_of_a_weak_nonlinearity():
