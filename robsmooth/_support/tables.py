@@ -73,8 +73,11 @@ class Table:
             f"<tr>{''.join(map(self._html_cell, row, styles))}</tr>" for row in self.rows
         )
         caption = f"<caption>{_html(self.caption)}</caption>\n" if self.caption else ""
+        # MathJax puts formulas for screen readers behind those that are seen: the box is not to
+        # scroll where only they are wider than the table
+        hidden = 'style="overflow: hidden"'
         return (
-            f'<div style="overflow-x: auto">\n<table class="tex2jax_process">\n{caption}'
+            f'<div style="overflow-x: auto">\n<table class="tex2jax_process" {hidden}>\n{caption}'
             f"<thead>\n<tr>{header}</tr>\n</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n</div>\n"
         )
 

@@ -12,7 +12,9 @@ TEXT = "body :not(mjx-container, mjx-container *)"
 FONTS = {
     "narrow": f"{TEXT} {{ letter-spacing: -0.05em !important; }}",
     "wide": f"""
-        {TEXT} {{ font-family: monospace, monospace !important; letter-spacing: 0.1em !important; }}
+        {TEXT}, mjx-assistive-mml * {{
+            font-family: monospace, monospace !important; letter-spacing: 0.1em !important;
+        }}
         mjx-container {{ font-size: 140% !important; }}""",
     "installed": "",
 }
@@ -42,15 +44,28 @@ WRONG = """async selector => {
     const images = all("img");
     await Promise.allSettled(images.map(image => image.decode()));
     const wide = box => box.scrollWidth > box.clientWidth + 1;
-    const boxes = all(".content, .jp-MarkdownOutput, .jp-OutputArea-output, .widget-box");
-    const shown = all(".content *, .jp-OutputArea-output *");
-    const cuts = box => ["hidden", "clip"].includes(getComputedStyle(box).overflowX);
+    // JupyterLab scrolls what is LaTeX and nothing else.
+    const output = ".jp-OutputArea-output:not(.jp-RenderedLatex)";
+    const boxes = all(`.content, ${output}, .widget-box`);
+    // Within them a box may scroll what is seen to be wide, and must not cut it off. Beside the
+    // formulas that are seen there are hidden ones for screen readers.
+    const inner = all(".content *, .jp-OutputArea-output *").filter(
+        box => wide(box) && !box.closest("mjx-container")
+    );
+    const style = (box, name) => getComputedStyle(box)[name];
+    const right = element => element.getBoundingClientRect().right;
+    const seen = box => {
+        const edge = right(box) - parseFloat(style(box, "paddingRight"));
+        return [...box.querySelectorAll(":not(mjx-assistive-mml, mjx-assistive-mml *)")]
+            .some(element => right(element) > edge + 1);
+    };
+    const overflow = (box, ...kinds) => kinds.includes(style(box, "overflowX"));
     return [
         ...images.filter(image => !image.naturalWidth),
         ...all(".math:not(:has(mjx-container)), mjx-merror, [data-mml-node=merror]"),
         ...[document.scrollingElement, ...boxes].filter(wide),
-        // beside the formulas that are seen there are hidden ones for screen readers
-        ...shown.filter(box => wide(box) && cuts(box) && !box.closest("mjx-container")),
+        ...inner.filter(box => overflow(box, "hidden", "clip") && seen(box)),
+        ...inner.filter(box => overflow(box, "auto", "scroll") && !seen(box)),
     ].map(element => element.outerHTML.slice(0, 200));
 }"""
 
