@@ -12,7 +12,7 @@ from scipy.linalg import solve_continuous_are
 
 from robsmooth import Estimator, UncertainSystem, Uncertainty, augment
 from robsmooth.homodyne.montecarlo import noise
-from robsmooth.homodyne.montecarlo.noise import LANES
+from robsmooth.homodyne.montecarlo.noise import BLOCK
 
 SIGMAS = 4.5
 PARAMETERS = types.SimpleNamespace(lam=9.14e3, kappa=4e4, alpha=1162.0, beta=1.0, gamma=0.4)
@@ -59,12 +59,12 @@ def changed(estimator, **matrices):
 
 
 def gaussians(seed, first_path, steps):
-    """The noise of LANES paths: (steps, 2, LANES)."""
-    generator = np.empty(noise.WORDS * LANES, np.uint32)
-    noise.seed_lanes(np.uint64(seed), np.uint64(first_path), generator)
-    draws = np.empty(steps * noise.DRAWS * LANES, np.float32)
+    """The noise of BLOCK paths: (steps, 2, BLOCK)."""
+    generator = np.empty(noise.WORDS * BLOCK, np.uint32)
+    noise.seed_paths(np.uint64(seed), np.uint64(first_path), generator)
+    draws = np.empty(steps * noise.DRAWS * BLOCK, np.float32)
     noise.fill_gaussians(generator, steps, draws)
-    return draws.reshape(steps, noise.DRAWS, LANES)
+    return draws.reshape(steps, noise.DRAWS, BLOCK)
 
 
 def same_numbers(result):

@@ -18,10 +18,11 @@ from scipy.stats import binom
 from robsmooth import homodyne, statistical_linearisation
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
-from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run, splitting
+from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run
 from robsmooth.homodyne.montecarlo.euler import CHUNK
-from robsmooth.homodyne.montecarlo.lanes import SLIP, TURN
-from robsmooth.homodyne.montecarlo.noise import LANES
+from robsmooth.homodyne.montecarlo.kernels import SLIP, TURN
+from robsmooth.homodyne.montecarlo.layout import draws_of_splitting
+from robsmooth.homodyne.montecarlo.noise import BLOCK
 from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK, time_average
 from robsmooth.homodyne.montecarlo.schemes import SplittingStep, control_slopes
 from robsmooth.paper import published
@@ -50,13 +51,6 @@ def integrated_noise(drift, Q, step):
     return quad_vec(lambda s: expm(drift * s) @ Q @ expm(drift * s).T, 0, step, epsrel=1e-10)[0]
 
 
-def parts(scheme, n):
-    """Transition and root of the noise out of a scheme's coefficients."""
-    m = splitting.draws(n)
-    transition, root = np.split(scheme.coefficients[: (1 + n) * (1 + n + m)], [(1 + n) ** 2])
-    return transition.reshape(1 + n, 1 + n), root.reshape(1 + n, m)
-
-
 @pytest.mark.parametrize("estimator", [kalman_filter(), printed_smoother()], ids=["1", "3"])
 @pytest.mark.parametrize("step", [1e-8, 3.875e-7, 3.1e-6])
 def test_linear_part_of_a_step_is_exact(estimator, step):
@@ -64,7 +58,7 @@ def test_linear_part_of_a_step_is_exact(estimator, step):
     slopes = control_slopes(loop)
     drift, B = loop.linearised_drift(*slopes), loop.noise_gains()
     scheme = SplittingStep.of(loop, step, slopes)
-    transition, root = parts(scheme, loop.order)
+    transition, root, *_ = scheme.coefficients
     assert_allclose(transition, expm(drift * step), rtol=1e-10, atol=1e-12)
     expected = integrated_noise(drift, B @ B.T, step)
     size = np.sqrt(np.diag(expected))
@@ -80,7 +74,7 @@ def test_linear_part_of_a_step_is_exact(estimator, step):
 def test_noise_of_a_long_step_leaves_the_stationary_covariance(estimator, step):
     loop = homodyne_loop(PARAMETERS, estimator)
     drift, B = loop.linearised_drift(), loop.noise_gains()
-    transition, root = parts(SplittingStep.of(loop, step, (1.0, 1.0)), loop.order)
+    transition, root, *_ = SplittingStep.of(loop, step, (1.0, 1.0)).coefficients
     P = solve_continuous_lyapunov(drift, -B @ B.T)
     size = np.sqrt(np.diag(P))
     expected = P - expm(drift * step) @ P @ expm(drift * step).T
@@ -91,13 +85,13 @@ def test_noise_of_a_long_step_leaves_the_stationary_covariance(estimator, step):
 
 
 def plain_splitting(loop, given, draws):
-    """The scheme as its equations are written: the outputs of LANES paths."""
+    """The scheme as its equations are written: the outputs of BLOCK paths."""
     h, schedule = given.step, given.schedule
     slopes = np.array(control_slopes(loop))
     scheme = given.coefficients
-    transition, root = parts(scheme, loop.order)
+    transition, root, *_ = scheme.coefficients
     m = root.shape[1]
-    draws = draws.reshape(-1, m, LANES).astype(float)
+    draws = draws.reshape(-1, m, BLOCK).astype(float)
     gains = np.column_stack([loop.sine_gain, loop.copy_gain])
     rows = loop.arguments()
     jacobian_rows = rows[:, 1:]  # of the arguments by x-hat
@@ -117,8 +111,8 @@ def plain_splitting(loop, given, draws):
 
     y = scheme.start @ draws[0][: 1 + loop.order]
     x = y[1:].copy()
-    outputs = np.zeros((6, LANES))
-    turns, nearest = np.zeros((2, LANES))
+    outputs = np.zeros((6, BLOCK))
+    turns, nearest = np.zeros((2, BLOCK))
     phases = {}
     for step in range(schedule.steps + 1):
         phase = y[0]
@@ -163,8 +157,8 @@ def plain_splitting(loop, given, draws):
 def test_kernel_agrees_with_the_scheme_as_it_is_written(estimator, options):
     given = simulation(estimator, options=options, duration=6e-6, step=1.55e-7, seed=3)
     loop = homodyne_loop(PARAMETERS, estimator, **options)
-    m = splitting.draws(loop.order)
-    draws = gaussians(3, LANES, (2 + given.schedule.steps) * m // 2)
+    m = draws_of_splitting(loop.order)
+    draws = gaussians(3, BLOCK, (2 + given.schedule.steps) * m // 2)
     expected = plain_splitting(loop, given, draws)
     assert_allclose(given.simulate(1, 1)[0], expected, rtol=1e-7, atol=1e-12)
     if "nonlinearity" in options:
@@ -253,11 +247,11 @@ def test_pilot_that_slips_spoils_no_estimate():
     parameters = with_parameters(kappa=2.5e5)
     slipped = 0
     for seed in range(60):
-        given = simulation(kalman_filter(), parameters, runs=LANES, seed=seed)
+        given = simulation(kalman_filter(), parameters, runs=BLOCK, seed=seed)
         slipped += given.simulate(PILOT_BLOCK, 1)[0, -1].any()
         assert np.all(np.abs(given.weights) < 2)
     assert slipped > 3
-    hopeless = simulation(kalman_filter(), with_parameters(kappa=4e6), runs=LANES)
+    hopeless = simulation(kalman_filter(), with_parameters(kappa=4e6), runs=BLOCK)
     assert not hopeless.weights.any()
 
 

@@ -18,7 +18,7 @@ from robsmooth.analysis.statistical_linearisation import statistical_linearisati
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
-from robsmooth.homodyne.moments import LARGEST, StationaryErrors, stationary_errors
+from robsmooth.homodyne.moments import MOST_UNKNOWNS, StationaryErrors, stationary_errors
 from robsmooth.homodyne.montecarlo import monte_carlo
 from robsmooth.paper import published
 from tests.helpers.strategies import orthogonal_matrix, seeds, stable_matrix
@@ -577,7 +577,11 @@ def test_rates_too_far_apart_are_an_error():
         (7, ValueError, "degree must be even, got 7"),
         (6.0, TypeError, "degree must be an integer, got 6.0"),
         (True, TypeError, "degree must be an integer, got True"),
-        (40, ValueError, f"degree 40 and the 3 states of smoother .* at most {LARGEST} are solved"),
+        (
+            40,
+            ValueError,
+            f"degree 40 and the 3 states of smoother .* at most {MOST_UNKNOWNS} are solved",
+        ),
     ],
 )
 def test_bad_degree_is_an_error(degree, error, message):

@@ -23,14 +23,15 @@ from robsmooth.homodyne.montecarlo import (
     LossOfLockWarning,
     MeanSquare,
     euler,
-    lanes,
+    kernels,
+    layout,
     monte_carlo,
     noise,
     run,
     splitting,
 )
 from robsmooth.homodyne.montecarlo.euler import CHUNK, SLIPS
-from robsmooth.homodyne.montecarlo.noise import LANES
+from robsmooth.homodyne.montecarlo.noise import BLOCK
 from robsmooth.homodyne.montecarlo.protocols import ErgodicSimulation, PaperSimulation
 from tests.helpers.loops import (
     PARAMETERS,
@@ -112,7 +113,7 @@ def plain_euler(parameters, estimator, draws, step, options):
 def test_kernel_agrees_with_a_plain_euler_loop_on_the_same_noise(options):
     estimator = printed_smoother()
     given = simulation(estimator, options=options, seed=11)
-    expected = plain_euler(PARAMETERS, estimator, gaussians(11, LANES, 2000), 1e-8, options)
+    expected = plain_euler(PARAMETERS, estimator, gaussians(11, BLOCK, 2000), 1e-8, options)
     assert_allclose(given.simulate(1, 1)[0], expected, rtol=1e-7, atol=1e-9)
 
 
@@ -137,7 +138,7 @@ def test_a_path_depends_on_seed_and_index_alone(protocol, precision):
     how = {"protocol": protocol, "precision": precision, "step": 3.1e-8}
     few = simulation(printed_smoother(), **how)
     many = simulation(printed_smoother(), **how, runs=1000)
-    assert many.blocks == 8 and many.paths(7) == 1000 - 7 * LANES
+    assert many.blocks == 8 and many.paths(7) == 1000 - 7 * BLOCK
     whole = many.simulate(0, many.blocks)
     assert_array_equal(few.simulate(0, 2), whole[:2])
     parts = [many.simulate(0, 5), many.simulate(5, 1), many.simulate(6, 2)]
@@ -189,14 +190,14 @@ def test_threads_are_set_back_after_an_interruption(monkeypatch):
 def test_compiled_code_is_kept_for_the_sources_that_it_was_made_from(monkeypatch, kernel):
     for protocol in ("paper", "ergodic"):
         simulation(printed_smoother(), protocol=protocol).simulate(0, 1)
-    sources = lanes.shared_sources()
+    sources = kernels.shared_sources()
     assert kernel.signatures
     for signature in kernel.signatures:  # of what is kept on disk, too
         assert signature[-1] == numba.types.Omitted(sources)
-    for module in (lanes, noise):
+    for module in (kernels, layout, noise):
         with monkeypatch.context() as patch:
             patch.setattr(module, "__file__", __file__)
-            assert lanes.shared_sources() != sources
+            assert kernels.shared_sources() != sources
 
 
 # --- the numbers ----------------------------------------------------------------------------------
@@ -405,7 +406,7 @@ def test_path_that_is_not_a_number_is_named_with_its_parameters(monkeypatch, bad
         return results
 
     monkeypatch.setattr(PaperSimulation, "simulate", spoilt)
-    with pytest.raises(RuntimeError, match=f"path {2 * LANES + 7} of seed 5 overflowed, with lam="):
+    with pytest.raises(RuntimeError, match=f"path {2 * BLOCK + 7} of seed 5 overflowed, with lam="):
         monte_carlo(PARAMETERS, kalman_filter(), "paper", runs=500, duration=1e-6, seed=5)
 
 

@@ -9,13 +9,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2, norm
 
 from robsmooth.homodyne.montecarlo import noise
-from robsmooth.homodyne.montecarlo.noise import LANES
+from robsmooth.homodyne.montecarlo.noise import BLOCK
 from tests.helpers.loops import SIGMAS, assert_within, gaussians
 
 
 @pytest.fixture(scope="module")
 def draws():
-    """Noise of LANES paths, 5 million numbers: (steps, 2, paths)."""
+    """Noise of BLOCK paths, 5 million numbers: (steps, 2, paths)."""
     return gaussians(7, 0, 20_000).astype(float)
 
 
@@ -28,8 +28,8 @@ def splitmix64(z):
 def test_noise_is_box_muller_of_xoshiro128_plus():
     golden, seed, steps = 0x9E3779B97F4A7C15, 2**64 - 3, 50
     draws = gaussians(seed, 1000, steps)
-    for lane in (0, 1, 31):
-        z = splitmix64((splitmix64((seed + golden) % 2**64) + (1000 + lane) * golden) % 2**64)
+    for path in (0, 1, 31):
+        z = splitmix64((splitmix64((seed + golden) % 2**64) + (1000 + path) * golden) % 2**64)
         words = [splitmix64((z + k * golden) % 2**64) for k in (1, 2)]
         s = [part for word in words for part in (word >> 32, word % 2**32)]
         for step in range(steps):
@@ -49,7 +49,7 @@ def test_noise_is_box_muller_of_xoshiro128_plus():
             angle = (signed - 2**32 if signed >= 2**31 else signed) * math.pi / 2**32
             sign = -1 if b >> 31 else 1
             expected = [sign * radius * math.cos(angle), radius * math.sin(angle)]
-            assert_allclose(draws[step, :, lane], expected, atol=2e-6)
+            assert_allclose(draws[step, :, path], expected, atol=2e-6)
 
 
 def test_gaussians_have_the_moments_of_a_normal_distribution(draws):
@@ -96,11 +96,11 @@ def test_gaussians_are_uncorrelated_across_draws_steps_and_paths(draws, power):
 
 
 def test_noise_differs_between_seeds_and_between_paths():
-    streams = [gaussians(seed, path, 4) for seed in (0, 1, 2**64 - 1) for path in (0, LANES, 2**40)]
-    assert len(np.unique(np.concatenate(streams, axis=2), axis=2).T) == len(streams) * LANES
+    streams = [gaussians(seed, path, 4) for seed in (0, 1, 2**64 - 1) for path in (0, BLOCK, 2**40)]
+    assert len(np.unique(np.concatenate(streams, axis=2), axis=2).T) == len(streams) * BLOCK
 
 
-def test_noise_of_a_path_does_not_depend_on_its_lane():
+def test_noise_of_a_path_does_not_depend_on_its_place_in_a_block():
     assert_array_equal(gaussians(3, 5, 20)[:, :, 0], gaussians(3, 0, 20)[:, :, 5])
 
 

@@ -16,7 +16,7 @@ from robsmooth.analysis.statistical_linearisation import statistical_linearisati
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
-from robsmooth.homodyne.moments import _white_coordinates
+from robsmooth.homodyne.whitening import slopes_of_lock
 from robsmooth.paper import published
 from robsmooth.simulation.loop import nonlinear_loop
 
@@ -100,7 +100,7 @@ def test_slopes_of_the_homodyne_loop_are_the_same_by_every_route_to_its_covarian
     loop = homodyne_loop(PAPER, estimator, oscillator=oscillator)
     slopes = loop.equivalent_slopes()
     rate = np.abs(np.linalg.eigvals(loop.linearised_drift())).max()
-    assert_allclose(_white_coordinates(loop, rate)[0], slopes, rtol=1e-9)
+    assert_allclose(slopes_of_lock(loop, rate), slopes, rtol=1e-9)
     found = statistical_linearisation(estimator, PAPER.equivalent_slope, oscillator)
     by_prediction = PAPER.beta + PAPER.gamma * np.array([found.slope, found.copy_slope])
     assert_allclose(by_prediction, slopes, rtol=1e-10)

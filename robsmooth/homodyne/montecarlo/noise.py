@@ -12,12 +12,12 @@ so its noise depends on these two numbers alone. A step takes two of its 32-bit 
 where the top bit of :math:`b` is the sign and the other bits give :math:`\theta`, uniform in
 :math:`[-\pi/2, \pi/2)`. The tails end at :math:`R = \sqrt{64\ln 2} = 6.66`.
 
-Everything works on *lanes*: `LANES` paths side by side, row after row in one flat array, with loops
-over lanes that the compiler turns into vector instructions. Logarithm, sine and cosine are our own
-polynomials, because calls to the mathematical library would not be. They are the minimax
-polynomials of their degree, and they use only integer operations, explicit fused multiply-adds,
-products and square roots: a result is the same to the last bit on every machine with such
-instructions.
+The paths of a *block* are simulated side by side: a flat array has rows of `BLOCK` numbers, one for
+each path, and the compiler turns the loops over paths into vector instructions. Logarithm, sine and
+cosine are our own polynomials, because calls to the mathematical library would not be. They are the
+minimax polynomials of their degree, and they use only integer operations, explicit fused
+multiply-adds, products and square roots: a result is the same to the last bit on every machine with
+such instructions.
 
 References
 ----------
@@ -34,7 +34,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-LANES = 128  # paths side by side: enough independent work to hide the latency of a step
+BLOCK = 128  # paths side by side: enough independent work to hide the latency of a step
 WORDS = 4  # 32-bit words of a generator's state
 DRAWS = 2  # Gaussians a step
 GENERATOR = "xoshiro128+ seeded by splitmix64(seed, path), Box-Muller in float32"
@@ -204,9 +204,9 @@ def minus_two_log(v):
 def sin_quarter(x):
     """Sine of a float32 in [-pi/2, pi/2], to 1e-7."""
     z = x * x
-    p = fma(z, 2.600054754413543e-06, -0.0001980661519421222)
-    p = fma(z, p, 0.008333017291442748)
-    p = fma(z, p, -0.166666570964985)
+    p = fma(z, SINE_FLOAT32[3], SINE_FLOAT32[2])
+    p = fma(z, p, SINE_FLOAT32[1])
+    p = fma(z, p, SINE_FLOAT32[0])
     return fma(x * z, p, x)
 
 
@@ -232,24 +232,38 @@ def mix(z):
 
 
 @njit
-def seed_lanes(seed, first_path, generator):
-    """Start the generators of paths `first_path` to `first_path + LANES - 1`.
+def seed_paths(seed, first_path, generator):
+    """Start the generators of paths `first_path` to `first_path + BLOCK - 1`.
 
     Parameters
     ----------
     seed : uint64
     first_path : uint64
-    generator : (WORDS * LANES,) array of uint32
-        Written: word w of lane i at ``w * LANES + i``.
+    generator : (WORDS * BLOCK,) array of uint32
+        Written: word w of path i at ``w * BLOCK + i``.
     """
-    for lane in range(LANES):
-        path = first_path + np.uint64(lane)
+    for i in range(BLOCK):
+        path = first_path + np.uint64(i)
         state = mix(mix(seed + GOLDEN) + path * GOLDEN)
         for half in range(WORDS // 2):
             state += GOLDEN
             word = mix(state)
-            generator[2 * half * LANES + lane] = np.uint32(word >> np.uint64(32))
-            generator[(2 * half + 1) * LANES + lane] = np.uint32(word)
+            generator[2 * half * BLOCK + i] = np.uint32(word >> np.uint64(32))
+            generator[(2 * half + 1) * BLOCK + i] = np.uint32(word)
+
+
+@njit(inline="always")
+def next_word(s0, s1, s2, s3):
+    """A word of xoshiro128+, and its state after that."""
+    word = np.uint32(s0 + s3)
+    t = np.uint32(s1 << U9)
+    s2 = np.uint32(s2 ^ s0)
+    s3 = np.uint32(s3 ^ s1)
+    s1 = np.uint32(s1 ^ s2)
+    s0 = np.uint32(s0 ^ s3)
+    s2 = np.uint32(s2 ^ t)
+    s3 = np.uint32(np.uint32(s3 << U11) | np.uint32(s3 >> U21))
+    return word, s0, s1, s2, s3
 
 
 @njit
@@ -258,45 +272,29 @@ def fill_gaussians(generator, steps, noise):
 
     Parameters
     ----------
-    generator : (WORDS * LANES,) array of uint32
+    generator : (WORDS * BLOCK,) array of uint32
         Advanced.
     steps : int
-    noise : array of float32 with at least ``steps * DRAWS * LANES`` entries
-        Written: draw d of step k of lane i at ``(k * DRAWS + d) * LANES + i``.
+    noise : array of float32 with at least ``steps * DRAWS * BLOCK`` entries
+        Written: draw d of step k of path i at ``(k * DRAWS + d) * BLOCK + i``.
     """
     for step in range(steps):
-        start = step * DRAWS * LANES
-        for lane in range(LANES):
-            s0 = generator[lane]
-            s1 = generator[LANES + lane]
-            s2 = generator[2 * LANES + lane]
-            s3 = generator[3 * LANES + lane]
+        start = step * DRAWS * BLOCK
+        for path in range(BLOCK):
+            s0 = generator[path]
+            s1 = generator[BLOCK + path]
+            s2 = generator[2 * BLOCK + path]
+            s3 = generator[3 * BLOCK + path]
 
-            a = np.uint32(s0 + s3)
-            t = np.uint32(s1 << U9)
-            s2 = np.uint32(s2 ^ s0)
-            s3 = np.uint32(s3 ^ s1)
-            s1 = np.uint32(s1 ^ s2)
-            s0 = np.uint32(s0 ^ s3)
-            s2 = np.uint32(s2 ^ t)
-            s3 = np.uint32(np.uint32(s3 << U11) | np.uint32(s3 >> U21))
-
-            b = np.uint32(s0 + s3)
-            t = np.uint32(s1 << U9)
-            s2 = np.uint32(s2 ^ s0)
-            s3 = np.uint32(s3 ^ s1)
-            s1 = np.uint32(s1 ^ s2)
-            s0 = np.uint32(s0 ^ s3)
-            s2 = np.uint32(s2 ^ t)
-            s3 = np.uint32(np.uint32(s3 << U11) | np.uint32(s3 >> U21))
-
-            generator[lane] = s0
-            generator[LANES + lane] = s1
-            generator[2 * LANES + lane] = s2
-            generator[3 * LANES + lane] = s3
+            a, s0, s1, s2, s3 = next_word(s0, s1, s2, s3)
+            b, s0, s1, s2, s3 = next_word(s0, s1, s2, s3)
+            generator[path] = s0
+            generator[BLOCK + path] = s1
+            generator[2 * BLOCK + path] = s2
+            generator[3 * BLOCK + path] = s3
 
             uniform = np.float32(np.float32(np.int32(a >> U1)) + HALF)
             radius = np.sqrt(minus_two_log(uniform))
             angle = np.float32(np.int32(b << U1)) * np.float32(HALF_TURN_M32)
-            noise[start + lane] = radius * flip_sign(cos_quarter(angle), b)
-            noise[start + LANES + lane] = radius * sin_quarter(angle)
+            noise[start + path] = radius * flip_sign(cos_quarter(angle), b)
+            noise[start + BLOCK + path] = radius * sin_quarter(angle)

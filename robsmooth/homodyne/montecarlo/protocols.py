@@ -11,7 +11,7 @@ end of each path. The *ergodic* one starts in the stationary state of the linear
 loop forget the difference, and averages along each path; its scheme is of second order, and the
 linearised loop on the same noise, of which all is known, takes out most of the chance.
 
-A simulation is all that the paths depend on. It simulates any range of blocks of `LANES` paths,
+A simulation is all that the paths depend on. It simulates any range of blocks of `BLOCK` paths,
 always with the same result for a block, so blocks may be computed anywhere and in any order, as
 long as they are merged in the order of their index.
 """
@@ -29,9 +29,9 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.cluster import alone, worker_threads
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth.homodyne.loop import Loop
-from robsmooth.homodyne.montecarlo import euler, splitting
-from robsmooth.homodyne.montecarlo.lanes import threads_of_kernels
-from robsmooth.homodyne.montecarlo.noise import LANES
+from robsmooth.homodyne.montecarlo import euler, layout, splitting
+from robsmooth.homodyne.montecarlo.kernels import threads_of_kernels
+from robsmooth.homodyne.montecarlo.noise import BLOCK
 from robsmooth.homodyne.montecarlo.schemes import EulerStep, SplittingStep, control_slopes
 from robsmooth.simulation.statistics import MeanSquare, Tally, control_weights
 
@@ -43,7 +43,7 @@ ERGODIC_TIME_CONSTANTS = 250  # default duration, in units of the estimator's sl
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response through its sines
 WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode, before sampling begins
 
-FEWEST_IN_PILOT = LANES // 2
+FEWEST_IN_PILOT = BLOCK // 2
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
 
 
@@ -110,12 +110,12 @@ class Simulation:
 
     @property
     def blocks(self) -> int:
-        """Number of blocks of `LANES` paths."""
-        return -(-self.runs // LANES)
+        """Number of blocks of `BLOCK` paths."""
+        return -(-self.runs // BLOCK)
 
     def paths(self, block: int) -> int:
         """Number of paths of a block that count."""
-        return min(LANES, self.runs - block * LANES)
+        return min(BLOCK, self.runs - block * BLOCK)
 
     @property
     def steps(self) -> int:
@@ -130,7 +130,7 @@ class Simulation:
 
         Returns
         -------
-        (count, outputs, LANES) array
+        (count, outputs, BLOCK) array
             The last output of a path is the number of its cycle slips.
         """
         raise NotImplementedError
@@ -206,12 +206,12 @@ class PaperSimulation(Simulation):
         """Simulate blocks, as `Simulation.simulate` says."""
         real = PRECISIONS[self.precision]
         order = self.coefficients.readout.shape[1]
-        states = np.empty((count, euler.rows(order) * LANES), real)
-        results = np.empty((count, euler.OUTPUTS, LANES))
+        states = np.empty((count, layout.euler_state_size(order)), real)
+        results = np.empty((count, euler.OUTPUTS, BLOCK))
         with alone(), threads_of_kernels(worker_threads()):
             euler.simulate_blocks(
                 (real(0),) * order,
-                self.coefficients.coefficients.astype(real),
+                layout.flat(self.coefficients.coefficients, real),
                 self.coefficients.readout,
                 self.schedule,
                 np.uint64(self.seed),
@@ -301,15 +301,15 @@ class ErgodicSimulation(Simulation):
         real = PRECISIONS[self.precision]
         scheme = self.coefficients
         order = scheme.readout.shape[1]
-        states = np.empty((count, splitting.rows(order) * LANES), real)
-        results = np.empty((count, splitting.OUTPUTS, LANES))
+        states = np.empty((count, layout.splitting_rows(order).end), real)
+        results = np.empty((count, splitting.OUTPUTS, BLOCK))
         with alone(), threads_of_kernels(worker_threads()):
             splitting.simulate_blocks(
                 (real(0),) * order,
-                (np.float32(0),) * splitting.draws(order),
+                (np.float32(0),) * layout.draws_of_splitting(order),
                 scheme.copies,
                 scheme.start.astype(real),
-                scheme.coefficients.astype(real),
+                layout.flat(scheme.coefficients, real),
                 scheme.readout.ravel(),
                 tuple(self.schedule),
                 np.uint64(self.seed),

@@ -30,8 +30,8 @@ from robsmooth._support.tables import Table
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import Loop, homodyne_loop
 from robsmooth.homodyne.montecarlo.euler import FILTERED, SMOOTHED
-from robsmooth.homodyne.montecarlo.lanes import threads_of_kernels
-from robsmooth.homodyne.montecarlo.noise import GENERATOR, LANES
+from robsmooth.homodyne.montecarlo.kernels import threads_of_kernels
+from robsmooth.homodyne.montecarlo.noise import BLOCK, GENERATOR
 from robsmooth.homodyne.montecarlo.protocols import PRECISIONS, PROTOCOLS, Simulation
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.simulation.statistics import MeanSquare, Tally
@@ -385,7 +385,7 @@ def _tally(
 
 def _group(simulation: Simulation) -> int:
     """Number of blocks in a group."""
-    blocks = STEPS_OF_A_GROUP // (LANES * simulation.steps)
+    blocks = STEPS_OF_A_GROUP // (BLOCK * simulation.steps)
     return min(max(blocks, 1), BLOCKS_OF_A_GROUP)
 
 
@@ -410,7 +410,7 @@ def _tallies(
     for start in range(first, end, at_once):
         results = simulation.simulate(start, min(at_once, end - start))
         for offset in range(0, len(results), group):
-            path = (start + offset) * LANES
+            path = (start + offset) * BLOCK
             values = np.hstack(list(results[offset : offset + group]))
             values = values[:, : simulation.runs - path]
             _check_finite(values, path, simulation, parameters)

@@ -10,7 +10,11 @@ from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root, square_root
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth.homodyne.loop import Loop
-from robsmooth.homodyne.montecarlo import splitting
+from robsmooth.homodyne.montecarlo.layout import (
+    EulerCoefficients,
+    SplittingCoefficients,
+    draws_of_splitting,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,32 +23,32 @@ class EulerStep:
 
     Attributes
     ----------
-    coefficients : (n * n + 4 * n + 3,) array
-        Increments of the estimator (n, n), reference, copy, gains of the measured and of the copied
-        sine (n each); the noise that adds to the measured sine; decay and diffusion of the phase.
+    coefficients : EulerCoefficients
     readout : (3, n) array
         Rows of the filtered estimate, the smoothed estimate and the oscillator's phase.
     """
 
-    coefficients: NDArray[np.float64]
+    coefficients: EulerCoefficients
     readout: NDArray[np.float64]
 
     @classmethod
     def of(cls, loop: Loop, step: float) -> "EulerStep":
         """Return the step of the Euler-Maruyama scheme over `step` seconds."""
         root = np.sqrt(step)
-        parts = [
-            step * loop.drift.ravel(),
-            loop.reference,
-            loop.copy,
-            step * loop.sine_gain,
-            step * loop.copy_gain,
-            [loop.sine_noise / root, -step * loop.phase_decay, root * loop.phase_diffusion],
-        ]
-        coefficients = np.concatenate(parts)
+        coefficients = EulerCoefficients(
+            increments=step * loop.drift,
+            reference=loop.reference,
+            copy=loop.copy,
+            sine_gain=step * loop.sine_gain,
+            copy_gain=step * loop.copy_gain,
+            noise=loop.sine_noise / root,
+            decay=-step * loop.phase_decay,
+            diffusion=root * loop.phase_diffusion,
+        )
         # Rounding noise, some of it denormal in single precision: processors are slow with those.
-        coefficients[np.abs(coefficients) < np.finfo(np.float32).tiny] = 0.0
-        return cls(coefficients, _readout(loop))
+        tiny = np.finfo(np.float32).tiny
+        coefficients = (np.where(np.abs(part) < tiny, 0.0, part) for part in coefficients)
+        return cls(EulerCoefficients(*coefficients), _readout(loop))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +61,7 @@ class SplittingStep:
         Whether the estimator's copy of the nonlinearity has any effect.
     start : (1 + n, 1 + n) array
         A root of the stationary covariance of the control.
-    coefficients : array
-        Laid out as `robsmooth.homodyne.montecarlo.splitting` says.
+    coefficients : SplittingCoefficients
     readout : (3, n) array
         Rows of the filtered estimate, the smoothed estimate and the oscillator's phase.
     control : (3,) array
@@ -68,7 +71,7 @@ class SplittingStep:
 
     copies: bool
     start: NDArray[np.float64]
-    coefficients: NDArray[np.float64]
+    coefficients: SplittingCoefficients
     readout: NDArray[np.float64]
     control: NDArray[np.float64]
 
@@ -91,27 +94,34 @@ class SplittingStep:
         drift, P = loop.linearised_drift(*slopes), loop.covariance(*slopes)
         transition, push, _ = responses(drift, -slopes[0] * loop.gains()[:, :1], step)
         noise = noise_root(drift, loop.noise_gains(), step)
-        root = np.zeros((1 + loop.order, splitting.draws(loop.order)))
+        root = np.zeros((1 + loop.order, draws_of_splitting(loop.order)))
         root[:, : 1 + loop.order] = square_root(noise @ noise.T)
         gains = step * loop.gains()[1:].T
-        arguments = np.vstack([loop.reference, loop.copy])
-        products = arguments @ gains.T
-        coefficients = [
-            transition,
-            root,
-            gains,
-            arguments,
-            gains @ transition[1:, 1:].T,
-            np.array(slopes),
-            products,
-            np.array([np.pi / 2]),
-            push[1:],
-        ]
+        (r_s, r_c), (c_s, c_c) = np.vstack([loop.reference, loop.copy]) @ gains.T
+        sine_response, copy_response = gains @ transition[1:, 1:].T
+        coefficients = SplittingCoefficients(
+            transition=transition,
+            root=root,
+            sine_gain=gains[0],
+            copy_gain=gains[1],
+            reference=loop.reference,
+            copy=loop.copy,
+            sine_response=sine_response,
+            copy_response=copy_response,
+            sine_slope=slopes[0],
+            copy_slope=slopes[1],
+            reference_of_sine=r_s,
+            reference_of_copy=r_c,
+            copy_of_sine=c_s,
+            copy_of_copy=c_c,
+            quarter_turn=np.pi / 2,
+            push=push[1:],
+        )
         filtered, smoothed = control_mean_squares(loop, drift, P)
         return cls(
             copies=bool(loop.copy.any() and loop.copy_gain.any()),
             start=square_root(P),
-            coefficients=np.concatenate([part.ravel() for part in coefficients]),
+            coefficients=coefficients,
             readout=_readout(loop),
             control=np.array([filtered, smoothed, 3 * filtered**2]),  # it is Gaussian
         )

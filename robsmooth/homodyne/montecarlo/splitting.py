@@ -33,14 +33,15 @@ import numpy as np
 from numba import njit, prange
 
 from robsmooth._support.kernels import kept
-from robsmooth.homodyne.montecarlo.lanes import TURN, shared_sources, slip
+from robsmooth.homodyne.montecarlo.kernels import TURN, shared_sources, slip
+from robsmooth.homodyne.montecarlo.layout import splitting_indices, splitting_rows
 from robsmooth.homodyne.montecarlo.noise import (
+    BLOCK,
     DRAWS,
-    LANES,
     WORDS,
     fill_gaussians,
     fma,
-    seed_lanes,
+    seed_paths,
     sine,
     whole_turns,
     with_item,
@@ -54,111 +55,83 @@ FILTERED, SMOOTHED, CONTROL_FILTERED, CONTROL_SMOOTHED, CONTROL_FOURTH, SLIPS, T
 SOURCES = shared_sources()
 
 
-# --- the layout of a block ------------------------------------------------------------------------
-#
-# All that a step writes lies in one flat array, and all that it reads in two more: the compiler
-# must check at run time that arrays do not overlap, and with more of them it would not vectorise.
-#
-# state         rows of LANES numbers: phase | n of y | n of d | 2 terms of the kick along b_s
-#               | 2 along b_c | the phase a delay ago | T
-# coefficients  (1 + n, 1 + n) transition | (1 + n, m) root | (2, n) gains h b_s, h b_c
-#               | (2, n) arguments r, c | (2, n) transition of the gains | 2 slopes
-#               | r h b_s, r h b_c, c h b_s, c h b_c | a quarter turn | n of the step's push by T
-
-
-def rows(order: int) -> int:
-    """Rows of `LANES` numbers that a block's state takes."""
-    return 7 + 2 * order
-
-
-def draws(order: int) -> int:
-    """Gaussians a step: one for each state, in pairs."""
-    return DRAWS * -(-(1 + order) // DRAWS)
-
-
 @njit
 def find_kick(order, pair, copies, coefficients, state):
     """Write the kick's terms of first and of second order along h b_s, and along h b_c."""
-    n, m = len(order), len(pair)
-    first_s, second_s = (1 + 2 * n) * LANES, (2 + 2 * n) * LANES
-    first_c, second_c = (3 + 2 * n) * LANES, (4 + 2 * n) * LANES
-    row_turns = (6 + 2 * n) * LANES
-    reference = (1 + n) * (1 + n + m) + 2 * n
-    copy = reference + n
-    slopes = copy + 3 * n
-    sine_slope, copy_slope = coefficients[slopes], coefficients[slopes + 1]
-    r_s, r_c = coefficients[slopes + 2], coefficients[slopes + 3]
-    c_s, c_c = coefficients[slopes + 4], coefficients[slopes + 5]
-    quarter_turn = coefficients[slopes + 6]
+    n = len(order)
+    row, at = splitting_rows(n), splitting_indices(n, len(pair))
+    sine_slope, copy_slope = coefficients[at.sine_slope], coefficients[at.copy_slope]
+    r_s, r_c = coefficients[at.reference_of_sine], coefficients[at.reference_of_copy]
+    c_s, c_c = coefficients[at.copy_of_sine], coefficients[at.copy_of_copy]
+    quarter_turn = coefficients[at.quarter_turn]
     if copies:
-        for lane in range(LANES):
-            e = state[lane]
+        for path in range(BLOCK):
+            e = state[row.phase + path]
             v = e - e
             for j in range(n):
-                x = state[(1 + j) * LANES + lane] + state[(1 + n + j) * LANES + lane]
-                e = fma(-coefficients[reference + j], x, e)
-                v = fma(coefficients[copy + j], x, v)
+                k = j * BLOCK + path
+                x = state[row.control + k] + state[row.difference + k]
+                e = fma(-coefficients[at.reference + j], x, e)
+                v = fma(coefficients[at.copy + j], x, v)
             # Half of the kick ends a step, with that T; half starts the next, with a new one.
             turns = whole_turns(e)
-            s = fma(-sine_slope, fma(turns + state[row_turns + lane], -0.5, e), sine(e))
-            state[row_turns + lane] = turns
+            s = fma(-sine_slope, fma(turns + state[row.turns + path], -0.5, e), sine(e))
+            state[row.turns + path] = turns
             q = fma(-copy_slope, v, sine(v))
-            state[first_s + lane] = s
-            state[first_c + lane] = q
-            state[second_s + lane] = (sine_slope - sine(e + quarter_turn)) * fma(r_s, s, r_c * q)
-            state[second_c + lane] = (sine(v + quarter_turn) - copy_slope) * fma(c_s, s, c_c * q)
-    else:
-        for lane in range(LANES):
-            e = state[lane]
+            state[row.sine_first + path] = s
+            state[row.copy_first + path] = q
+            bend = sine_slope - sine(e + quarter_turn)
+            state[row.sine_second + path] = bend * fma(r_s, s, r_c * q)
+            bend = sine(v + quarter_turn) - copy_slope
+            state[row.copy_second + path] = bend * fma(c_s, s, c_c * q)
+    else:  # the same without q
+        for path in range(BLOCK):
+            e = state[row.phase + path]
             for j in range(n):
-                x = state[(1 + j) * LANES + lane] + state[(1 + n + j) * LANES + lane]
-                e = fma(-coefficients[reference + j], x, e)
+                k = j * BLOCK + path
+                x = state[row.control + k] + state[row.difference + k]
+                e = fma(-coefficients[at.reference + j], x, e)
             turns = whole_turns(e)
-            s = fma(-sine_slope, fma(turns + state[row_turns + lane], -0.5, e), sine(e))
-            state[row_turns + lane] = turns
-            state[first_s + lane] = s
-            state[second_s + lane] = (sine_slope - sine(e + quarter_turn)) * (r_s * s)
+            s = fma(-sine_slope, fma(turns + state[row.turns + path], -0.5, e), sine(e))
+            state[row.turns + path] = turns
+            state[row.sine_first + path] = s
+            state[row.sine_second + path] = (sine_slope - sine(e + quarter_turn)) * (r_s * s)
 
 
 @njit
 def split_step(order, pair, copies, coefficients, gaussians, state):
     """Advance a block by the kick that was found, and by the exact step after it."""
     n, m = len(order), len(pair)
-    first_s, second_s = (1 + 2 * n) * LANES, (2 + 2 * n) * LANES
-    first_c, second_c = (3 + 2 * n) * LANES, (4 + 2 * n) * LANES
-    root = (1 + n) * (1 + n)
-    kicked = root + (1 + n) * m + 4 * n
-    pushed = kicked + 2 * n + 7
-    row_turns = (6 + 2 * n) * LANES
-    for lane in range(LANES):
-        phase = state[lane]
-        kick_s = fma(state[second_s + lane], 0.5, state[first_s + lane])
-        kick_c = fma(state[second_c + lane], 0.5, state[first_c + lane])
+    row, at = splitting_rows(n), splitting_indices(n, m)
+    for path in range(BLOCK):
+        phase = state[row.phase + path]
+        kick_s = fma(state[row.sine_second + path], 0.5, state[row.sine_first + path])
+        kick_c = fma(state[row.copy_second + path], 0.5, state[row.copy_first + path])
         y = d = order
         g = pair
         for j in range(n):
-            y = with_item(y, j, state[(1 + j) * LANES + lane])
-            d = with_item(d, j, state[(1 + n + j) * LANES + lane])
+            y = with_item(y, j, state[row.control + j * BLOCK + path])
+            d = with_item(d, j, state[row.difference + j * BLOCK + path])
         for j in range(m):
-            g = with_item(g, j, gaussians[j * LANES + lane])
+            g = with_item(g, j, gaussians[j * BLOCK + path])
         for i in range(n):
-            row, of_noise = (1 + i) * (1 + n), root + (1 + i) * m
-            of_y = coefficients[row] * phase
-            of_d = coefficients[pushed + i] * state[row_turns + lane]
-            of_d = fma(coefficients[kicked + i], kick_s, of_d)
+            of_state, of_noise = at.transition + (1 + i) * (1 + n), at.root + (1 + i) * m
+            of_y = coefficients[of_state] * phase
+            of_d = coefficients[at.push + i] * state[row.turns + path]
+            of_d = fma(coefficients[at.sine_response + i], kick_s, of_d)
             if copies:
-                of_d = fma(coefficients[kicked + n + i], kick_c, of_d)
+                of_d = fma(coefficients[at.copy_response + i], kick_c, of_d)
             for j in range(m):
                 of_y = fma(coefficients[of_noise + j], g[j], of_y)
             for j in range(n):
-                of_y = fma(coefficients[row + 1 + j], y[j], of_y)
-                of_d = fma(coefficients[row + 1 + j], d[j], of_d)
-            state[(1 + i) * LANES + lane] = of_y
-            state[(1 + n + i) * LANES + lane] = of_d
-        phase = coefficients[0] * phase
+                of_y = fma(coefficients[of_state + 1 + j], y[j], of_y)
+                of_d = fma(coefficients[of_state + 1 + j], d[j], of_d)
+            state[row.control + i * BLOCK + path] = of_y
+            state[row.difference + i * BLOCK + path] = of_d
+        phase = coefficients[at.transition] * phase
         for j in range(m):
-            phase = fma(coefficients[root + j], g[j], phase)
-        state[lane] = phase
+            phase = fma(coefficients[at.root + j], g[j], phase)
+        state[row.phase + path] = phase
 
 
 @njit
@@ -167,23 +140,24 @@ def collect(order, pair, copies, coefficients, readout, state, result):
 
     The filtered error is taken against the phase, the smoothed one against the phase a delay ago.
     """
-    n, m = len(order), len(pair)
-    first_s, second_s = (1 + 2 * n) * LANES, (2 + 2 * n) * LANES
-    first_c, second_c = (3 + 2 * n) * LANES, (4 + 2 * n) * LANES
-    row_delayed = (5 + 2 * n) * LANES
-    gains = (1 + n) * (1 + n + m)
-    for lane in range(LANES):
-        kick_s = 0.5 * state[first_s + lane] + 0.125 * state[second_s + lane]
-        kick_c = 0.5 * state[first_c + lane] + 0.125 * state[second_c + lane]
-        control_filtered = np.float64(state[lane])
-        control_smoothed = np.float64(state[row_delayed + lane])
+    n = len(order)
+    row, at = splitting_rows(n), splitting_indices(n, len(pair))
+    for path in range(BLOCK):
+        kick_s = 0.5 * state[row.sine_first + path] + 0.125 * state[row.sine_second + path]
+        kick_c = 0.5 * state[row.copy_first + path] + 0.125 * state[row.copy_second + path]
+        control_filtered = np.float64(state[row.phase + path])
+        control_smoothed = np.float64(state[row.delayed + path])
         lock = control_filtered
         filtered = smoothed = lock - lock
         for j in range(n):
-            y = np.float64(state[(1 + j) * LANES + lane])
-            d = fma(kick_s, coefficients[gains + j], np.float64(state[(1 + n + j) * LANES + lane]))
+            y = np.float64(state[row.control + j * BLOCK + path])
+            d = fma(
+                kick_s,
+                coefficients[at.sine_gain + j],
+                np.float64(state[row.difference + j * BLOCK + path]),
+            )
             if copies:
-                d = fma(kick_c, coefficients[gains + n + j], d)
+                d = fma(kick_c, coefficients[at.copy_gain + j], d)
             control_filtered = fma(-readout[j], y, control_filtered)
             control_smoothed = fma(-readout[n + j], y, control_smoothed)
             filtered = fma(-readout[j], d, filtered)
@@ -192,14 +166,14 @@ def collect(order, pair, copies, coefficients, readout, state, result):
         filtered += control_filtered
         smoothed += control_smoothed
         square = control_filtered * control_filtered
-        result[FILTERED * LANES + lane] += filtered * filtered
-        result[SMOOTHED * LANES + lane] += smoothed * smoothed
-        result[CONTROL_FILTERED * LANES + lane] += square
-        result[CONTROL_SMOOTHED * LANES + lane] += control_smoothed * control_smoothed
-        result[CONTROL_FOURTH * LANES + lane] += square * square
-        passed = slip(lock - result[TURNS * LANES + lane])
-        result[TURNS * LANES + lane] += TURN * passed
-        result[SLIPS * LANES + lane] += abs(passed)
+        result[FILTERED * BLOCK + path] += filtered * filtered
+        result[SMOOTHED * BLOCK + path] += smoothed * smoothed
+        result[CONTROL_FILTERED * BLOCK + path] += square
+        result[CONTROL_SMOOTHED * BLOCK + path] += control_smoothed * control_smoothed
+        result[CONTROL_FOURTH * BLOCK + path] += square * square
+        passed = slip(lock - result[TURNS * BLOCK + path])
+        result[TURNS * BLOCK + path] += TURN * passed
+        result[SLIPS * BLOCK + path] += abs(passed)
 
 
 @njit
@@ -216,25 +190,25 @@ def simulate_block(
     state,
     result,
 ):
-    """Simulate paths `first_path` to `first_path + LANES - 1`, from a stationary start."""
+    """Simulate paths `first_path` to `first_path + BLOCK - 1`, from a stationary start."""
     start, stride, lag, samples = schedule
     n, m = len(order), len(pair)
-    row_delayed = (5 + 2 * n) * LANES
-    generator = np.empty(WORDS * LANES, np.uint32)
-    gaussians = np.empty(CHUNK * m * LANES, np.float32)
-    history = np.zeros((lag + 1, LANES), state.dtype)  # the phase at the last samples, a ring
+    row = splitting_rows(n)
+    generator = np.empty(WORDS * BLOCK, np.uint32)
+    gaussians = np.empty(CHUNK * m * BLOCK, np.float32)
+    history = np.zeros((lag + 1, BLOCK), state.dtype)  # the phase at the last samples, a ring
 
     for i in range(state.size):
         state[i] = 0
     for i in range(result.size):
         result[i] = 0
-    seed_lanes(seed, first_path, generator)
+    seed_paths(seed, first_path, generator)
     fill_gaussians(generator, m // DRAWS, gaussians)
     for i in range(1 + n):
         for j in range(1 + n):
-            for lane in range(LANES):
-                row = i * LANES + lane
-                state[row] = fma(start_root[i, j], gaussians[j * LANES + lane], state[row])
+            for path in range(BLOCK):
+                k = i * BLOCK + path
+                state[k] = fma(start_root[i, j], gaussians[j * BLOCK + path], state[k])
 
     sample, left = 0, start
     last = start + (lag + samples - 1) * stride
@@ -245,17 +219,17 @@ def simulate_block(
             find_kick(order, pair, copies, coefficients, state)
             if left == 0:
                 record, delayed = history[sample % (lag + 1)], history[(sample + 1) % (lag + 1)]
-                for lane in range(LANES):
-                    record[lane] = state[lane]
-                    state[row_delayed + lane] = delayed[lane]
+                for path in range(BLOCK):
+                    record[path] = state[row.phase + path]
+                    state[row.delayed + path] = delayed[path]
                 if sample >= lag:
                     collect(order, pair, copies, coefficients, readout, state, result)
                 sample += 1
                 left = stride
             left -= 1
-            draws_of_step = gaussians[step * m * LANES :]
+            draws_of_step = gaussians[step * m * BLOCK :]
             split_step(order, pair, copies, coefficients, draws_of_step, state)
-    for i in range(SLIPS * LANES):
+    for i in range(SLIPS * BLOCK):
         result[i] /= samples
 
 
@@ -284,17 +258,17 @@ def simulate_blocks(
         Whether the second sine is there.
     start_root : (1 + n, 1 + n) array
     coefficients : array
-        `SplittingStep.coefficients`, in the precision of `states`.
+        `SplittingCoefficients` in a flat array, in the precision of `states`.
     readout : (3 n,) array of float64
         Rows of the filtered estimate, the smoothed estimate and the oscillator's phase.
     schedule : tuple of 4 int
         A `Schedule`.
     seed : uint64
     first_block : int
-        Block b holds the paths ``b * LANES`` to ``(b + 1) * LANES - 1``.
-    states : (blocks, rows(n) * LANES) array of float32 or float64
+        Block b holds the paths ``b * BLOCK`` to ``(b + 1) * BLOCK - 1``.
+    states : (blocks, splitting_rows(n).end) array of float32 or float64
         Work space; its type is the precision of the simulation.
-    results : (blocks, OUTPUTS * LANES) array of float64
+    results : (blocks, OUTPUTS * BLOCK) array of float64
         Written.
     sources : str
         Not to be given.
@@ -309,7 +283,7 @@ def simulate_blocks(
             readout,
             schedule,
             seed,
-            np.uint64(first_block + block) * np.uint64(LANES),
+            np.uint64(first_block + block) * np.uint64(BLOCK),
             states[block],
             results[block],
         )
