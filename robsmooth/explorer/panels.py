@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-from robsmooth.explorer.snapshot import ADMISSIBLE, RUNS, SHOWN, SLOPES, STEP, Snapshot, in_lock
+from robsmooth.explorer.snapshot import ADMISSIBLE, RUNS, SHOWN, SLOPES, STEP, Snapshot
 from robsmooth.homodyne.montecarlo import MonteCarloResult
 from robsmooth.paper.figures import TRUTH, styles, use_style
 
@@ -262,7 +262,7 @@ def _simulation(axes: Axes, changing: list[Artist]) -> Update:
         if isinstance(simulated, str):
             return simulated
         one, sweep, theory = snapshot.filtering, snapshot.sweep, snapshot.predicted
-        means = in_lock(simulated)
+        means = simulated.in_lock()
         values = np.array([mean.mean_square for mean in means]) / one
         points.set_data([0, 1], values)
         for place, (line, text, mean) in enumerate(zip(intervals, numbers, means, strict=True)):

@@ -32,7 +32,6 @@ from robsmooth.homodyne.certificate import least_tau, scalar_bound
 from robsmooth.homodyne.loop import Loop, homodyne_loop
 from robsmooth.homodyne.montecarlo import (
     LossOfLockWarning,
-    MeanSquare,
     MonteCarloResult,
     monte_carlo,
 )
@@ -162,13 +161,6 @@ def simulate(snapshot: Snapshot) -> MonteCarloResult | str:
             return monte_carlo(snapshot.parameters, snapshot.estimator, runs=RUNS)
 
     return _or_sentence(run)
-
-
-def in_lock(simulated: MonteCarloResult) -> tuple[MeanSquare, MeanSquare]:
-    """Return the filtered and the smoothed error of the paths that never slipped."""
-    if simulated.slips:
-        return simulated.filtered_in_lock, simulated.smoothed_in_lock
-    return simulated.filtered, simulated.smoothed
 
 
 def design(settings: Settings) -> Estimator:

@@ -9,7 +9,6 @@ from robsmooth.explorer.snapshot import (
     RUNS,
     SLOPES,
     Snapshot,
-    in_lock,
     look,
     robust_arguments,
     simulate,
@@ -85,7 +84,7 @@ def summary(snapshot: Snapshot, simulated: MonteCarloResult | str) -> str:
 def _simulation(simulated: MonteCarloResult | str) -> str:
     if isinstance(simulated, str):
         return simulated.removesuffix(".") + "."
-    filtered, smoothed = (error.mean_square for error in in_lock(simulated))
+    filtered, smoothed = (error.mean_square for error in simulated.in_lock())
     if simulated.slipped_paths == RUNS:
         return "With its sine the loop loses lock: every simulated path slips by whole turns."
     saved = 1.0 - smoothed / filtered
@@ -126,7 +125,7 @@ def experiments(cases: Mapping[str, Settings], caption: str) -> Table:
         if isinstance(simulated, str):
             rows.append((name, "no design", "no design", None, None, None))
             continue
-        filtered, smoothed = (error.mean_square for error in in_lock(simulated))
+        filtered, smoothed = (error.mean_square for error in simulated.in_lock())
         bound = snapshot.guarantee.bound
         rows.append(
             (

@@ -43,6 +43,19 @@ class HomodyneParameters:
         :math:`\beta > 0`, slope of the tangent of the sine.
     gamma : float
         :math:`\gamma` in (0, 1), half width of the sector.
+
+    See Also
+    --------
+    PAPER : the values of Table I.
+    robsmooth.monte_carlo, robsmooth.stationary_errors : errors of an estimator in the loop.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> rs.homodyne.PAPER
+    HomodyneParameters(lam=9140.0, kappa=40000.0, alpha=1162.0, beta=1.0, gamma=0.4)
+    >>> rs.homodyne.PAPER.uncertain_system().A
+    array([[-9140.]])
     """
 
     lam: float
@@ -219,6 +232,16 @@ def fraction_inside(error_range: float, variance: float) -> float:
     -------
     float
         Between zero and one.
+
+    See Also
+    --------
+    HomodyneParameters.sector_range, HomodyneParameters.lipschitz_range : ranges to ask for.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> round(rs.homodyne.fraction_inside(1.0, variance=0.25), 4)
+    0.9545
     """
     error_range = validation.real("error_range", error_range, low=0.0)
     variance = validation.positive("variance", variance)
@@ -226,4 +249,4 @@ def fraction_inside(error_range: float, variance: float) -> float:
 
 
 PAPER = HomodyneParameters(lam=9.14e3, kappa=4e4, alpha=1162.0, beta=1.0, gamma=0.4)
-"""Table I."""
+"""The values of Table I, with the sector that Section IV takes; see `HomodyneParameters`."""

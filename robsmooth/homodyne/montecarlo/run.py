@@ -49,7 +49,24 @@ _PARAMETERS = ("lam", "kappa", "alpha", "beta", "gamma")
 
 
 class LossOfLockWarning(RuntimeWarning):
-    """Some of the simulated paths slipped: their mean square errors depend on the duration."""
+    """Some of the simulated paths slipped: their mean square errors depend on the duration.
+
+    See Also
+    --------
+    MonteCarloResult.in_lock : the errors of the paths that did not.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import robsmooth as rs
+    >>> weak = rs.homodyne.PAPER.with_gain(0.3)
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("ignore", rs.LossOfLockWarning)
+    ...     result = rs.monte_carlo(weak, kalman, runs=256)
+    >>> result.slips > 0
+    True
+    """
 
 
 @dataclass(frozen=True)
@@ -85,6 +102,19 @@ class MonteCarloResult:
     precision : str
     provenance : dict
         Everything else that the numbers depend on, in a JSON form.
+
+    See Also
+    --------
+    monte_carlo : makes it.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> result = rs.monte_carlo(rs.homodyne.PAPER, kalman, runs=64)
+    >>> low, high = result.filtered.interval(0.95)
+    >>> low < result.filtered.mean_square < high
+    True
     """
 
     smoothed: MeanSquare
@@ -103,6 +133,15 @@ class MonteCarloResult:
     seed: int
     precision: str
     provenance: dict[str, Any] = field(repr=False)
+
+    def in_lock(self) -> tuple[MeanSquare, MeanSquare]:
+        """Return the filtered and the smoothed error of the paths that never slipped.
+
+        Where none slipped, these are the errors over all paths, with control variates.
+        """
+        if self.slips:
+            return self.filtered_in_lock, self.smoothed_in_lock
+        return self.filtered, self.smoothed
 
     @property
     def slip_rate(self) -> float:
@@ -251,10 +290,23 @@ def monte_carlo(
     OSError
         Where the checkpoint cannot be written.
 
+    See Also
+    --------
+    stationary_errors : the errors in lock without sampling.
+    simulate : the loop of any nonlinear system.
+
     References
     ----------
     Rehman and Petersen, "A robust continuous time fixed lag smoother for nonlinear uncertain
     systems", Section IV.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> result = rs.monte_carlo(rs.homodyne.PAPER, kalman, runs=256)
+    >>> print(f"{result.filtered.mean_square:.3f} rad^2, {result.slips} slips")
+    0.088 rad^2, 0 slips
     """
     started = time.perf_counter()
     check_compiler("monte_carlo")
