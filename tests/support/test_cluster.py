@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from robsmooth._support import cluster as cluster_module
+from robsmooth._support import extras
 from robsmooth._support.cluster import alone, connect, in_order, worker_threads, workers
 from tests.helpers.clusters import cluster_of_threads, start_cluster
 from tests.helpers.waiting import PATIENCE, wait_until
@@ -316,7 +317,8 @@ def test_the_digest_of_an_archive_is_that_of_the_folder_in_it(tmp_path):
     room.mkdir(parents=True)
     (room.parent / "__init__.py").touch()
     (room / "__init__.py").touch()
-    shutil.copy(cluster_module.__file__, room)
+    for module in (cluster_module, extras):
+        shutil.copy(module.__file__, room)
     archive = shutil.make_archive(tmp_path / "installed", "zip", tmp_path, "robsmooth")
     program = "from robsmooth._support import cluster; print(cluster.__file__, cluster.software())"
     ended = subprocess.run(
