@@ -47,25 +47,23 @@ WRONG = """async selector => {
     // JupyterLab scrolls what is LaTeX and nothing else.
     const output = ".jp-OutputArea-output:not(.jp-RenderedLatex)";
     const boxes = all(`.content, ${output}, .widget-box`);
-    // Within them a box may scroll what is seen to be wide, and must not cut it off. Beside the
-    // formulas that are seen there are hidden ones for screen readers.
+    // Within them a box may scroll what is wide, and must not cut it off. Beside the formulas that
+    // are seen there are others for screen readers: for them alone no box is to scroll.
     const inner = all(".content *, .jp-OutputArea-output *").filter(
         box => wide(box) && !box.closest("mjx-container")
     );
-    const style = (box, name) => getComputedStyle(box)[name];
+    const overflow = (box, ...kinds) => kinds.includes(getComputedStyle(box).overflowX);
     const right = element => element.getBoundingClientRect().right;
-    const seen = box => {
-        const edge = right(box) - parseFloat(style(box, "paddingRight"));
-        return [...box.querySelectorAll(":not(mjx-assistive-mml, mjx-assistive-mml *)")]
-            .some(element => right(element) > edge + 1);
+    const unseen = box => {
+        const beyond = [...box.querySelectorAll("*")].filter(it => right(it) > right(box) + 1);
+        return beyond.length > 0 && beyond.every(it => it.closest("mjx-assistive-mml"));
     };
-    const overflow = (box, ...kinds) => kinds.includes(style(box, "overflowX"));
     return [
         ...images.filter(image => !image.naturalWidth),
         ...all(".math:not(:has(mjx-container)), mjx-merror, [data-mml-node=merror]"),
         ...[document.scrollingElement, ...boxes].filter(wide),
-        ...inner.filter(box => overflow(box, "hidden", "clip") && seen(box)),
-        ...inner.filter(box => overflow(box, "auto", "scroll") && !seen(box)),
+        ...inner.filter(box => overflow(box, "hidden", "clip") && !unseen(box)),
+        ...inner.filter(box => overflow(box, "auto", "scroll") && unseen(box)),
     ].map(element => element.outerHTML.slice(0, 200));
 }"""
 
