@@ -113,10 +113,6 @@ class Simulation:
         """Number of blocks of `BLOCK` paths."""
         return -(-self.runs // BLOCK)
 
-    def paths(self, block: int) -> int:
-        """Number of paths of a block that count."""
-        return min(BLOCK, self.runs - block * BLOCK)
-
     @property
     def steps(self) -> int:
         """Steps of a path."""
