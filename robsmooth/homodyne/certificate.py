@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth.homodyne.parameters import HomodyneParameters
 
-_DEPTH = 60  # how often a cell may be cut
+_MOST_CUTS = 60  # how often a cell may be cut
 
 
 def scalar_bound(
@@ -91,7 +91,7 @@ def prove_infimum(parameters: HomodyneParameters, target: float, J_21: float = 1
     low = np.stack(np.meshgrid(ps[:-1], taus[:-1]), -1).reshape(-1, 2)
     high = np.stack(np.meshgrid(ps[1:], taus[1:]), -1).reshape(-1, 2)
     cells = 0
-    for _ in range(_DEPTH):
+    for _ in range(_MOST_CUTS):
         cells += len(low)
         Y = _Y(parameters, *high.T)
         left = _value(parameters, Y, _x(parameters, low[:, 0], J_21), *low.T) < target

@@ -66,13 +66,13 @@ from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.homodyne.whitening import Sine, WhitenedLoop, whitened
 
 TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
-USELESS = 0.02  # relative truncation error above which there is no result
+LARGEST_TRUNCATION = 0.02  # relative truncation error above which there is no result
 LEAST_DEGREE = 4  # of two, statistical linearisation, the truncation error is unknown
 STEPS_WITHOUT_GAIN = 3  # in degree, after which higher ones are not tried
-TRUSTED_GAIN = 10.0  # by which a step in degree is believed to reduce the truncation error
+GAIN_OF_A_STEP = 10.0  # by which a step in degree is believed to reduce the truncation error
 DEFAULT_UNKNOWNS, MOST_UNKNOWNS = 2500, 6000  # at most: of the default degree, and at all
-FORGOTTEN = 30.0  # time constants of the loop's slowest mode after which e^{Lt} is zero
-_SOLVED = 1e-10  # relative residual up to which the moments are solved for
+DECAYED = 30.0  # time constants of the loop's slowest mode after which e^{Lt} is zero
+_LARGEST_RESIDUAL = 1e-10  # relative residual up to which the moments are solved for
 _ZERO_ENTRY = 1e-16  # of a matrix, relative to its largest entry, below which it is zero
 
 
@@ -216,7 +216,7 @@ def stationary_errors(
         return StationaryErrors(0.0, 0.0, 0.0, 0.0, least, 0)
     result = _converged(problem) if degree is None else _at_degree(problem, degree)
     relative = _relative_truncation(result)
-    if not relative <= USELESS:
+    if not relative <= LARGEST_TRUNCATION:
         raise ArithmeticError(
             "the loop is so noisy that it slips: the expansion does not converge (relative "
             f"truncation error {relative:.2g} at degree {result.degree}); use monte_carlo instead"
@@ -261,7 +261,7 @@ def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> Statio
     """Return the last errors, with the truncation estimated from the last two steps in degree."""
     with np.errstate(invalid="ignore"):  # infinite errors make a truncation that is none
         steps = np.abs(np.diff(errors[-3:], axis=0))
-        steps[:-1] /= TRUSTED_GAIN
+        steps[:-1] /= GAIN_OF_A_STEP
         truncation = steps.max(axis=0) + problem.rounding * errors[-1]
     return StationaryErrors(
         smoothed=float(errors[-1][0]),
@@ -341,7 +341,7 @@ def _stationary_moments(generator: sparse.csr_array) -> NDArray[np.float64]:
     right = -generator[[0], 1:].toarray()[0]
     moments = splu(matrix).solve(right)
     residual = np.abs(matrix @ moments - right).max()
-    if not residual <= _SOLVED * max(1.0, np.abs(moments).max()):
+    if not residual <= _LARGEST_RESIDUAL * max(1.0, np.abs(moments).max()):
         raise ArithmeticError(f"the moments were solved for to {residual:.2g} only")
     return np.array([1.0, *moments])
 
@@ -351,6 +351,6 @@ def _change(problem: WhitenedLoop, generator: sparse.csr_array) -> NDArray[np.fl
     error = np.zeros(generator.shape[0])
     error[: problem.dimension] = problem.smoothed
     slowest = -np.linalg.eigvals(problem.drift).real.max()
-    if slowest * problem.delay > FORGOTTEN:
+    if slowest * problem.delay > DECAYED:
         return -error
     return expm_multiply(generator * problem.delay, error) - error

@@ -17,11 +17,11 @@ from robsmooth._numerics.lyapunov import stationary_root
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth.homodyne.loop import Loop, check_stationary
 
-FARTHEST = math.pi / 2  # standard deviation of the argument of a sine in lock, rad
-_LINEAR = 1e-15  # what sin(v) - v does to the state in a time constant, below which it is zero
-_SELF_CONSISTENT = 1e-9  # change of the slopes at which they are found
-_UNRELIABLE = 1e-4  # error of the covariance in white coordinates above which there is no result
-_STILL = 1e-10  # of a standard deviation, relative, below which a direction does not move
+LARGEST_DEVIATION = math.pi / 2  # standard deviation of the argument of a sine in lock, rad
+_NEGLIGIBLE_REMAINDER = 1e-15  # of what sin(v) - v does to the state in a time constant
+_SLOPE_TOLERANCE = 1e-9  # change of the slopes at which they are found
+_LARGEST_ROUNDING = 1e-4  # of the covariance in white coordinates
+_NEGLIGIBLE_DEVIATION = 1e-10  # of a direction in which nothing moves, relative
 _ILL_CONDITIONED = (
     "the covariance of the linearised loop is lost in rounding: its rates, or the scales of the "
     "estimator's states, are too far apart"
@@ -78,15 +78,15 @@ def whitened(loop: Loop) -> WhitenedLoop:
     rows = loop.arguments() @ S
     deviations = np.linalg.norm(rows, axis=1)
     # Far out of lock there are slopes again, because the noise averages the sine to nothing.
-    farthest = deviations[loop.arguments()[:, 1:].any(axis=1)].max(initial=0.0)
-    if farthest > FARTHEST:
+    largest = deviations[loop.arguments()[:, 1:].any(axis=1)].max(initial=0.0)
+    if largest > LARGEST_DEVIATION:
         raise UnstableLoopError(
             "the loop is not in lock: by statistical linearisation the argument of its sine has a "
-            f"standard deviation of {farthest:.3g} rad"
+            f"standard deviation of {largest:.3g} rad"
         )
     # The arguments of the sines that are not linear all the same span the first coordinates.
     gains = inverse @ loop.gains() / rate
-    active = deviations**3 * np.linalg.norm(gains, axis=0) > _LINEAR
+    active = deviations**3 * np.linalg.norm(gains, axis=0) > _NEGLIGIBLE_REMAINDER
     rotation, arguments = np.linalg.qr(rows[active].T, mode="complete")
     S, inverse = S @ rotation, rotation.T @ inverse
     sines = zip(arguments.T, gains.T[active] @ rotation, slopes[active], strict=True)
@@ -104,14 +104,14 @@ def whitened(loop: Loop) -> WhitenedLoop:
 
 
 def slopes_of_lock(loop: Loop, rate: float) -> NDArray[np.float64]:
-    """The slopes of statistical linearisation."""
+    """Return the slopes of statistical linearisation, iterated from slopes of one."""
     S, inverse = _error_coordinates(loop)
     rows = loop.arguments() @ S
     return linearisation.equivalent_slopes(
         np.ones(2),
         lambda slopes: ((rows @ _root(loop, slopes, rate, S, inverse)) ** 2).sum(axis=1),
         linearisation.of_sine,
-        tolerance=_SELF_CONSISTENT,
+        tolerance=_SLOPE_TOLERANCE,
     )
 
 
@@ -126,7 +126,7 @@ def _white_coordinates(loop: Loop, slopes: NDArray, rate: float) -> tuple[NDArra
     deviations = np.linalg.norm(root, axis=1)
     deviations[deviations == 0.0] = 1.0
     triangle, order = qr((root / deviations[:, None]).T, mode="r", pivoting=True)
-    rank = np.count_nonzero(np.abs(triangle.diagonal()) > _STILL)
+    rank = np.count_nonzero(np.abs(triangle.diagonal()) > _NEGLIGIBLE_DEVIATION)
     scaled = np.empty((len(root), rank))
     scaled[order] = triangle[:rank].T
     S = from_error * deviations @ scaled
@@ -134,13 +134,13 @@ def _white_coordinates(loop: Loop, slopes: NDArray, rate: float) -> tuple[NDArra
     inverse = solve_triangular(triangle[:rank, :rank].T, moving, lower=True)
     white = _root(loop, slopes, rate, S, inverse)
     rounding = np.abs(white @ white.T - np.eye(rank)).max(initial=0.0)
-    if rounding > _UNRELIABLE:
+    if rounding > _LARGEST_ROUNDING:
         raise ArithmeticError(_ILL_CONDITIONED)
     return S, inverse, rounding
 
 
 def _root(loop: Loop, slopes: NDArray, rate: float, S: NDArray, inverse: NDArray) -> NDArray:
-    """A root of the stationary covariance of the linear loop in the coordinates S.
+    """Return a root of the stationary covariance of the linear loop in the coordinates S.
 
     It tells small deviations from none, down to rounding; the covariance only their squares.
     """

@@ -15,7 +15,7 @@ from robsmooth.analysis.statistical_linearisation import (
     statistical_linearisation,
 )
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne.moments import FARTHEST, stationary_errors
+from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import (
     LossOfLockWarning,
     MeanSquare,
@@ -23,6 +23,7 @@ from robsmooth.homodyne.montecarlo import (
     monte_carlo,
 )
 from robsmooth.homodyne.parameters import HomodyneParameters
+from robsmooth.homodyne.whitening import LARGEST_DEVIATION
 
 # What of the loop is multiplied, and the matrix of the system that has the root of its power.
 CHANGES = {
@@ -93,7 +94,7 @@ def noise_sweep(
             moments = stationary_errors(noisier, design).filtered
         with suppress(UnstableLoopError):
             linearised = predicted(design, "power of the phase noise", factor, values).filtered
-        if linearised > FARTHEST**2:  # of a loop whose sine has no mean slope any more
+        if linearised > LARGEST_DEVIATION**2:  # of a loop whose sine has no mean slope any more
             linearised = math.nan
         found.append(NoisySimulation(factor, simulated, moments, linearised))
     return found

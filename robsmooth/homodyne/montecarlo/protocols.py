@@ -43,8 +43,9 @@ ERGODIC_TIME_CONSTANTS = 250  # default duration, in units of the estimator's sl
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response through its sines
 WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode, before sampling begins
 
-FEWEST_IN_PILOT = BLOCK // 2
+FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, below which there are no control variates
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
+CONTROLLED_FILTERED, CONTROLLED_SMOOTHED = 2, 3  # variables of the ergodic protocol, after ERRORS
 
 
 class Schedule(NamedTuple):
@@ -317,7 +318,10 @@ class ErgodicSimulation(Simulation):
 
     def estimate(self, tally: Tally) -> tuple[MeanSquare, MeanSquare]:
         """Filtered and smoothed mean square error, less what chance did to the control."""
-        return tally.all.mean_square(2, plain=0), tally.all.mean_square(3, plain=1)
+        return (
+            tally.all.mean_square(CONTROLLED_FILTERED, plain=splitting.FILTERED),
+            tally.all.mean_square(CONTROLLED_SMOOTHED, plain=splitting.SMOOTHED),
+        )
 
     def prepare(self) -> None:
         """Compute the weights: BLAS has other last bits on another processor."""
@@ -332,17 +336,19 @@ class ErgodicSimulation(Simulation):
         hardly any has not, the weights are zero.
         """
         outputs = self.simulate(PILOT_BLOCK, 1)[0]
-        in_lock = outputs[:-1, outputs[-1] == 0]
+        in_lock = outputs[:, outputs[splitting.SLIPS] == 0]
+        errors, controls = in_lock[splitting.ERRORS], in_lock[splitting.CONTROLS]
         if in_lock.shape[1] < FEWEST_IN_PILOT:
-            return np.zeros((2, len(in_lock) - 2))
-        return control_weights(in_lock[:2], in_lock[2:])
+            return np.zeros((len(errors), len(controls)))
+        return control_weights(errors, controls)
 
     def reduce(self, outputs: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the errors, and the errors less what chance did to the control."""
-        excess = outputs[2:] - self.coefficients.control[:, None]
+        errors = outputs[splitting.ERRORS]
+        excess = outputs[splitting.CONTROLS] - self.coefficients.control[:, None]
         # Not by BLAS, whose last bits depend on how many paths there are, and on its threads.
         chance = (self.weights[:, :, None] * excess).sum(axis=1)
-        return np.vstack([outputs[:2], outputs[:2] - chance])
+        return np.vstack([errors, errors - chance])
 
 
 PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper": PaperSimulation}

@@ -52,6 +52,7 @@ OUTPUTS = 7  # of a path: time averages of the loop and of its control, cycle sl
 FILTERED, SMOOTHED, CONTROL_FILTERED, CONTROL_SMOOTHED, CONTROL_FOURTH, SLIPS, TURNS = range(
     OUTPUTS
 )
+ERRORS, CONTROLS = slice(FILTERED, CONTROL_FILTERED), slice(CONTROL_FILTERED, SLIPS)
 SOURCES = shared_sources()
 
 
