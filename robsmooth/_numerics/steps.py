@@ -1,8 +1,40 @@
-"""Durations and delays in whole steps."""
+"""How long the steps of a simulation are, and durations and delays in whole ones."""
 
 import math
+import warnings
 
 MULTIPLE_TOLERANCE = 1e-6  # how far delay / step may be from a whole number
+
+
+class LongStepWarning(RuntimeWarning):
+    """The step is long for the loop: the results of the simulation depend on it."""
+
+
+def warn_of_long_step(
+    step: float, response_time: float, longest: float, fine: float, stacklevel: int
+) -> None:
+    """Warn where a step is more than `longest` response times.
+
+    Parameters
+    ----------
+    step, response_time : float
+        s.
+    longest : float
+        In response times.
+    fine : float
+        A step to suggest, s.
+    stacklevel : int
+        As that of `warnings.warn`, were it called instead.
+    """
+    ratio = step / response_time
+    if ratio > longest * (1 + MULTIPLE_TOLERANCE):
+        warnings.warn(
+            f"the step, {step:.4g} s, is {ratio:.3g} times the loop's response time, "
+            f"{response_time:.4g} s: above {longest:g} times, the results depend on the step; "
+            f"{fine:.8g} s is fine",
+            LongStepWarning,
+            stacklevel=stacklevel + 1,
+        )
 
 
 def dividing_step(delay: float, longest: float, duration: float) -> float:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._numerics.steps import dividing_step, steps_in, whole_steps
+from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
@@ -28,7 +28,8 @@ from robsmooth.simulation.statistics import Moments
 from robsmooth.systems.augmented import AugmentedSystem
 
 BLOCK = 512  # paths side by side
-STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the response of the nonlinearities
+STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response time
+SILENT = 1 / 4  # the longest step without a warning, in these units
 TIME_CONSTANTS = 100  # default duration, in units of the slowest mode
 WARM_UP_TIME_CONSTANTS = 5
 CHECK_EVERY = 16  # steps
@@ -85,7 +86,8 @@ def simulate(
         time constant of the linearised loop.
     step : float, optional
         s; must divide the lag into whole steps. Default: the largest such step that is at most a
-        fifth of the time in which the nonlinearities' arguments change or act on each other.
+        fifth of the loop's response time, that in which the nonlinearities' arguments change or act
+        on each other. `robsmooth.nonlinear` has the bias that this makes.
     seed : int
         At least 0. A path depends on it, the path's number and the step alone.
     progress : bool
@@ -99,6 +101,8 @@ def simulate(
     -----
     InadmissibleWarning
         Where a constraint of the theory does not hold all the time.
+    LongStepWarning
+        Where the step is above 1/4 of the response time, and the loop is not linear.
 
     Raises
     ------
@@ -191,6 +195,11 @@ def sample_paths(
     -------
     SamplePaths
 
+    Warns
+    -----
+    LongStepWarning
+        As in `simulate`.
+
     Raises
     ------
     UnstableLoopError, RuntimeError, ValueError, TypeError
@@ -257,13 +266,16 @@ def _plan(
     if duration is None:
         duration = time_constants / slowest
     duration = validation.positive("duration", duration)
-    if step is None:
-        step = dividing_step(delay, STEP_OF_TIME_CONSTANT / loop.argument_rate(), duration)
-    step = validation.positive("step", step)
+    response_time = 1.0 / loop.argument_rate()
+    default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
+    step = validation.positive("step", default if step is None else step)
     warm_up = WARM_UP_TIME_CONSTANTS / slowest + delay
-    return _Plan(
+    plan = _Plan(
         step, math.ceil(warm_up / step), steps_in(duration, step), whole_steps(delay, step)
     )
+    if not loop.is_linear:  # else the scheme is exact
+        warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
+    return plan
 
 
 class _Records(NamedTuple):

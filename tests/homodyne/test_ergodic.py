@@ -16,6 +16,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.stats import binom
 
 from robsmooth import homodyne, statistical_linearisation
+from robsmooth._numerics.steps import LongStepWarning
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run
@@ -176,10 +177,12 @@ def test_control_has_the_moments_that_it_is_said_to_have(estimator):
 def test_scheme_is_of_second_order_in_the_step():
     exact = stationary_errors(PARAMETERS, printed_smoother())
     steps = DELAY / np.array([1, 2, 3])
-    results = [
-        monte_carlo(PARAMETERS, printed_smoother(), step=step, runs=20_000, seed=1)
-        for step in steps
-    ]
+    with pytest.warns(LongStepWarning) as warned:
+        results = [
+            monte_carlo(PARAMETERS, printed_smoother(), step=step, runs=20_000, seed=1)
+            for step in steps
+        ]
+    assert len(warned) == len(steps)
     for name in ("filtered", "smoothed"):
         errors = [getattr(result, name) for result in results]
         bias = np.array([e.mean_square for e in errors]) - getattr(exact, name)

@@ -3,6 +3,33 @@
 `noise` draws the noise, `schemes` has the coefficients of a step, `layout` where they lie in a
 kernel's arrays, `euler` and `splitting` take the steps, `protocols` says what is simulated, `run`
 carries it out, and `result` is what it returns.
+
+**How long a step may be.** The unit is the loop's response time: that in which its sines respond to
+themselves, 2.2 us with the paper's values. With these, the relative bias of the mean square errors
+is, by the exact ones of `stationary_errors`,
+
+========================  ========  ==========  ==============
+protocol and step         filtered  smoothed    taken
+========================  ========  ==========  ==============
+"paper", 1/200 (default)  +0.23%    -0.03%      in silence
+"paper", 1/40             +1.3%     below 1.3%  in silence
+"paper", 1/5              +11%      +250%       with a warning
+"ergodic", 1/5 (default)  +0.003%   +0.005%     in silence
+"ergodic", 1/4            +0.004%   +0.007%     in silence
+"ergodic", 1              +0.08%    +0.2%       with a warning
+"ergodic", 4.6            +2.7%     less        with a warning
+"ergodic", 10             +16%      less        with a warning
+========================  ========  ==========  ==============
+
+for the Kalman-Bucy filter, the paper's designs and those of `minimize_bound` with orders 0 to 4, of
+which the smoothed column has the worst. The standard errors of a default run are 0.65% ("paper")
+and 0.01% ("ergodic"). Longer steps are refused: in the ergodic protocol above 10, where loops slip
+that never do, and in that of the paper from where the Euler-Maruyama scheme is unstable: 2 without
+a lag, 0.26 for a lag of 3.1 us with a delay model of order 4.
+
+Where a loop slips, the ergodic protocol has too few slips: with ten times the paper's diffusion
+their rate is 11% too low with the default step, 15% with 1/4 and 43% with 1/2. The paper's protocol
+has no such bias. The standard errors of a run tell nothing of all this.
 """
 
 from robsmooth.homodyne.montecarlo.result import LossOfLockWarning, MonteCarloResult

@@ -24,7 +24,13 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._numerics.steps import MULTIPLE_TOLERANCE, dividing_step, steps_in, whole_steps
+from robsmooth._numerics.steps import (
+    MULTIPLE_TOLERANCE,
+    dividing_step,
+    steps_in,
+    warn_of_long_step,
+    whole_steps,
+)
 from robsmooth._support.blas import one_thread
 from robsmooth._support.cluster import alone, worker_threads
 from robsmooth._support.errors import UnstableLoopError
@@ -32,7 +38,12 @@ from robsmooth.homodyne.loop import Loop
 from robsmooth.homodyne.montecarlo import euler, layout, splitting
 from robsmooth.homodyne.montecarlo.kernels import threads_of_kernels
 from robsmooth.homodyne.montecarlo.noise import BLOCK
-from robsmooth.homodyne.montecarlo.schemes import EulerStep, SplittingStep, control_slopes
+from robsmooth.homodyne.montecarlo.schemes import (
+    EulerStep,
+    SplittingStep,
+    control_slopes,
+    longest_stable_step,
+)
 from robsmooth.simulation.statistics import MeanSquare, Tally, control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
@@ -42,6 +53,12 @@ ERGODIC_RUNS = 1024
 ERGODIC_TIME_CONSTANTS = 250  # default duration, in units of the estimator's slowest mode
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response through its sines
 WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode, before sampling begins
+
+# Steps in response times of the loop, by the biases in the docstring of `robsmooth.homodyne.montecarlo`.
+SILENT_EULER = 1 / 40  # two standard errors of a default run
+SILENT_SPLITTING = 1 / 4  # less than one, but already 15% of the slips
+LARGEST_SPLITTING = 10.0
+STABLE_PART = 0.5  # of the longest step for which the Euler-Maruyama scheme is stable: the default
 
 FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, below which there are no control variates
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
@@ -108,6 +125,17 @@ class Simulation:
     protocol: ClassVar[str]
     scheme: ClassVar[str]
     variables: ClassVar[int]  # that are averaged over paths; the first two are the errors
+    silent: ClassVar[float]  # the longest step without a warning, in response times of the loop
+
+    @classmethod
+    def default_step(cls, loop: Loop, duration: float) -> float:
+        """Return the step that is taken where none is given, s."""
+        raise NotImplementedError
+
+    def check_step(self, loop: Loop, stacklevel: int) -> None:
+        """Warn where the step is long for the loop; see `warn_of_long_step`."""
+        fine = self.default_step(loop, self.duration)
+        warn_of_long_step(self.step, response_time(loop), self.silent, fine, stacklevel + 1)
 
     @property
     def blocks(self) -> int:
@@ -167,6 +195,18 @@ class PaperSimulation(Simulation):
     protocol = "paper"
     scheme = "Euler-Maruyama"
     variables = 2
+    silent = SILENT_EULER
+
+    @classmethod
+    def default_step(cls, loop: Loop, duration: float) -> float:
+        """Return the published step, or a shorter one for a loop that is faster than the paper's.
+
+        It divides the delay.
+        """
+        longest = min(
+            PAPER_STEP, SILENT_EULER * response_time(loop), STABLE_PART * longest_stable_step(loop)
+        )
+        return dividing_step(loop.delay, longest, duration)
 
     @classmethod
     def plan(
@@ -181,8 +221,16 @@ class PaperSimulation(Simulation):
         """Fill in defaults; the arguments that are given have been checked one by one."""
         duration = PAPER_DURATION if duration is None else duration
         _check_duration(duration, loop.delay)
-        step = dividing_step(loop.delay, PAPER_STEP, duration) if step is None else step
+        default = cls.default_step(loop, duration)
+        step = default if step is None else step
         delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
+        longest = longest_stable_step(loop)
+        if step >= longest:
+            raise ValueError(
+                f"step must be below {longest:.4g} s, at which the Euler-Maruyama scheme becomes "
+                f"unstable in this loop of response time {response_time(loop):.4g} s, got "
+                f"{step:g} s; {default:.8g} s is fine"
+            )
         return cls(
             runs=PAPER_RUNS if runs is None else runs,
             seed=seed,
@@ -239,6 +287,12 @@ class ErgodicSimulation(Simulation):
     protocol = "ergodic"
     scheme = "Strang splitting with a linear control variate"
     variables = 4
+    silent = SILENT_SPLITTING
+
+    @classmethod
+    def default_step(cls, loop: Loop, duration: float) -> float:
+        """Return a fifth of the loop's response time, or a shorter step that divides the delay."""
+        return dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * response_time(loop), duration)
 
     @classmethod
     def plan(
@@ -268,15 +322,23 @@ class ErgodicSimulation(Simulation):
         if duration is None:
             duration = max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
         _check_duration(duration, loop.delay)
-        longest = STEP_OF_TIME_CONSTANT / loop.response_rate()
-        step = dividing_step(loop.delay, longest, duration) if step is None else step
+        default, response = cls.default_step(loop, duration), response_time(loop)
+        step = default if step is None else step
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
         schedule = time_average(
             warm_up=warm_up,
             steps=steps_in(duration, step),
             delay=whole_steps(loop.delay, step),
-            longest_stride=max(int(longest / step + MULTIPLE_TOLERANCE), 1),
+            longest_stride=max(
+                int(STEP_OF_TIME_CONSTANT * response / step + MULTIPLE_TOLERANCE), 1
+            ),
         )
+        if step > LARGEST_SPLITTING * response:
+            raise ValueError(
+                f"step must be at most {LARGEST_SPLITTING:g} times the loop's response time, "
+                f"{response:.4g} s, because longer steps make slips of their own, got {step:g} s; "
+                f"{default:.8g} s is fine"
+            )
         return cls(
             runs=ERGODIC_RUNS if runs is None else runs,
             seed=seed,
@@ -352,6 +414,12 @@ class ErgodicSimulation(Simulation):
 
 
 PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper": PaperSimulation}
+
+
+def response_time(loop: Loop) -> float:
+    """Return the time in which the loop's sines respond to themselves, s; infinity if never."""
+    rate = loop.response_rate()
+    return 1.0 / rate if rate else math.inf
 
 
 def _check_duration(duration: float, delay: float) -> None:

@@ -82,12 +82,9 @@ def monte_carlo(
         estimate is ``C_f`` (1, n) times the state where there is one, else the first of ``C_c``.
     protocol : {"ergodic", "paper"}
         "paper" is the published simulation: Euler-Maruyama from zero, the squared errors at the end
-        of each run, averaged over runs. The scheme's bias is of the first order in the step: with
-        the paper's values +0.23% of the filtered mean square error and -0.03% of the smoothed one
-        at 0.01 us. "ergodic" gives the stationary errors in a small part of the time: it starts in
-        the linearised loop's stationary state, averages along each path, takes steps of the second
-        order, and subtracts what chance has done to the linearised loop on the same noise. With the
-        paper's values the bias of its default step is 3e-5 of the mean square error.
+        of each run, averaged over runs. "ergodic" gives the stationary errors in far less time: it
+        starts in the linearised loop's stationary state, averages along each path, takes steps of
+        the second order, and subtracts what chance did to the linearised loop on the same noise.
     runs : int, optional
         Independent paths. Default: 50 000 ("paper") or 1024 ("ergodic").
     duration : float, optional
@@ -95,7 +92,9 @@ def monte_carlo(
         times the slowest time constant of the linearised estimator ("ergodic").
     step : float, optional
         s; must divide the smoother's delay into whole steps. Default: the largest such step that is
-        at most 0.01 us ("paper") or a fifth of the loop's time constant ("ergodic").
+        at most 0.01 us ("paper") or a fifth of the loop's response time ("ergodic"). With the
+        paper's values its bias is 0.23% of the mean square errors at most ("paper") or 0.005%
+        ("ergodic"); that of the longest step without a warning is 1.3% or 0.007%.
     seed : int
         At least 0 and below 2^64. Path i has the same noise for the same seed, whatever else.
     precision : {"mixed", "single"}
@@ -127,12 +126,15 @@ def monte_carlo(
     -----
     LossOfLockWarning
         Where a path slipped.
+    LongStepWarning
+        Where the step is above 1/40 ("paper") or 1/4 ("ergodic") of the loop's response time.
 
     Raises
     ------
     TypeError, ValueError
         For an argument that is not as described, before anything is simulated; CheckpointError, a
-        ValueError, for a checkpoint that is not of this call.
+        ValueError, for a checkpoint that is not of this call; for a step with which the Euler
+        scheme is unstable ("paper"), or above ten response times ("ergodic").
     UnstableLoopError
         For the ergodic protocol where the linearised loop is not stable.
     RuntimeError
@@ -172,6 +174,7 @@ def monte_carlo(
     }
     loop = homodyne_loop(parameters, smoother, **options)
     simulation = plan(loop, protocol, runs, duration, step, seed, precision)
+    simulation.check_step(loop, stacklevel=2)
     validation.boolean("progress", progress)
     if client is not None and threads is not None:
         raise ValueError("threads are of this machine: give either threads or client, not both")

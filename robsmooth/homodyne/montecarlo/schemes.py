@@ -16,6 +16,8 @@ from robsmooth.homodyne.montecarlo.layout import (
     draws_of_splitting,
 )
 
+_UNDAMPED = 1e-12  # of a mode's rate: less damping is rounding
+
 
 @dataclass(frozen=True, eq=False)
 class EulerStep:
@@ -95,6 +97,7 @@ class SplittingStep:
         transition, push, _ = responses(drift, -slopes[0] * loop.gains()[:, :1], step)
         noise = noise_root(drift, loop.noise_gains(), step)
         root = np.zeros((1 + loop.order, draws_of_splitting(loop.order)))
+        # Not the triangular root itself: with that, a seed would have other paths.
         root[:, : 1 + loop.order] = square_root(noise @ noise.T)
         gains = step * loop.gains()[1:].T
         (r_s, r_c), (c_s, c_c) = np.vstack([loop.reference, loop.copy]) @ gains.T
@@ -125,6 +128,17 @@ class SplittingStep:
             readout=_readout(loop),
             control=np.array([filtered, smoothed, 3 * filtered**2]),  # it is Gaussian
         )
+
+
+def longest_stable_step(loop: Loop) -> float:
+    r"""Return the step from which on the Euler-Maruyama scheme lets a mode grow that decays, s.
+
+    It multiplies a mode of the linearised loop with the eigenvalue :math:`\lambda` by
+    :math:`1 + \lambda h` in a step. Infinity where no mode decays.
+    """
+    modes = np.linalg.eigvals(loop.linearised_drift())
+    decaying = modes[modes.real < -_UNDAMPED * np.abs(modes)]
+    return float((-2.0 * decaying.real / np.abs(decaying) ** 2).min(initial=np.inf))
 
 
 def control_slopes(loop: Loop) -> tuple[float, float]:
