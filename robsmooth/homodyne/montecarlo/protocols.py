@@ -54,7 +54,7 @@ ERGODIC_TIME_CONSTANTS = 250  # default duration, in units of the estimator's sl
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response through its sines
 WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode, before sampling begins
 
-# Steps in response times of the loop, by the biases in the docstring of `robsmooth.homodyne.montecarlo`.
+# Steps in response times of the loop, by the biases that `robsmooth.homodyne.montecarlo` states.
 SILENT_EULER = 1 / 40  # two standard errors of a default run
 SILENT_SPLITTING = 1 / 4  # less than one, but already 15% of the slips
 LARGEST_SPLITTING = 10.0
