@@ -2,26 +2,25 @@ r"""The bound as the search sees it: a function of tau lambda alone, with its gr
 
 With :math:`\theta = \tau\lambda`, neither :math:`X` nor :math:`Y/\tau` nor the estimator depends on
 :math:`\tau`, and :math:`V = \tau\,v(\theta)`. Here v is half the entropy of the problem's central
-H-infinity controller, for channels weighted by :math:`M(\theta)` and :math:`N(\theta)`. With
-:math:`\tau = 1`, :math:`K = \tilde B_c`, :math:`Z = X(I - YX)^{-1}` and
-:math:`T = (I - YX)^{-1}`,
+H-infinity controller, for channels weighted by :math:`M(\theta)` and :math:`N(\theta)`. In the
+notation of `robsmooth.estimators.equations`, with :math:`\tau = 1`, :math:`Z = XT` and
+:math:`U = KEK' + B(\Lambda_X^{-1} - \Lambda_Y^{-1})B'`,
 
-.. math:: v = \tfrac12\operatorname{tr}(YR + KEK'Z).
+.. math:: v = \tfrac12\operatorname{tr}(YR + UZ).
 
-Both Riccati equations hold for every :math:`\theta`, so that their multipliers give the gradient:
-with :math:`\Lambda_Y`, :math:`\Lambda_X` from one Lyapunov equation each, H the channels' way into
-the estimation error, :math:`H = \tilde B_1 - K\tilde D_{21}`, and
-:math:`C_k = \tilde C_1 + \tilde D_{12}k` the outputs under the feedback k of the known state,
+Both Riccati equations hold for every :math:`\theta`, so that their Lagrange multipliers give the
+gradient. With :math:`P_Y`, :math:`P_X` from one Lyapunov equation each, and :math:`H = B - KD`, the
+channels' way into the estimation error,
 
 .. math::
 
-    \frac{\partial v}{\partial\theta_i} =
-    \Bigl\langle N_i,\ \tilde C_1(\tfrac12 Y + Y\Lambda_YY)\tilde C_1' + C_k\Lambda_XC_k'
-    \Bigr\rangle - \Bigl\langle M_i,\ M^{-1}\bigl[H'(\Lambda_Y - \tfrac12Z)H
-      + \tilde B_1'(X\Lambda_XX + \tfrac12 Z)\tilde B_1\bigr]M^{-1}\Bigr\rangle .
+    \frac{\partial v}{\partial\Lambda_Y} &= C_1(\tfrac12 Y + YP_YY)C_1'
+      - \Lambda_Y^{-1}H'(P_Y - \tfrac12 Z)H\Lambda_Y^{-1},\\
+    \frac{\partial v}{\partial\Lambda_X} &= C_1P_XC_1'
+      - \Lambda_X^{-1}B'(XP_XX + \tfrac12 Z)B\Lambda_X^{-1},
 
-Where multipliers vanish, the same is done for the reduced system of `robsmooth.estimators.limit`,
-and the term of x is added. Time, states and measurements are brought to units of order one; the
+of which the diagonals count. In a limit (`robsmooth.estimators.limit`) the term of x is added, with
+the multiplier of its equation. Time, states and measurements are brought to units of order one; the
 equations are solved fast and not certified: the design that a search ends with is, by
 `design_smoother`.
 """
@@ -31,215 +30,111 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError, schur, solve_continuous_lyapunov
 
-from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.estimators.limit import Reduction, reduction
-from robsmooth.estimators.smoother import ASSUMPTION_X, ASSUMPTION_Y, inverse, sum_of_squares
+from robsmooth.estimators.conditions import (
+    ASSUMPTION_X,
+    ASSUMPTION_Y,
+    check_nonnegative,
+    refusal,
+)
+from robsmooth.estimators.equations import DesignEquations
+from robsmooth.estimators.problem import DesignProblem
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
 
-_NONNEGATIVE = 1e-9  # slack of Y >= 0
-_MARGIN = 1e-10  # of stability, relative to the norm of a Hamiltonian
-_ORTHOGONAL = 1e-9  # slack of X b = 0
+_STABILITY_MARGIN = 1e-10  # of a Riccati equation's closed loop, relative to its Hamiltonian's norm
 
 
 @dataclass(frozen=True, eq=False)
-class Entropy:
-    """The function v of a plant, on the face where some multipliers are zero.
-
-    Made by `entropy`, in its units of time, states and measurements.
+class BoundFunction:
+    """The function v of a plant, made by `bound_function`.
 
     Attributes
     ----------
+    problem : DesignProblem
+        In units of time, states and measurements that make it of order one.
     time : float
         The unit of time, s: tau is in this unit here.
-    active, vanishing : (a,), (z,) arrays of int
-        Which multipliers are positive, and which vanish at rates that matter.
-    A, B1, C2, D21 : arrays
-        The system that the estimator sees, reduced where M is singular.
-    A_p, B_p : arrays
-        Its drift and its channels' inputs before that, which the X equation has.
-    C, C1, copies : arrays
-        Outputs of the cost and of the channels, and how the copies' arguments enter the latter.
-    M, N : (a, r, r), (a, h, h) arrays
-        The matrices of the active multipliers, on the channels that are left.
-    entering, spread : (n, c), (z, c, c) arrays
-        How the vanishing channels enter the state, and their M_i.
-    N_vanishing : (z, h, h) array
-        Their N_i.
     """
 
+    problem: DesignProblem
     time: float
-    active: np.ndarray
-    vanishing: np.ndarray
-    A: Matrix
-    B1: Matrix
-    C2: Matrix
-    D21: Matrix
-    A_p: Matrix
-    B_p: Matrix
-    C: Matrix
-    C1: Matrix
-    copies: Matrix
-    M: np.ndarray
-    N: np.ndarray
-    entering: Matrix
-    spread: np.ndarray
-    N_vanishing: np.ndarray
 
-    def scaled(self, size: float) -> "Entropy":
+    def scaled(self, size: float) -> "BoundFunction":
         """Return the function for uncertainty whose outputs are `size` times as large."""
-        return replace(self, N=size**2 * self.N, N_vanishing=size**2 * self.N_vanishing)
+        return replace(self, problem=self.problem.scaled(size))
 
     def natural_tau(self, multipliers: np.ndarray) -> float:
         """Return the tau at which the cost weighs as much as the measurement in the Y equation."""
-        M_inverse = inverse(np.tensordot(multipliers, self.M, 1))
-        E = self.D21 @ M_inverse @ self.D21.T
-        information = np.linalg.norm(self.C2.T @ np.linalg.solve(E, self.C2), 2)
-        cost = np.linalg.norm(self.C, 2) ** 2
+        equations = DesignEquations(self.problem, 1.0, multipliers, np.zeros_like(multipliers))
+        _, _, C2, _ = self.problem.of_Y
+        information = np.linalg.norm(C2.T @ np.linalg.solve(equations.E, C2), 2)
+        cost = np.linalg.norm(self.problem.C, 2) ** 2
         return float(cost / information) if information > 0.0 < cost else 1.0
 
     def __call__(self, theta: np.ndarray, rates: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return log v and its gradient in theta, then in the rates.
+        """Return log v, and its gradient in theta and in the rates, (2, k + 3g).
 
         Raises
         ------
         InfeasibleDesignError
             Where there is no design.
         """
-        A, B1, C2, D21, C1 = self.A, self.B1, self.C2, self.D21, self.C1
-        identity = np.eye(len(A))
-        M_inverse = inverse(np.tensordot(theta, self.M, 1))
-        N, N_rates = np.tensordot(theta, self.N, 1), np.tensordot(rates, self.N_vanishing, 1)
-        outputs = C1 + self.copies @ self._feedback(N, N_rates)
-        R = self.C.T @ self.C + C1.T @ N @ C1
-        W, correlation = B1 @ M_inverse @ B1.T, B1 @ M_inverse @ D21.T
-        E = D21 @ M_inverse @ D21.T
-        gain, information = np.linalg.solve(E, correlation.T), np.linalg.solve(E, C2)
-
-        W_p = self.B_p @ M_inverse @ self.B_p.T
-        Y = _stabilising(
-            ASSUMPTION_Y,
-            (A - correlation @ information).T,
-            W - correlation @ gain,
-            C2.T @ information - R,
-        )
+        equations = DesignEquations(self.problem, 1.0, theta, rates)
+        weights = equations.weights
+        Y = _stabilising(ASSUMPTION_Y, *equations.equation_Y)
         spectrum = np.linalg.eigvalsh(Y)
-        if spectrum[0] < -_NONNEGATIVE * np.abs(spectrum).max():
-            raise InfeasibleDesignError(ASSUMPTION_Y, "its solution is not nonnegative definite")
-        X = _stabilising(ASSUMPTION_X, self.A_p, sum_of_squares(self.N, theta, outputs), -W_p)
-        if not np.abs(np.linalg.eigvals(Y @ X)).max() < 1.0:
-            raise InfeasibleDesignError("Assumption 3.3", "rho(YX) is not below tau")
-        innovation = Y @ C2.T + correlation
-        K = np.linalg.solve(E, innovation.T).T
-        T = np.linalg.inv(identity - Y @ X)
-        Z, KEK = X @ T, K @ innovation.T
-        v = 0.5 * np.trace(Y @ R + KEK @ Z)
+        check_nonnegative(ASSUMPTION_Y, spectrum[0] / (np.abs(spectrum).max() or 1.0))
+        X = _stabilising(ASSUMPTION_X, *equations.equation_X())
+        K, U, T, v, _ = equations.solution(X, Y)
+        A, B_Y, C2, D = self.problem.of_Y
+        B, Z = self.problem.B, X @ T
 
-        closed_X = self.A_p + W_p @ X
-        from_X = T @ KEK @ T.T / 2
-        gradient_rates = np.zeros(len(rates))
-        into_W = np.zeros_like(X)
-        if len(rates):
-            x, multiplier, extra, gradient_rates = self._first_order(X, closed_X, outputs, rates)
-            v += extra
-            product = multiplier @ x
-            from_X = from_X + W_p @ product.T + product @ W_p
-            into_W = X @ product + product.T @ X
-        from_Y = (R + C2.T @ K.T @ Z + Z @ K @ C2 + Z @ KEK @ Z) / 2
-        multiplier_Y = _lyapunov((A + Y @ R - K @ C2).T, from_Y)
-        multiplier_X = _lyapunov(closed_X, from_X)
-
-        H = B1 - K @ D21
-        on_N = C1 @ (Y / 2 + Y @ multiplier_Y @ Y) @ C1.T + outputs @ multiplier_X @ outputs.T
-        on_M = H.T @ (multiplier_Y - Z / 2) @ H
-        on_M += self.B_p.T @ (X @ multiplier_X @ X + Z / 2 + into_W) @ self.B_p
-        gradient = _inner(self.N, on_N) - _inner(self.M, M_inverse @ on_M @ M_inverse)
+        A_X = self.problem.plant.A_p + equations.worst_noise @ X
+        from_X, on_noise = T @ U @ T.T / 2, Z / 2
+        gradient_x = np.zeros_like(weights.rates)
+        if rates.any():
+            A_x, Q, S = equations.equation_of_slope(X)
+            x = _stabilising(ASSUMPTION_X, A_x, Q, S)
+            v -= 0.5 * float(np.trace(S @ x))
+            P = _lyapunov(A_X - S @ x, -S / 2)
+            from_X += equations.worst_noise @ x @ P + P @ x @ equations.worst_noise
+            on_noise = on_noise + X @ P @ x + x @ P @ X
+            on_noise_x = x / 2 + x @ P @ x
+            gradient_x = self._per_weight(P, B * equations.unbounded_noise, on_noise_x)
+        P_X = _lyapunov(A_X, from_X)
+        half = Z @ K @ C2
+        from_Y = (equations.R + half + half.T + Z @ U @ Z) / 2
+        P_Y = _lyapunov((A + Y @ equations.R - K @ C2).T, from_Y)
+        H = B_Y - K @ D
+        gradient_Y = self._per_weight(Y / 2 + Y @ P_Y @ Y, H * equations.noise_Y, P_Y - Z / 2)
+        gradient_X = self._per_weight(P_X, B * equations.noise_X, X @ P_X @ X + on_noise)
+        gradient = [
+            weights.gradient(gradient_Y, gradient_X),
+            weights.gradient(np.zeros_like(gradient_x), gradient_x),
+        ]
         v = max(v, np.finfo(float).tiny)
-        return float(np.log(v)), np.concatenate([gradient, gradient_rates]) / v
+        return float(np.log(v)), np.array(gradient) / v
 
-    def _feedback(self, N: Matrix, N_rates: Matrix) -> Matrix:
-        """Return the arguments of the copies that minimise the constraints' outputs."""
-        on_copies = self.copies.T @ N
-        if (none_left := (on_copies @ self.copies).diagonal() == 0.0).any():
-            on_copies[none_left] = self.copies.T[none_left] @ N_rates
-        weight = (on_copies @ self.copies).diagonal()[:, None]
-        wanted = on_copies @ self.C1
-        return -np.divide(wanted, weight, out=np.zeros_like(wanted), where=weight > 0.0)
-
-    def _first_order(self, X, closed_X, outputs, rates):
-        """Return x, its multiplier, its term of v and that term's gradient in the rates."""
-        S_inverse = inverse(np.tensordot(rates, self.spread, 1))
-        b = self.entering
-        bb = b @ S_inverse @ b.T
-        if np.trace(bb @ X) > _ORTHOGONAL * np.sum(np.abs(bb) * np.abs(X)):
-            raise InfeasibleDesignError(ASSUMPTION_X, "the bound grows as multipliers vanish")
-        x = _stabilising(
-            ASSUMPTION_X, closed_X, sum_of_squares(self.N_vanishing, rates, outputs), -bb
-        )
-        multiplier = _lyapunov(closed_X + bb @ x, bb / 2)
-        inner = S_inverse @ b.T @ (x / 2 + x @ multiplier @ x) @ b @ S_inverse
-        gradient = _inner(self.N_vanishing, outputs @ multiplier @ outputs.T)
-        gradient -= _inner(self.spread, inner)
-        return x, multiplier, 0.5 * float(np.trace(bb @ x)), gradient
+    def _per_weight(self, on_outputs: Matrix, B: Matrix, on_inputs: Matrix) -> np.ndarray:
+        """Return diag(C1 F C1') - diag(B' G B), of the F and G given, summed by constraint."""
+        problem, C1 = self.problem, self.problem.C1
+        count = problem.channels[-1] + 1
+        outputs = np.bincount(problem.rows, (C1 @ on_outputs * C1).sum(axis=1), count)
+        return outputs - np.bincount(problem.channels, (B * (on_inputs @ B)).sum(axis=0), count)
 
 
-def entropy(plant: AugmentedSystem, cost: str, zero: np.ndarray | None = None) -> Entropy:
-    """Return the function v of a plant, where the multipliers that `zero` marks are zero.
+def bound_function(plant: AugmentedSystem, cost: str, positive: np.ndarray) -> BoundFunction:
+    """Return the function v of a plant, where the multipliers that `positive` marks are not zero.
 
     Raises
     ------
     InfeasibleDesignError
         Where noise without bound would enter the state, and no measurement would tell of it.
     """
-    if zero is None:
-        zero = np.zeros(len(plant.M_i), dtype=bool)
     plant, time = _natural_units(plant, cost)
-    reduced = reduction(plant, ~zero)
-    on_kernel = [reduced.kernel.T @ M @ reduced.kernel for M in plant.M_i]
-    matters = bool(reduced.entering.any())
-    vanishing = [i for i in np.flatnonzero(zero) if matters and on_kernel[i].any()]
-    active = np.flatnonzero(~zero)
-    rest, C2, D21 = _seen(plant, reduced)
-    h, c = len(plant.C1_tilde), reduced.kernel.shape[1]
-    return Entropy(
-        time=time,
-        active=active,
-        vanishing=np.array(vanishing, dtype=int),
-        A=reduced.A,
-        B1=reduced.B1 @ rest,
-        C2=C2,
-        D21=D21 @ rest,
-        A_p=plant.A_p,
-        B_p=plant.B1_tilde @ rest,
-        C=plant.C_p0 if cost == "filtered" else plant.C_a,
-        C1=plant.C1_tilde,
-        copies=plant.D12_tilde[:, plant.system.m :],
-        M=np.array([rest.T @ plant.M_i[i] @ rest for i in active]),
-        N=np.array([plant.N_i[i] for i in active]),
-        entering=reduced.entering,
-        spread=np.array([on_kernel[i] for i in vanishing]).reshape(len(vanishing), c, c),
-        N_vanishing=np.array([plant.N_i[i] for i in vanishing]).reshape(len(vanishing), h, h),
-    )
-
-
-def _seen(plant: AugmentedSystem, reduced: Reduction) -> tuple[Matrix, Matrix, Matrix]:
-    """Return a basis of the channels that are left, C2 and D21, so that small numbers do no harm.
-
-    Where both multipliers of a nonlinearity and its copy are small but not zero, their common part
-    is large, in both. With their difference and the copy as channels, and without the copy in the
-    measurements, large and small numbers are apart.
-    """
-    if reduced.kernel.size:
-        return reduced.rest, reduced.C2, reduced.D21
-    l, g = plant.system.l, plant.system.g  # noqa: E741 - the paper's letter
-    C2, D21 = plant.C2_tilde, plant.D21_tilde
-    channels, measurements = np.eye(D21.shape[1]), np.eye(l + g)
-    copies = len(channels) - g  # where they begin, after the nonlinearities
-    channels[copies - g : copies, copies:] = np.eye(g)
-    measurements[:l, l:] = -D21[:l, copies - g : copies]
-    return channels, measurements @ C2, measurements @ D21
+    return BoundFunction(DesignProblem.of(plant, cost, positive), time)
 
 
 def _natural_units(plant: AugmentedSystem, cost: str) -> tuple[AugmentedSystem, float]:
@@ -281,21 +176,17 @@ def _stabilising(condition: str, A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
     size_Q, size_S = np.linalg.norm(Q), np.linalg.norm(S)
     unit = np.sqrt(size_Q / size_S) if size_Q > 0.0 < size_S else 1.0
     hamiltonian = np.block([[A, -unit * S], [-Q / unit, -A.T]])
+    margin = _STABILITY_MARGIN * np.linalg.norm(hamiltonian)
     try:
         form, basis, stable = schur(hamiltonian, sort="lhp")
-        if stable != n or form.diagonal()[:n].max() > -_MARGIN * np.linalg.norm(hamiltonian):
-            raise InfeasibleDesignError(condition, "there is no stabilising solution")
         X = np.linalg.solve(basis[:n, :n].T, basis[n:, :n].T) * unit
     except (LinAlgError, ValueError) as error:
-        raise InfeasibleDesignError(condition, str(error)) from None
+        raise refusal(condition, str(error)) from None
+    if stable != n or form.diagonal()[:n].max() > -margin:
+        raise refusal(condition, "there is no stabilising solution")
     return (X + X.T) / 2
 
 
 def _lyapunov(A: Matrix, Q: Matrix) -> Matrix:
     """Return the solution of A X + X A' + Q = 0."""
     return solve_continuous_lyapunov(A, -Q)
-
-
-def _inner(matrices: np.ndarray, weight: Matrix) -> np.ndarray:
-    """Return the inner product of each matrix with one."""
-    return np.einsum("aij,ij->a", matrices, weight)

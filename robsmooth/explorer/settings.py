@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from robsmooth import homodyne
 from robsmooth._support import validation
-from robsmooth.estimators.smoother import COSTS
+from robsmooth.estimators.conditions import COSTS
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.paper.published import DELAY, ORDER, printed
 

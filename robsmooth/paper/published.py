@@ -183,7 +183,7 @@ def flipped_design(tau: float, multipliers: np.ndarray) -> tuple[Estimator, floa
     """Return estimator and V with the quadratic term of the X equation negated."""
     equations = design_equations(paper_plant(), tau, multipliers)
     X, Y = equations.solve_X(quadratic_sign=-1.0), equations.solve_Y()
-    *matrices, bound = equations.gains(X.X, Y.X)
+    *matrices, bound, _ = equations.gains(X.X, Y.X)
     return _estimator(*matrices), bound
 
 

@@ -200,19 +200,8 @@ def feasible(rng, plant, cost):
 def certify(design):
     """Check both Riccati equations in extended precision, and what the theory wants of a design."""
     equations = design_equations(design.plant, design.tau, design.multipliers, design.cost)
-    C2 = design.plant.C2_tilde.astype(np.longdouble)
-    E = np.linalg.inv(equations.E)
-    correlation = equations.correlation
-    for X, A, Q, S in (
-        (design.X, design.plant.A_p, equations.Q_X, -equations.worst_noise / design.tau),
-        (
-            design.Y,
-            (design.plant.A_p - correlation @ E @ C2).T,
-            equations.worst_noise - correlation @ E @ correlation.T,
-            C2.T @ E @ C2 - equations.R / design.tau,
-        ),
-    ):
-        A, S, X = (value.astype(np.longdouble) for value in (A, S, X))
+    for X, equation in ((design.X, equations.equation_X()), (design.Y, equations.equation_Y)):
+        A, Q, S, X = (value.astype(np.longdouble) for value in (*equation, X))
         residual = A.T @ X + X @ A + Q - X @ S @ X
         size_A, size_Q, size_S, size = (np.sqrt((value**2).sum()) for value in (A, Q, S, X))
         terms = 2 * size_A * size + size_Q + size_S * size**2

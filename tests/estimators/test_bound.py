@@ -20,8 +20,8 @@ from robsmooth import (
 )
 from robsmooth.estimators import bound as bound_module
 from robsmooth.estimators.bound import VANISHING
+from robsmooth.estimators.conditions import multiplier_level
 from robsmooth.estimators.limit import limiting_smoother
-from robsmooth.estimators.smoother import multiplier_level
 from robsmooth.homodyne.certificate import scalar_bound
 from tests.helpers.loops import two_channels
 from tests.helpers.strategies import feasible_design, plants, random_system, seeds
@@ -188,7 +188,7 @@ def test_no_random_design_of_the_example_is_below_the_infimum(example, best):
     for _ in range(600):
         decades = rng.uniform([-1, -1, -3, -3], [0, 0, 1, 1])
         multipliers = np.array([1.0, 0.5, 1e-3, 1e-3]) * 10**decades
-        multipliers /= multiplier_level(example, example.M(multipliers))
+        multipliers /= multiplier_level(example, multipliers)
         tau = best.tau * np.exp(rng.normal(0, 0.5))
         try:
             bound = design_smoother(example, tau, multipliers).bound
@@ -252,7 +252,7 @@ def test_no_random_design_is_better_than_the_minimum(plant, seed):
         best = minimize_bound(plant, starts=1)
     except InfeasibleDesignError:
         return
-    assert multiplier_level(plant, plant.M(best.multipliers)) <= 1 + 1e-9
+    assert multiplier_level(plant, best.multipliers) <= 1 + 1e-9
     least = best.bound_infimum or best.bound
     for _ in range(30):
         other = feasible_design(rng, plant)
@@ -353,7 +353,7 @@ def test_multipliers_that_are_zero_at_an_attained_minimum_are_zero():
     without = best.multipliers.copy()
     for fraction in (1e-4, 1e-2):  # nor does the bound fall with a little of it
         without[2] = fraction
-        level = multiplier_level(plant, plant.M(without))
+        level = multiplier_level(plant, without)
         assert design_smoother(plant, best.tau * level, without / level).bound > best.bound
 
 
@@ -370,15 +370,15 @@ def test_feasible_points_are_found_by_way_of_a_smaller_uncertainty(monkeypatch):
     plant = augment(two_channels(0.9, 0.9), 0.0, 0)
     best = minimize_bound(plant)
     paths = []
-    monkeypatch.setattr(bound_module, "_feasible", lambda face, sample: [])
+    monkeypatch.setattr(bound_module, "_feasible", lambda problem, sample: [])
     with pytest.raises(InfeasibleDesignError, match="one was is 0 of that given"):
         minimize_bound(plant)
     monkeypatch.undo()
 
-    def few(face, sample):
+    def few(problem, sample):
         # nothing is found for the whole uncertainty
-        paths.append(face)
-        return feasible(face, sample) if len(paths) > 1 else []
+        paths.append(problem)
+        return feasible(problem, sample) if len(paths) > 1 else []
 
     feasible = bound_module._feasible
     monkeypatch.setattr(bound_module, "_feasible", few)

@@ -12,8 +12,8 @@ from robsmooth import (
     homodyne,
 )
 from robsmooth.analysis.covariance import closed_loop
+from robsmooth.estimators.conditions import multiplier_level
 from robsmooth.estimators.limit import limiting_smoother
-from robsmooth.estimators.smoother import multiplier_level
 from tests.helpers.limits import CASES, limit_of, observer_plant
 from tests.helpers.loops import two_channels
 from tests.helpers.strategies import admissible_delta
@@ -47,6 +47,35 @@ def test_limit_is_that_of_designs_next_to_it(case, cost):
         expected = extrapolated(limit, approach, lambda design, name=name: getattr(design, name))
         size = np.abs(expected).max()
         assert_allclose(getattr(limit, name), expected, rtol=0, atol=1e-6 * size + 1e-9)
+
+
+# where the noise of a measurement has no bound in the limit, it is subtracted from the rest of E
+WELL_CONDITIONED = [
+    case for case in CASES if case not in ("difference and nonlinearity", "all of a nonlinearity")
+]
+
+
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("case", WELL_CONDITIONED)
+def test_designs_keep_their_digits_however_close_to_a_limit(case, cost):
+    plant, zero, rates = CASES[case]
+    limit = limit_of(plant, zero, cost, rates)
+    approach = np.array(rates or (limit.multipliers == 0.0), dtype=float)
+    slopes = []
+    for epsilon in (1e-7, 1e-9, 1e-11):
+        design = design_smoother(plant, limit.tau, limit.multipliers + epsilon * approach, cost)
+        slopes.append((design.bound / limit.bound - 1) / epsilon)
+    assert_allclose(slopes, slopes[0], rtol=0, atol=3e-3 * max(1.0, abs(slopes[0])))
+
+
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("case", CASES)
+def test_a_limit_that_exists_at_one_tau_exists_at_all_larger_ones(case, cost):
+    # R/tau falls with tau, and X/tau does not depend on it
+    plant, zero, rates = CASES[case]
+    limit = limit_of(plant, zero, cost, rates)
+    for tau in limit.tau * np.geomspace(1.0, 1e3, 25):
+        limiting_smoother(plant, tau, limit.multipliers, cost, rates=rates)
 
 
 @pytest.mark.parametrize("cost", COSTS)
@@ -141,7 +170,7 @@ def test_limit_does_not_depend_on_the_unit_of_time(example):
 def test_uncertainty_that_meets_the_vanishing_noise_is_refused():
     plant = observer_plant(1, C=1.0)
     multipliers = np.array([1.0, 1.0, 0.4, 0.0, 0.0])
-    multipliers *= 0.9 / multiplier_level(plant, plant.M(multipliers))
+    multipliers *= 0.9 / multiplier_level(plant, multipliers)
     with pytest.raises(InfeasibleDesignError, match="grows without limit") as caught:
         for tau in np.geomspace(0.3, 1e3, 20):
             try:

@@ -124,6 +124,20 @@ def test_X_and_Y_satisfy_the_equations_of_assumption_3(design):
 
 
 @given(st.sampled_from(COSTS).flatmap(lambda cost: designs(cost=cost)))
+def test_equations_with_completed_squares_are_those_of_the_paper(design):
+    paper = Section3(design)
+    equations = design_equations(design.plant, design.tau, design.multipliers, design.cost)
+    for found, expected in (
+        (equations.equation_Y, (paper.A_Y.T, paper.Q_Y, paper.S_Y)),
+        (equations.equation_X(), (paper.A, paper.Q_X, -paper.W / design.tau)),
+    ):
+        for ours, theirs in zip(found, expected, strict=True):
+            # of the terms that cancel in theirs, none is larger than these
+            size = max(np.abs(value).max() for value in (theirs, paper.R, paper.W))
+            assert_allclose(ours, theirs, rtol=0, atol=1e-12 * size)
+
+
+@given(st.sampled_from(COSTS).flatmap(lambda cost: designs(cost=cost)))
 def test_gains_and_bound_follow_the_papers_formulas(design):
     paper = Section3(design)
     X, Y, tau = design.X, design.Y, design.tau
@@ -145,7 +159,7 @@ def test_gains_and_bound_follow_the_papers_formulas(design):
 def test_printed_gains_follow_with_the_sign_of_the_quadratic_term_flipped(example):
     equations = design_equations(example, *PRINTED)
     X, Y = equations.solve_X(quadratic_sign=-1).X, equations.solve_Y().X
-    A_c, B_c, C_c, bound = equations.gains(X, Y)
+    A_c, B_c, C_c, bound, _ = equations.gains(X, Y)
     # Entries that do not depend on the coordinates of the delay states, to their printed digits
     # and, for the two of the copy, to what the rounding of tau and lambda allows.
     assert A_c[0, 0] == pytest.approx(-4.58e5, rel=2e-3)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from robsmooth import InfeasibleDesignError, Uncertainty, augment
+from robsmooth.estimators.conditions import multiplier_level
 from robsmooth.estimators.limit import limiting_smoother
-from robsmooth.estimators.smoother import multiplier_level
 from tests.helpers.strategies import random_system
 
 
@@ -16,7 +16,7 @@ def limit_of(plant, zero, cost="filtered", rates=None, seed=0):
     multipliers = rng.uniform(0.3, 1.0, len(plant.M_i))
     multipliers[plant.system.k + plant.system.g :] *= 0.3
     multipliers[list(zero)] = 0.0
-    multipliers *= 0.9 / multiplier_level(plant, plant.M(multipliers))
+    multipliers *= 0.9 / multiplier_level(plant, multipliers)
     for tau in np.geomspace(0.3, 1e3, 20):
         try:
             return limiting_smoother(plant, tau, multipliers, cost, rates=rates)

@@ -16,7 +16,7 @@ from robsmooth import (
     augment,
     design_smoother,
 )
-from robsmooth.estimators.smoother import multiplier_level
+from robsmooth.estimators.conditions import multiplier_level
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -70,7 +70,7 @@ def random_multipliers(rng, plant):
     k, g = plant.system.k, plant.system.g
     multipliers = rng.uniform(0.3, 1.0, k + 3 * g)
     multipliers[k + g :] *= 0.3
-    return multipliers / multiplier_level(plant, plant.M(multipliers))
+    return multipliers / multiplier_level(plant, multipliers)
 
 
 def feasible_design(rng, plant, cost="filtered"):

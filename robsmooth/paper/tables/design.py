@@ -61,7 +61,8 @@ def sign_readings(plant: AugmentedSystem, tau: float, multipliers: Sequence[floa
     records = []
     for text, sign in {"+, as written": 1.0, "-, flipped": -1.0, "left out": 0.0}.items():
         try:
-            gains = leading(*equations.gains(equations.solve_X(quadratic_sign=sign).X, Y))
+            *matrices, bound, _ = equations.gains(equations.solve_X(quadratic_sign=sign).X, Y)
+            gains = leading(*matrices, bound)
         except RiccatiError:
             gains = {"$A_c[0,0]$": "no real solution"}
         records.append({"sign": text} | gains)

@@ -1,0 +1,118 @@
+"""The conditions of the theory, and what is said where one fails."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from robsmooth._numerics.riccati import RiccatiError, RiccatiSolution
+from robsmooth._support import validation
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth.systems.augmented import AugmentedSystem, check_noise
+
+COSTS = ("filtered", "smoothed")
+ASSUMPTION_Y = "Assumption 3.1 (Riccati equation for Y)"
+ASSUMPTION_X = "Assumption 3.2 (Riccati equation for X)"
+# What usually mends them. X/tau depends on the multipliers alone.
+_HINTS = {
+    ASSUMPTION_Y: "a larger tau may help",
+    ASSUMPTION_X: (
+        "other ratios of the multipliers, or less uncertainty (smaller outputs C or Lipschitz "
+        "constants), may help"
+    ),
+}
+_EQUALITY_SLACK = 1e-9  # of inequalities that hold with equality at an optimum
+
+
+def check_plant(plant: AugmentedSystem, cost: str) -> None:
+    """Check what a design is for, and Assumption 2."""
+    hint = "; augment(system, delay, order) makes one"
+    validation.instance("plant", plant, AugmentedSystem, hint)
+    validation.choice("cost", cost, COSTS)
+    check_noise("Assumption 2", plant.D21_bar)
+
+
+def weights(name: str, plant: AugmentedSystem, given: Sequence[float]) -> np.ndarray:
+    """Return k + 3g numbers that are not negative."""
+    result = validation.array(name, given, ndim=1)
+    k, g = plant.system.k, plant.system.g
+    if result.size != k + 3 * g:
+        raise ValueError(
+            f"{name} must have k + 3g = {k} + 3*{g} = {k + 3 * g} entries, got {result.size}"
+        )
+    if (result < 0.0).any():
+        raise ValueError(f"{name} must not be negative, got {result.tolist()}")
+    return result
+
+
+def singular(plant: AugmentedSystem, multipliers: np.ndarray) -> np.ndarray:
+    """Return which multipliers are zero and make M(lambda) singular, (k + 3g,) of bool."""
+    k, g = plant.system.k, plant.system.g
+    zero = multipliers == 0.0
+    few = zero[k:].reshape(3, g).sum(axis=0) > 1
+    return zero & np.concatenate([zero[:k], np.tile(few, 3)])
+
+
+def check_nonsingular(plant: AugmentedSystem, multipliers: np.ndarray) -> None:
+    """Check M(lambda) > 0."""
+    if singular(plant, multipliers).any():
+        raise InfeasibleDesignError(
+            "M(lambda) > 0",
+            "every uncertainty needs a positive multiplier and every nonlinearity two positive "
+            f"ones, got {multipliers.tolist()} (limiting_smoother gives the limit in which more "
+            "of them vanish)",
+        )
+
+
+def multiplier_level(plant: AugmentedSystem, multipliers: Sequence[float]) -> float:
+    """Return the largest eigenvalue of J'MJ; (eqcons) says that it is at most 1."""
+    level = plant.J.T @ plant.M(multipliers) @ plant.J
+    return float(np.linalg.eigvalsh(level).max(initial=0.0))
+
+
+def check_multiplier_level(plant: AugmentedSystem, multipliers: Sequence[float]) -> None:
+    """Check the constraint (eqcons)."""
+    level = multiplier_level(plant, multipliers)
+    if level > 1.0 + _EQUALITY_SLACK:
+        raise InfeasibleDesignError(
+            "The multiplier constraint M(lambda)^-1 >= J J'",
+            f"the largest eigenvalue of J'M(lambda)J is {level:.6g}, above 1; divide the "
+            f"multipliers by {level:.6g}",
+        )
+
+
+def check_stable(plant: AugmentedSystem) -> None:
+    """Check that A is stable: else no nonnegative X exists."""
+    abscissa = float(np.linalg.eigvals(plant.system.A).real.max())
+    if not abscissa < 0.0:
+        raise InfeasibleDesignError(
+            ASSUMPTION_X,
+            "the system's A must be stable for a nonnegative solution to exist, but it has an "
+            f"eigenvalue with real part {abscissa:.3g}; give an integrator a slow decay, or "
+            "stabilise the plant first (baselines.kalman_bucy needs no stability)",
+        )
+
+
+def check_nonnegative(condition: str, smallest: float) -> None:
+    """Check the smallest eigenvalue, relative to the norm, of a Riccati equation's solution."""
+    if smallest < -_EQUALITY_SLACK:
+        raise refusal(
+            condition,
+            "its stabilising solution is not nonnegative definite: smallest eigenvalue "
+            f"{smallest:.3g} of its norm",
+        )
+
+
+def certified_solution(condition: str, solve: Callable[[], RiccatiSolution]) -> RiccatiSolution:
+    """Solve one Riccati equation; name the assumption where there is no nonnegative solution."""
+    try:
+        solution = solve()
+    except RiccatiError as error:
+        raise refusal(condition, str(error)) from None
+    check_nonnegative(condition, solution.smallest_eigenvalue)
+    return solution
+
+
+def refusal(condition: str, detail: str) -> InfeasibleDesignError:
+    """Return the error of an assumption, with what usually mends it."""
+    hint = f"; {_HINTS[condition]}" if condition in _HINTS else ""
+    return InfeasibleDesignError(condition, detail + hint)
