@@ -50,9 +50,9 @@ if TYPE_CHECKING:  # what `_names` imports where it is first asked for
     from robsmooth.simulation.simulate import simulate as simulate
     from robsmooth.systems.augmented import AugmentedSystem as AugmentedSystem
     from robsmooth.systems.augmented import augment as augment
-    from robsmooth.systems.system import Nonlinearity as Nonlinearity
+    from robsmooth.systems.channels import Nonlinearity as Nonlinearity
+    from robsmooth.systems.channels import Uncertainty as Uncertainty
     from robsmooth.systems.system import UncertainSystem as UncertainSystem
-    from robsmooth.systems.system import Uncertainty as Uncertainty
 
     __version__: str
 else:

@@ -46,7 +46,8 @@ _HOMES = {
     ),
     "robsmooth.simulation.simulate": ("sample_paths", "simulate"),
     "robsmooth.systems.augmented": ("AugmentedSystem", "augment"),
-    "robsmooth.systems.system": ("Nonlinearity", "UncertainSystem", "Uncertainty"),
+    "robsmooth.systems.channels": ("Nonlinearity", "Uncertainty"),
+    "robsmooth.systems.system": ("UncertainSystem",),
 }
 # From a name to its module, and whether it is the module.
 _PLACES = {

@@ -26,8 +26,9 @@ from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.systems.augmented import AugmentedSystem, augment, check_noise, compact
+from robsmooth.systems.channels import Uncertainty
 from robsmooth.systems.delay import DelayModel, pade_delay
-from robsmooth.systems.system import UncertainSystem, Uncertainty
+from robsmooth.systems.system import UncertainSystem
 
 
 def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:

@@ -40,8 +40,9 @@ from robsmooth.estimators.conditions import (
 from robsmooth.estimators.equations import DesignEquations
 from robsmooth.estimators.problem import DesignProblem
 from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.delay import pade_delay
-from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
+from robsmooth.systems.system import UncertainSystem
 
 _STABILITY_MARGIN = 1e-10  # of a Riccati equation's closed loop, relative to its Hamiltonian's norm
 

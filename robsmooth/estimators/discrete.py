@@ -53,7 +53,7 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.kernels import kept
 from robsmooth._support.validation import Matrix
-from robsmooth.systems.system import Nonlinearity
+from robsmooth.systems.channels import Nonlinearity
 
 OUTPUTS = ("smoothed", "filtered")
 _Vectorized = type(numba.vectorize(lambda value: value))

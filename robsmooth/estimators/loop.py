@@ -24,7 +24,8 @@ from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.systems.system import REFERENCES, UncertainSystem
+from robsmooth.systems.channels import REFERENCES
+from robsmooth.systems.system import UncertainSystem
 
 OUTPUTS = ("smoothed", "filtered", "guaranteed")
 LOOPS = ("theory", "real")  # the copies are driven by the design's fictitious noise, or by none

@@ -47,7 +47,8 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import matrices
 from robsmooth.homodyne.parameters import homodyne_system
 from robsmooth.systems.augmented import compact
-from robsmooth.systems.system import REFERENCES, UncertainSystem
+from robsmooth.systems.channels import REFERENCES
+from robsmooth.systems.system import UncertainSystem
 
 NONLINEARITIES = ("difference", "literal")
 FIXED_POINT_TOLERANCE = 1e-10

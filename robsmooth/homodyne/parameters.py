@@ -24,7 +24,8 @@ from scipy.special import erf
 
 from robsmooth._support import validation
 from robsmooth._support.tables import Table
-from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
+from robsmooth.systems.channels import Nonlinearity, Uncertainty
+from robsmooth.systems.system import UncertainSystem
 
 
 @dataclass(frozen=True)

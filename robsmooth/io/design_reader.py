@@ -18,7 +18,8 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.systems.augmented import AugmentedSystem, compact
-from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
+from robsmooth.systems.channels import Nonlinearity, Uncertainty
+from robsmooth.systems.system import UncertainSystem
 
 FORMAT = 1
 GAINS = ("A_c", "B_c", "C_c", "C_a", "C_f")

@@ -33,7 +33,8 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.io.design_reader import FORMAT, GAINS, Reader, parsed, recomputed
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.system import Nonlinearity, UncertainSystem
+from robsmooth.systems.channels import Nonlinearity
+from robsmooth.systems.system import UncertainSystem
 
 _ABOUT = {
     "system": """\

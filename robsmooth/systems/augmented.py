@@ -15,9 +15,9 @@ the system's q components, then g fictitious ones that the theory adds to the co
 :math:`J_{21}`.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property, wraps
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +28,7 @@ from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
+from robsmooth.systems.channels import set_fields
 from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.statespace import Blocks
 from robsmooth.systems.system import UncertainSystem
@@ -35,19 +36,15 @@ from robsmooth.systems.system import UncertainSystem
 if TYPE_CHECKING:
     import control
 
-_J_RESIDUAL = 1e-9  # largest misfit of Assumption 1, relative to each row's size
-
-
-def _matrix(build: Callable[["AugmentedSystem"], Matrix]) -> "cached_property[Matrix]":
-    """Make a method a property that is computed once and read-only."""
-    return cached_property(wraps(build)(lambda self: frozen(build(self))))
+_MISFIT = 1e-9  # largest of Assumption 1, relative to each row's size
+_CORRELATED = 1e-12  # smallest eigenvalue of a noise's correlation matrix that counts as none
 
 
 @dataclass(frozen=True, eq=False)
 class AugmentedSystem:
-    """The system with its delay model, in the paper's compact form.
+    r"""The system with its delay model, in the paper's compact form.
 
-    Made by `augment`. All matrices are derived from the three things that define it.
+    Made by `augment`. All matrices follow from the first three attributes.
 
     Attributes
     ----------
@@ -55,15 +52,83 @@ class AugmentedSystem:
     delay_model : DelayModel
     J_21 : (g, g) array
         Intensity of the fictitious noise of the copies.
+    A_p : (n, n) array
+        Drift of the augmented state, 1/s.
+    B_p1 : (n, q + g) array
+        Noise intensity, with zero columns for the noise of the copies.
+    C_p0 : (m, n) array
+        The undelayed output w.
+    C_a : (m, n) array
+        The delayed output, :math:`w_a = [J_a C_0,\ H_a] x_p`.
+    B1_tilde : (n, r + 2g) array
+        Channel inputs into the state.
+    C1_tilde : (h + 2g, n) array
+        Channel outputs from the state.
+    D12_tilde : (h + 2g, m + g) array
+        Channel outputs from the estimator: the copies' arguments.
+    C2_tilde : (l + g, n) array
+        The measurement, then zero rows: the copies' outputs carry no state.
+    D21_tilde : (l + g, r + 2g) array
+        Channel inputs into the extended measurement.
+    D21_bar : (l + g, q + g) array
+        Noise of the extended measurement: D_21, then J_21 for the copies.
+    M_i, N_i : tuples of k + 3g arrays
+        The matrices of the quadratic constraints on the channel inputs and outputs.
+
+    See Also
+    --------
+    augment : makes it.
+    design_smoother, minimize_bound : robust designs for it.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> plant.n, plant.A_p.shape, len(plant.M_i)
+    (3, (3, 3), 4)
     """
 
     system: UncertainSystem
     delay_model: DelayModel
     J_21: Matrix
+    A_p: Matrix = field(init=False)
+    B_p1: Matrix = field(init=False)
+    C_p0: Matrix = field(init=False)
+    C_a: Matrix = field(init=False)
+    B1_tilde: Matrix = field(init=False)
+    C1_tilde: Matrix = field(init=False)
+    D12_tilde: Matrix = field(init=False)
+    C2_tilde: Matrix = field(init=False)
+    D21_tilde: Matrix = field(init=False)
+    D21_bar: Matrix = field(init=False)
+    M_i: tuple[Matrix, ...] = field(init=False)
+    N_i: tuple[Matrix, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        system, model, n, g = self.system, self.delay_model, self.n, self.system.g
+        B, C, D = system.stacked((*system.uncertainties, *system.nonlinearities))
+        r, h = B.shape[1] + g, len(C) + g
+        matrices = {
+            "A_p": block_diag(system.A, model.F),
+            "B_p1": _padded(system.B1, n, system.q + g),
+            "C_p0": _padded(system.C0, system.m, n),
+            "C_a": np.hstack([model.J @ system.C0, model.H]),
+            "B1_tilde": _padded(B, n, r),
+            "C1_tilde": _padded(C, h, n),
+            "D12_tilde": block_diag(np.zeros((h - g, system.m)), np.eye(g)),
+            "C2_tilde": _padded(system.C2, system.l + g, n),
+            "D21_tilde": block_diag(D, np.eye(g)),
+            "D21_bar": block_diag(system.D21, self.J_21),
+        }
+        matrices["A_p"][system.n :, : system.n] = model.G @ system.C0
+        set_fields(self, **{name: frozen(matrix) for name, matrix in matrices.items()})
+        bounds = [c.lipschitz for c in system.nonlinearities]
+        set_fields(self, M_i=_constraints(self.input_sizes, [1.0] * g))
+        set_fields(self, N_i=_constraints(self.output_sizes, bounds))
 
     @property
     def delay(self) -> float:
-        """The lag, in seconds."""
+        """The delay of the outputs, s."""
         return self.delay_model.delay
 
     @property
@@ -86,80 +151,6 @@ class AugmentedSystem:
         """Heights of the channels in zeta-tilde: h_1 ... h_k, then 2 g ones."""
         return (*(u.C.shape[0] for u in self.system.uncertainties), *(1,) * (2 * self.system.g))
 
-    @_matrix
-    def A_p(self) -> Matrix:
-        """(n, n) drift of the augmented state, 1/s."""
-        model, system = self.delay_model, self.system
-        upper = np.zeros((system.n, model.F.shape[0]))
-        return np.block([[system.A, upper], [model.G @ system.C0, model.F]])
-
-    @_matrix
-    def B_p1(self) -> Matrix:
-        """(n, q + g) noise intensity, with zero columns for the noise of the copies."""
-        return self._state_rows(np.hstack([self.system.B1, self._no_columns(self.system.g)]))
-
-    @_matrix
-    def C_p0(self) -> Matrix:
-        """(m, n) the undelayed output w."""
-        return self._state_columns(self.system.C0)
-
-    @_matrix
-    def C_a(self) -> Matrix:
-        """(m, n) the delayed output w_a = [J_a C_0, H_a] x_p."""
-        return np.hstack([self.delay_model.J @ self.system.C0, self.delay_model.H])
-
-    @_matrix
-    def B1_tilde(self) -> Matrix:
-        """(n, r + 2g) channel inputs into the state."""
-        system = self.system
-        blocks = [c.B for c in (*system.uncertainties, *system.nonlinearities)]
-        return self._state_rows(np.hstack([*blocks, self._no_columns(system.g)]))
-
-    @_matrix
-    def C1_tilde(self) -> Matrix:
-        """(h + 2g, n) channel outputs from the state."""
-        system = self.system
-        blocks = [c.C for c in (*system.uncertainties, *system.nonlinearities)]
-        return self._state_columns(np.vstack([*blocks, np.zeros((system.g, system.n))]))
-
-    @_matrix
-    def D12_tilde(self) -> Matrix:
-        """(h + 2g, m + g) channel outputs from the estimator: the copies' arguments."""
-        g, m = self.system.g, self.system.m
-        rows = sum(self.output_sizes)
-        result = np.zeros((rows, m + g))
-        result[rows - g :, m:] = np.eye(g)
-        return result
-
-    @_matrix
-    def C2_tilde(self) -> Matrix:
-        """(l + g, n) the measurement, then zero rows: the copies' outputs carry no state."""
-        return self._state_columns(
-            np.vstack([self.system.C2, np.zeros((self.system.g, self.system.n))])
-        )
-
-    @_matrix
-    def D21_tilde(self) -> Matrix:
-        """(l + g, r + 2g) channel inputs into the extended measurement."""
-        system = self.system
-        blocks = [c.D for c in (*system.uncertainties, *system.nonlinearities)]
-        return block_diag(np.hstack([np.zeros((system.l, 0)), *blocks]), np.eye(system.g))
-
-    @_matrix
-    def D21_bar(self) -> Matrix:
-        """(l + g, q + g) noise of the extended measurement: D_21, then J_21 for the copies."""
-        return block_diag(self.system.D21, self.J_21)
-
-    @cached_property
-    def M_i(self) -> tuple[Matrix, ...]:
-        """The k + 3g matrices of the quadratic constraints on the channel inputs."""
-        return self._constraint_matrices(self.input_sizes, weighted=False)
-
-    @cached_property
-    def N_i(self) -> tuple[Matrix, ...]:
-        """The k + 3g matrices of the quadratic constraints on the channel outputs."""
-        return self._constraint_matrices(self.output_sizes, weighted=True)
-
     def M(self, multipliers: ArrayLike) -> Matrix:
         """Return M(lambda), the sum of lambda_i M_i."""
         return _combination(multipliers, self.M_i, sum(self.input_sizes))
@@ -168,7 +159,7 @@ class AugmentedSystem:
         """Return N(lambda), the sum of lambda_i N_i."""
         return _combination(multipliers, self.N_i, sum(self.output_sizes))
 
-    @_matrix
+    @cached_property
     def J(self) -> Matrix:
         """(r + 2g, q + g) solution of Assumption 1: [B_p1; D21_bar] = [B1_tilde; D21_tilde] J.
 
@@ -186,7 +177,7 @@ class AugmentedSystem:
         channels, noise = channels / size[:, None], noise / size[:, None]
         J = np.linalg.lstsq(channels, noise, rcond=None)[0]
         misfit = np.abs(channels @ J - noise).max(axis=0)
-        if misfit.max(initial=0.0) > _J_RESIDUAL:
+        if misfit.max(initial=0.0) > _MISFIT:
             worst = int(misfit.argmax())
             raise InfeasibleDesignError(
                 "Assumption 1",
@@ -195,7 +186,7 @@ class AugmentedSystem:
                 f"Uncertainty(B=B1[:, [{worst}]], C=..., D=D21[:, [{worst}]]), with C zero if it "
                 "carries no uncertainty, or make the system with UncertainSystem.from_plant",
             )
-        return J
+        return frozen(J)
 
     def structured_delta(
         self,
@@ -220,6 +211,19 @@ class AugmentedSystem:
         ------
         ValueError, TypeError
             For another number of entries, or one that is no number or block of its channel's size.
+
+        See Also
+        --------
+        error_covariance : the errors of an estimator under it.
+
+        Examples
+        --------
+        >>> import robsmooth as rs
+        >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+        >>> plant.structured_delta(nonlinearities=[-0.5])
+        array([[ 0. ,  0. ,  0. ],
+               [ 0. , -0.5,  0. ],
+               [ 0. ,  0. , -0.5]])
         """
         uncertain = _entries("uncertainties", uncertainties, self.system.k)
         slopes = _entries("nonlinearities", nonlinearities, self.system.g)
@@ -242,10 +246,17 @@ class AugmentedSystem:
         Returns
         -------
         control.StateSpace
+
+        Examples
+        --------
+        >>> import robsmooth as rs
+        >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+        >>> plant.to_statespace().output_labels
+        ['w[0]', 'y[0]', 'zeta_0[0]', 'nu[0]', 'w_a[0]']
         """
         part = self.system.blocks
-        inputs = {name: self._state_rows(B) for name, B in part.inputs.items()}
-        outputs = {name: self._state_columns(C) for name, C in part.outputs.items()}
+        inputs = {name: _padded(B, self.n, B.shape[1]) for name, B in part.inputs.items()}
+        outputs = {name: _padded(C, len(C), self.n) for name, C in part.outputs.items()}
         outputs["w_a"] = self.C_a
         return Blocks(self.A_p, inputs, outputs, part.feedthrough).to_control()
 
@@ -274,35 +285,6 @@ class AugmentedSystem:
         )
         return table_of_values(rows, caption).html()
 
-    def _no_columns(self, count: int) -> Matrix:
-        return np.zeros((self.system.n, count))
-
-    def _state_rows(self, upper: Matrix) -> Matrix:
-        """Return a matrix into x as one into x_p: nothing drives the delay model but w."""
-        return np.vstack([upper, np.zeros((self.n - self.system.n, upper.shape[1]))])
-
-    def _state_columns(self, left: Matrix) -> Matrix:
-        """Return a matrix from x as one from x_p."""
-        return np.hstack([left, np.zeros((left.shape[0], self.n - self.system.n))])
-
-    def _constraint_matrices(self, sizes: tuple[int, ...], weighted: bool) -> tuple[Matrix, ...]:
-        """Return the M_i (or, weighted by the squared Lipschitz constants, the N_i).
-
-        In the order of (eqIQC1), (eqIQC2), (eqIQC3), (eqIQC4): the uncertainties, then for every
-        nonlinearity the difference to its copy, then the nonlinearities, then the copies.
-        """
-        system = self.system
-        ends = np.cumsum((0, *sizes))
-        total, k, g = int(ends[-1]), system.k, system.g
-        factors = []
-        for s in range(k):
-            factors.append(np.eye(total)[ends[s] : ends[s + 1]])
-        weights = [c.lipschitz if weighted else 1.0 for c in system.nonlinearities]
-        plant = [weights[i] * np.eye(total)[[ends[k + i]]] for i in range(g)]
-        copies = [weights[i] * np.eye(total)[[ends[k + g + i]]] for i in range(g)]
-        factors += [plant[i] - copies[i] for i in range(g)] + plant + copies
-        return tuple(frozen(factor.T @ factor) for factor in factors)
-
 
 def augment(
     system: UncertainSystem, delay: float, order: int, *, J_21: ArrayLike = 1.0
@@ -314,7 +296,7 @@ def augment(
     system : UncertainSystem
         Every row of its C0 is delayed.
     delay : float
-        The smoother's lag in seconds, at least zero.
+        The delay of the outputs, s, at least zero: that of the smoothed estimate.
     order : int
         Pade order of the delay model, at least zero; order 0 has no delay states.
     J_21 : float or (g, g) array
@@ -331,6 +313,19 @@ def augment(
         Where a noise does not enter through the uncertainty channels (Assumption 1).
     ValueError, TypeError
         For a bad delay, order or J_21.
+
+    See Also
+    --------
+    minimize_bound : the next step, the robust smoother with the least bound.
+    baselines.fixed_lag_smoother : the classical smoother, with a delay model of its own.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> system = rs.homodyne.PAPER.uncertain_system()
+    >>> plant = rs.augment(system, delay=3.1e-6, order=2)
+    >>> plant.delay, plant.order, plant.n
+    (3.1e-06, 2, 3)
     """
     plant = compact(system, delay, order, J_21=J_21)
     _ = plant.J  # Assumption 1 is checked here, once, for everything built on the plant
@@ -370,7 +365,7 @@ def check_noise(condition: str, D: Matrix) -> None:
             "a noise of its own, however small",
         )
     smallest = np.linalg.eigvalsh(intensity / np.outer(size, size)).min()
-    if not smallest > 1e-12:
+    if not smallest > _CORRELATED:
         raise InfeasibleDesignError(
             condition,
             "some combination of the measurements has no noise: the smallest eigenvalue of the "
@@ -378,7 +373,30 @@ def check_noise(condition: str, D: Matrix) -> None:
         )
 
 
-def _combination(weights: Sequence[float], matrices: Sequence[Matrix], size: int) -> Matrix:
+def _padded(matrix: Matrix, rows: int, columns: int) -> Matrix:
+    """Return a matrix with zeros below and to its right: nothing drives the delay model but w."""
+    return np.pad(matrix, ((0, rows - matrix.shape[0]), (0, columns - matrix.shape[1])))
+
+
+def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix, ...]:
+    """Return the matrices of the quadratic constraints, of channels of these sizes.
+
+    In the order of (eqIQC1), (eqIQC2), (eqIQC3), (eqIQC4): the uncertainties, then for every
+    nonlinearity, times its bound, the difference to its copy, then the nonlinearities, then the
+    copies.
+    """
+    k, g = len(sizes) - 2 * len(bounds), len(bounds)
+    rows = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))[:-1]
+    own, copies = (
+        [bound * row for bound, row in zip(bounds, part, strict=True)]
+        for part in (rows[k : k + g], rows[k + g :])
+    )
+    differences = [row - copy for row, copy in zip(own, copies, strict=True)]
+    factors = (*rows[:k], *differences, *own, *copies)
+    return tuple(frozen(factor.T @ factor) for factor in factors)
+
+
+def _combination(weights: ArrayLike, matrices: Sequence[Matrix], size: int) -> Matrix:
     if len(weights) != len(matrices):
         raise ValueError(f"multipliers must have {len(matrices)} entries, got {len(weights)}")
     return sum(

@@ -17,7 +17,6 @@ the *reference* :math:`r_i` an estimate of :math:`\nu_i`. What the detector take
 :math:`r_i`, has been added to the linear part of the measurement again, as in Section IV-A.
 """
 
-import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -27,119 +26,20 @@ from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix
-from robsmooth.systems.statespace import Blocks, check_continuous
+from robsmooth.systems.channels import (
+    Nonlinearity,
+    Uncertainty,
+    check_sizes,
+    members,
+    set_fields,
+)
+from robsmooth.systems.interchange import parts_of_plant, parts_of_statespace
+from robsmooth.systems.statespace import Blocks
 
 if TYPE_CHECKING:
     import control
 
-_ROUNDING = 1e-12
-REFERENCES = ("filtered", "smoothed")
-_CHANNELS = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class Uncertainty:
-    r"""One uncertainty channel: :math:`\xi_s` is no larger than :math:`\zeta_s` in the mean square.
-
-    A noise channel that carries no uncertainty is declared with ``C`` zero: the theory wants every
-    noise to enter where an uncertainty enters (Assumption 1).
-
-    Parameters
-    ----------
-    B : (n, r_s) array
-        :math:`B_{1s}`, how the uncertainty input drives the state, per second.
-    C : (h_s, n) array
-        :math:`C_{1,s}`, the uncertainty output :math:`\zeta_s = C x`.
-    D : (l, r_s) array
-        :math:`D_{21,s}`, how the uncertainty input enters the measurement rate.
-
-    Raises
-    ------
-    ValueError, TypeError
-        For a matrix that is not 2-D, real and finite.
-    """
-
-    B: Matrix
-    C: Matrix
-    D: Matrix
-
-    def __init__(self, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> None:
-        _set(self, **_channel("Uncertainty", B, C, D))
-
-    def __repr__(self) -> str:
-        return f"Uncertainty({_matrices(self)})"
-
-    def _repr_latex_(self) -> str:
-        B, C, D = map(notation.matrix, (self.B, self.C, self.D))
-        return rf"$$B_1 = {B},\quad C_1 = {C},\quad D_{{21}} = {D}$$"
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class Nonlinearity:
-    r"""One scalar nonlinearity :math:`\mu_i = \psi_i(\nu_i)`, of which the estimator runs a copy.
-
-    Parameters
-    ----------
-    B : (n, 1) array
-        :math:`\bar B_{1i}`, how it drives the state.
-    C : (1, n) array
-        :math:`\bar C_{1,i}`, its argument :math:`\nu_i = C x`.
-    D : (l, 1) array
-        :math:`\bar D_{21,i}`, how it enters the measurement rate.
-    lipschitz : float
-        :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`.
-    function : callable, optional
-        :math:`\psi_i` itself, vectorised over arrays or compiled by numba, for scalars too. The
-        design needs only the Lipschitz constant.
-    reference : {None, "filtered", "smoothed"}
-        The estimate that the detector is steered by: the nonlinearity acts on :math:`\nu_i - r_i`,
-        and the copy on :math:`\tilde\nu_i - r_i`, with :math:`r_i` the filtered or the smoothed
-        estimate of :math:`\nu_i`. None: there is no reference. The loop is simulated so by
-        `simulate`; designs and their guarantees do not use it.
-
-    Raises
-    ------
-    ValueError, TypeError
-        For a matrix that is not 2-D, real and finite, a constant that is not positive, a function
-        that is not callable, not vectorised or not zero at zero, or another reference.
-    """
-
-    B: Matrix
-    C: Matrix
-    D: Matrix
-    lipschitz: float
-    function: Callable[[Any], Any] | None = None
-    reference: str | None = None
-
-    def __init__(
-        self,
-        B: ArrayLike,
-        C: ArrayLike,
-        D: ArrayLike,
-        lipschitz: float,
-        function: Callable[[Any], Any] | None = None,
-        reference: str | None = None,
-    ) -> None:
-        matrices = _channel("Nonlinearity", B, C, D)
-        lipschitz = validation.positive("Nonlinearity lipschitz", lipschitz)
-        if function is not None:
-            _check_function("Nonlinearity function", function)
-        if reference is not None:
-            validation.choice("Nonlinearity reference", reference, REFERENCES)
-        _set(self, **matrices, lipschitz=lipschitz, function=function, reference=reference)
-
-    def __repr__(self) -> str:
-        function = getattr(self.function, "__name__", type(self.function).__name__)
-        given = "" if self.function is None else f", function={function}"
-        given += "" if self.reference is None else f", reference={self.reference!r}"
-        return f"Nonlinearity({_matrices(self)}, lipschitz={self.lipschitz:.5g}{given})"
-
-    def _repr_latex_(self) -> str:
-        B, C, D = map(notation.matrix, (self.B, self.C, self.D))
-        return (
-            rf"$$\bar B_1 = {B},\quad \bar C_1 = {C},\quad \bar D_{{21}} = {D},\quad "
-            rf"\beta = {notation.number(self.lipschitz)}$$"
-        )
+_SHOWN = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -167,6 +67,22 @@ class UncertainSystem:
     ------
     ValueError, TypeError
         For any matrix that is not 2-D, real, finite and of the shape above.
+
+    See Also
+    --------
+    augment : the next step, a system with the model of a delay.
+
+    Examples
+    --------
+    A sensor's gain is known to 5%, the decay of what it measures to 10%:
+
+    >>> import robsmooth as rs
+    >>> decay = rs.Uncertainty(B=[[1.0]], C=[[0.1]], D=[[0.0]])
+    >>> gain = rs.Uncertainty(B=[[0.0]], C=[[0.05]], D=[[1.0]])
+    >>> A, B1, C0, C2, D21 = [[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]]
+    >>> system = rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties=[decay, gain])
+    >>> system.n, system.l, system.k
+    (1, 1, 2)
     """
 
     A: Matrix
@@ -198,16 +114,14 @@ class UncertainSystem:
             if value.shape[0] == 0:
                 raise ValueError(f"{name} must have at least one row, got shape {value.shape}")
         D21 = validation.matrix("D21", D21, (C2.shape[0], B1.shape[1]))
-        _set(self, A=A, B1=B1, C0=C0, C2=C2, D21=D21)
-
-        uncertainties = _members("uncertainties", uncertainties, Uncertainty)
-        nonlinearities = _members("nonlinearities", nonlinearities, Nonlinearity)
-        _set(self, uncertainties=uncertainties, nonlinearities=nonlinearities)
-        for s, channel in enumerate(uncertainties):
-            width = channel.B.shape[1]
-            _check_channel(f"uncertainties[{s}]", channel, self, inputs=width, outputs=None)
-        for i, channel in enumerate(nonlinearities):
-            _check_channel(f"nonlinearities[{i}]", channel, self, inputs=1, outputs=1)
+        set_fields(self, A=A, B1=B1, C0=C0, C2=C2, D21=D21)
+        channels = {
+            "uncertainties": members("uncertainties", uncertainties, Uncertainty),
+            "nonlinearities": members("nonlinearities", nonlinearities, Nonlinearity),
+        }
+        for name, given in channels.items():
+            check_sizes(name, given, states=n, measurements=C2.shape[0])
+        set_fields(self, **channels)
 
     @classmethod
     def from_plant(
@@ -261,30 +175,29 @@ class UncertainSystem:
         ValueError, TypeError
             For a plant in discrete time, a static gain or another kind of object, a noise
             intensity that is not a covariance, and whatever the class itself refuses.
+
+        See Also
+        --------
+        from_statespace : for a plant whose signals have names.
+
+        Examples
+        --------
+        >>> import control
+        >>> import robsmooth as rs
+        >>> plant = control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+        >>> rs.UncertainSystem.from_plant(plant, process_noise=1.0, measurement_noise=0.01).D21
+        array([[0. , 0.1]])
         """
-        check_continuous("plant", plant)
-        process = _noise_factor("process_noise", process_noise, plant.ninputs)
-        measurement = _noise_factor("measurement_noise", measurement_noise, plant.noutputs)
-        B, D = plant.B @ process, plant.D @ process
-        no_B = np.zeros((plant.nstates, plant.noutputs))
-        none = np.zeros((1, plant.nstates))
-        channels = (
-            Uncertainty(B, none if process_uncertainty is None else process_uncertainty, D),
-            Uncertainty(
-                no_B,
-                none if measurement_uncertainty is None else measurement_uncertainty,
-                measurement,
-            ),
+        parts = parts_of_plant(
+            plant,
+            process_noise,
+            measurement_noise,
+            outputs,
+            process_uncertainty,
+            measurement_uncertainty,
+            uncertainties,
         )
-        return cls(
-            A=plant.A,
-            B1=np.hstack([B, no_B]),
-            C0=plant.C if outputs is None else outputs,
-            C2=plant.C,
-            D21=np.hstack([D, measurement]),
-            uncertainties=(*channels, *_members("uncertainties", uncertainties, Uncertainty)),
-            nonlinearities=nonlinearities,
-        )
+        return cls(**parts, nonlinearities=nonlinearities)
 
     @classmethod
     def from_statespace(
@@ -317,46 +230,21 @@ class UncertainSystem:
         ------
         ValueError, TypeError
             For signals of other names or that do not match, other feedthrough, and whatever the
-            class itself refuses. `from_plant` is for a plant that is not so named.
+            class itself refuses.
+
+        See Also
+        --------
+        to_statespace : the way back.
+        from_plant : for a plant that is not so named.
+
+        Examples
+        --------
+        >>> import robsmooth as rs
+        >>> system = rs.homodyne.PAPER.uncertain_system()
+        >>> rs.UncertainSystem.from_statespace(system.to_statespace(), lipschitz=[1.0]).g
+        1
         """
-        blocks = Blocks.of("sys", sys)
-        k = _check_signals(blocks)
-        mu, nu = blocks.into_state("mu"), blocks.from_state("nu")
-        constants = validation.array("lipschitz", lipschitz, ndim=1)
-        functions = [None] * len(constants) if functions is None else functions
-        references = [None] * len(constants) if references is None else references
-        validation.instance("functions", functions, Sequence)
-        validation.instance("references", references, Sequence)
-        for name, given in (
-            ("sys's output 'nu'", nu),
-            ("lipschitz", constants),
-            ("functions", functions),
-            ("references", references),
-        ):
-            if len(given) != mu.shape[1]:
-                raise ValueError(
-                    f"{name} must have as many entries as sys's input 'mu', {mu.shape[1]}, "
-                    f"got {len(given)}"
-                )
-        return cls(
-            A=blocks.A,
-            B1=blocks.into_state("W"),
-            C0=blocks.from_state("w"),
-            C2=blocks.from_state("y"),
-            D21=blocks.direct("y", "W"),
-            uncertainties=[
-                Uncertainty(
-                    blocks.into_state(f"xi_{s}"),
-                    blocks.from_state(f"zeta_{s}"),
-                    blocks.direct("y", f"xi_{s}"),
-                )
-                for s in range(k)
-            ],
-            nonlinearities=[
-                Nonlinearity(mu[:, [i]], nu[[i]], blocks.direct("y", "mu")[:, [i]], *of_function)
-                for i, of_function in enumerate(zip(constants, functions, references, strict=True))
-            ],
-        )
+        return cls(**parts_of_statespace(sys, lipschitz, functions, references))
 
     def to_statespace(
         self,
@@ -380,16 +268,24 @@ class UncertainSystem:
         Returns
         -------
         control.StateSpace
+
+        See Also
+        --------
+        from_statespace : the way back.
+
+        Examples
+        --------
+        >>> import robsmooth as rs
+        >>> system = rs.homodyne.PAPER.uncertain_system()
+        >>> system.to_statespace(inputs="W", outputs="y").input_labels
+        ['W[0]', 'W[1]']
         """
         return self.blocks.select(inputs, outputs).to_control()
 
     @property
     def blocks(self) -> Blocks:
         """The linear part by its named signals, as `to_statespace` lists them."""
-        n, l = self.n, self.l  # noqa: E741
-        mu = np.hstack([np.zeros((n, 0)), *(c.B for c in self.nonlinearities)])
-        nu = np.vstack([np.zeros((0, n)), *(c.C for c in self.nonlinearities)])
-        mu_to_y = np.hstack([np.zeros((l, 0)), *(c.D for c in self.nonlinearities)])
+        mu, nu, mu_to_y = self.stacked(self.nonlinearities)
         channels = list(enumerate(self.uncertainties))
         return Blocks(
             self.A,
@@ -405,6 +301,16 @@ class UncertainSystem:
                 **{("y", f"xi_{s}"): c.D for s, c in channels},
                 ("y", "mu"): mu_to_y,
             },
+        )
+
+    def stacked(
+        self, channels: Sequence[Uncertainty | Nonlinearity]
+    ) -> tuple[Matrix, Matrix, Matrix]:
+        """Return B, C and D of some of the system's channels side by side."""
+        return (
+            np.hstack([np.zeros((self.n, 0)), *(channel.B for channel in channels)]),
+            np.vstack([np.zeros((0, self.n)), *(channel.C for channel in channels)]),
+            np.hstack([np.zeros((self.l, 0)), *(channel.D for channel in channels)]),
         )
 
     @property
@@ -447,8 +353,8 @@ class UncertainSystem:
         """Return the equations of the class with this system's numbers."""
         mu = [(c, rf"\mu_{{{i}}}") for i, c in enumerate(self.nonlinearities, 1)]
         xi = [(c, rf"\xi_{{{s}}}") for s, c in enumerate(self.uncertainties, 1)]
-        shown = mu[:_CHANNELS] + xi[:_CHANNELS]
-        dots = r"\cdots" if max(len(mu), len(xi)) > _CHANNELS else ""
+        shown = mu[:_SHOWN] + xi[:_SHOWN]
+        dots = r"\cdots" if max(len(mu), len(xi)) > _SHOWN else ""
 
         def equation(left: str, of_state: Matrix, channel: str, noise: Matrix) -> str:
             inputs = [notation.product(getattr(c, channel), symbol) for c, symbol in shown]
@@ -464,7 +370,7 @@ class UncertainSystem:
             equation("dy", self.C2, "D", self.D21),
             f"w &= {of_x(self.C0)}",
         ]
-        for i, (c, symbol) in enumerate(mu[:_CHANNELS], 1):
+        for i, (c, symbol) in enumerate(mu[:_SHOWN], 1):
             nu, argument, estimate = rf"\nu_{{{i}}}", rf"\nu_{{{i}}}", ""
             if c.reference is not None:
                 argument = rf"{nu} - r_{{{i}}}"
@@ -473,143 +379,9 @@ class UncertainSystem:
                 rf"{symbol} &= \psi_{{{i}}}({argument}),\quad {nu} = {of_x(c.C)},\quad "
                 rf"\beta_{{{i}}} = {notation.number(c.lipschitz)}{estimate}"
             )
-        for s, (c, symbol) in enumerate(xi[:_CHANNELS], 1):
+        for s, (c, symbol) in enumerate(xi[:_SHOWN], 1):
             zeta = rf"\zeta_{{{s}}}"
             lines.append(
                 rf"\lVert{symbol}\rVert &\le \lVert{zeta}\rVert,\quad {zeta} = {of_x(c.C)}"
             )
         return "$$\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}$$"
-
-
-def _set(frozen: object, **values: object) -> None:
-    """Set the fields of a frozen dataclass, as only its constructor may."""
-    for name, value in values.items():
-        object.__setattr__(frozen, name, value)
-
-
-def _channel(name: str, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> dict[str, Matrix]:
-    """Return the matrices of a channel by their names, each checked."""
-    given = {"B": B, "C": C, "D": D}
-    return {
-        letter: validation.matrix(f"{name} {letter}", value, (None, None))
-        for letter, value in given.items()
-    }
-
-
-def _matrices(channel: Uncertainty | Nonlinearity) -> str:
-    return ", ".join(f"{name}={notation.array(getattr(channel, name))}" for name in "BCD")
-
-
-def _members(name: str, values: Iterable, kind: type) -> tuple:
-    if isinstance(values, kind):
-        raise TypeError(f"{name} must be a sequence of {kind.__name__}, got a single one")
-    try:
-        members = tuple(values)
-    except TypeError:
-        raise TypeError(f"{name} must be a sequence of {kind.__name__}, got {values!r}") from None
-    for index, member in enumerate(members):
-        validation.instance(f"{name}[{index}]", member, kind)
-    return members
-
-
-def _check_function(name: str, function: Callable) -> None:
-    """Check that a nonlinearity can be called as the library does, and is zero at zero."""
-    if not callable(function):
-        raise TypeError(f"{name} must be callable, got {function!r}")
-    # a scalar function that numba has compiled is called from compiled loops
-    scalar = hasattr(function, "py_func") and _takes_scalars(function)
-    at = 0.0 if scalar else np.zeros(2)
-    try:
-        values = np.asarray(function(at))
-    except Exception as error:
-        cause = str(error).partition("\n")[0]
-        raise ValueError(
-            f"{name} must be vectorised: an array of shape (2,) gave {type(error).__name__}: "
-            f"{cause}; NumPy's functions are (np.sin, not math.sin), and numpy.vectorize makes "
-            "any function so"
-        ) from error
-    if values.shape != np.shape(at):
-        raise ValueError(
-            f"{name} must be vectorised: an argument of shape {np.shape(at)} gave shape "
-            f"{values.shape}"
-        )
-    at_zero = np.ravel(values)[0]
-    if not at_zero == 0.0:
-        raise ValueError(
-            f"{name} must be zero at zero, got {at_zero}: "
-            "move the constant into the measurement or the state"
-        )
-
-
-def _takes_scalars(function: Callable) -> bool:
-    try:
-        function(0.0)
-    except Exception:
-        return False
-    return True
-
-
-def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
-    """Return the symmetric square root of a noise's intensity."""
-    if np.ndim(intensity) == 0:
-        return np.sqrt(validation.real(name, intensity, low=0.0)) * np.eye(size)
-    intensity = validation.matrix(name, intensity, (size, size))
-    if (np.diag(intensity) < 0.0).any():
-        raise ValueError(f"{name} must not be negative on its diagonal")
-    deviation = np.sqrt(np.diag(intensity))
-    unit = np.where(deviation > 0.0, deviation, 1.0)
-    correlation = intensity / np.outer(unit, unit)  # signals may have very different units
-    if np.abs(correlation - correlation.T).max(initial=0.0) > _ROUNDING:
-        raise ValueError(f"{name} must be symmetric")
-    eigenvalues, vectors = np.linalg.eigh(correlation)
-    if eigenvalues.min(initial=0.0) < -_ROUNDING:
-        raise ValueError(
-            f"{name} must be nonnegative definite, got one whose correlation matrix has the "
-            f"eigenvalue {eigenvalues.min():.3g}"
-        )
-    root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T
-    return unit[:, None] * root
-
-
-def _check_signals(blocks: Blocks) -> int:
-    """Check that a system's signals are those of the class; return its number of uncertainties."""
-    found = set()
-    for kind, signals, known, channel in (
-        ("input", blocks.inputs, ("W", "mu"), "xi"),
-        ("output", blocks.outputs, ("w", "y", "nu"), "zeta"),
-    ):
-        for name in signals:
-            of_channel = re.fullmatch(rf"{channel}_(\d+)", name)
-            if of_channel:
-                found.add(int(of_channel[1]))
-            elif name not in known:
-                raise ValueError(
-                    f"sys's {kind} {name!r} must be one of {', '.join(known)}, {channel}_0, "
-                    f"{channel}_1, ...; for a plant that is not so named there is from_plant"
-                )
-    for name in ("w", "y"):
-        if name not in blocks.outputs:
-            raise ValueError(f"sys must have an output {name!r}, got {', '.join(blocks.outputs)}")
-    missing = set(range(len(found))) - found
-    if missing:
-        raise ValueError(
-            f"sys must have its uncertainties numbered from 0, got xi_{max(found)} or "
-            f"zeta_{max(found)} without xi_{min(missing)} and zeta_{min(missing)}"
-        )
-    for (output, name), D in blocks.feedthrough.items():
-        if output != "y" and D.any():
-            raise ValueError(f"sys must have feedthrough to 'y' only, got {name!r} to {output!r}")
-    return len(found)
-
-
-def _check_channel(
-    name: str,
-    channel: Uncertainty | Nonlinearity,
-    system: UncertainSystem,
-    inputs: int,
-    outputs: int | None,
-) -> None:
-    """Check the channel's shapes against the system's."""
-    validation.matrix(f"{name}.B", channel.B, (system.n, inputs))
-    validation.matrix(f"{name}.C", channel.C, (outputs, system.n))
-    validation.matrix(f"{name}.D", channel.D, (system.l, inputs))

@@ -33,7 +33,8 @@ from robsmooth.simulation.integrator import ExponentialIntegrator
 from robsmooth.simulation.loop import Function, NonlinearLoop, nonlinear_loop
 from robsmooth.simulation.simulate import InadmissibleWarning, sample_paths, simulate
 from robsmooth.systems.augmented import augment, compact
-from robsmooth.systems.system import Nonlinearity, UncertainSystem, Uncertainty
+from robsmooth.systems.channels import Nonlinearity, Uncertainty
+from robsmooth.systems.system import UncertainSystem
 from tests.helpers.loops import assert_within
 from tests.helpers.strategies import (
     admissible_delta,

@@ -1,0 +1,228 @@
+"""The channels of an uncertain system: where uncertainties and nonlinearities act on it."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robsmooth._support import notation, validation
+from robsmooth._support.validation import Matrix
+
+REFERENCES = ("filtered", "smoothed")
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Uncertainty:
+    r"""One uncertainty channel: :math:`\xi_s` is no larger than :math:`\zeta_s` in the mean square.
+
+    A noise channel that carries no uncertainty is declared with ``C`` zero: the theory wants every
+    noise to enter where an uncertainty enters (Assumption 1).
+
+    Parameters
+    ----------
+    B : (n, r_s) array
+        :math:`B_{1s}`, how the uncertainty input drives the state, per second.
+    C : (h_s, n) array
+        :math:`C_{1,s}`, the uncertainty output :math:`\zeta_s = C x`.
+    D : (l, r_s) array
+        :math:`D_{21,s}`, how the uncertainty input enters the measurement rate.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For a matrix that is not 2-D, real and finite.
+
+    See Also
+    --------
+    UncertainSystem : what the channels are part of.
+
+    Examples
+    --------
+    A rate of decay that is known to 10%, in a system of one state:
+
+    >>> import robsmooth as rs
+    >>> rs.Uncertainty(B=[[1.0]], C=[[0.1]], D=[[0.0]])
+    Uncertainty(B=[[1]], C=[[0.1]], D=[[0]])
+    """
+
+    B: Matrix
+    C: Matrix
+    D: Matrix
+
+    def __init__(self, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> None:
+        set_fields(self, **_matrices("Uncertainty", B, C, D))
+
+    def __repr__(self) -> str:
+        return f"Uncertainty({_text(self)})"
+
+    def _repr_latex_(self) -> str:
+        B, C, D = map(notation.matrix, (self.B, self.C, self.D))
+        return rf"$$B_1 = {B},\quad C_1 = {C},\quad D_{{21}} = {D}$$"
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Nonlinearity:
+    r"""One scalar nonlinearity :math:`\mu_i = \psi_i(\nu_i)`, of which the estimator runs a copy.
+
+    Parameters
+    ----------
+    B : (n, 1) array
+        :math:`\bar B_{1i}`, how it drives the state.
+    C : (1, n) array
+        :math:`\bar C_{1,i}`, its argument :math:`\nu_i = C x`.
+    D : (l, 1) array
+        :math:`\bar D_{21,i}`, how it enters the measurement rate.
+    lipschitz : float
+        :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`.
+    function : callable, optional
+        :math:`\psi_i` itself, vectorised over arrays or compiled by numba, for scalars too. The
+        design needs only the Lipschitz constant.
+    reference : {None, "filtered", "smoothed"}
+        The estimate that the detector is steered by: the nonlinearity acts on :math:`\nu_i - r_i`,
+        and the copy on :math:`\tilde\nu_i - r_i`, with :math:`r_i` the filtered or the smoothed
+        estimate of :math:`\nu_i`. None: there is no reference. The loop is simulated so by
+        `simulate`; designs and their guarantees do not use it.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For a matrix that is not 2-D, real and finite, a constant that is not positive, a function
+        that is not callable, not vectorised or not zero at zero, or another reference.
+
+    See Also
+    --------
+    Uncertainty : a channel of which no copy is run.
+    UncertainSystem : what the channels are part of.
+
+    Examples
+    --------
+    A sensor that saturates, :math:`dy = \tanh(x)\,dt + \dots`:
+
+    >>> import numpy as np
+    >>> import robsmooth as rs
+    >>> rs.Nonlinearity(B=[[0.0]], C=[[1.0]], D=[[1.0]], lipschitz=1.0, function=np.tanh)
+    Nonlinearity(B=[[0]], C=[[1]], D=[[1]], lipschitz=1, function=tanh)
+    """
+
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    lipschitz: float
+    function: Callable[[Any], Any] | None = None
+    reference: str | None = None
+
+    def __init__(
+        self,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike,
+        lipschitz: float,
+        function: Callable[[Any], Any] | None = None,
+        reference: str | None = None,
+    ) -> None:
+        matrices = _matrices("Nonlinearity", B, C, D)
+        lipschitz = validation.positive("Nonlinearity lipschitz", lipschitz)
+        if function is not None:
+            _check_function("Nonlinearity function", function)
+        if reference is not None:
+            validation.choice("Nonlinearity reference", reference, REFERENCES)
+        set_fields(self, **matrices, lipschitz=lipschitz, function=function, reference=reference)
+
+    def __repr__(self) -> str:
+        function = getattr(self.function, "__name__", type(self.function).__name__)
+        given = "" if self.function is None else f", function={function}"
+        given += "" if self.reference is None else f", reference={self.reference!r}"
+        return f"Nonlinearity({_text(self)}, lipschitz={self.lipschitz:.5g}{given})"
+
+    def _repr_latex_(self) -> str:
+        B, C, D = map(notation.matrix, (self.B, self.C, self.D))
+        return (
+            rf"$$\bar B_1 = {B},\quad \bar C_1 = {C},\quad \bar D_{{21}} = {D},\quad "
+            rf"\beta = {notation.number(self.lipschitz)}$$"
+        )
+
+
+Channel = Uncertainty | Nonlinearity
+
+
+def set_fields(frozen: object, **values: object) -> None:
+    """Set the fields of a frozen dataclass, as only its constructor may."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
+def members(name: str, values: Iterable, kind: type) -> tuple:
+    """Return a sequence of channels of one kind as a tuple."""
+    if isinstance(values, kind):
+        raise TypeError(f"{name} must be a sequence of {kind.__name__}, got a single one")
+    try:
+        result = tuple(values)
+    except TypeError:
+        raise TypeError(f"{name} must be a sequence of {kind.__name__}, got {values!r}") from None
+    for index, member in enumerate(result):
+        validation.instance(f"{name}[{index}]", member, kind)
+    return result
+
+
+def check_sizes(name: str, channels: Sequence[Channel], states: int, measurements: int) -> None:
+    """Check the channels' matrices against the system that they are part of."""
+    for index, channel in enumerate(channels):
+        nonlinear = isinstance(channel, Nonlinearity)
+        inputs, outputs = (1, 1) if nonlinear else (channel.B.shape[1], None)
+        for letter, shape in (
+            ("B", (states, inputs)),
+            ("C", (outputs, states)),
+            ("D", (measurements, inputs)),
+        ):
+            validation.matrix(f"{name}[{index}].{letter}", getattr(channel, letter), shape)
+
+
+def _matrices(name: str, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> dict[str, Matrix]:
+    """Return the matrices of a channel by their names, each checked."""
+    return {
+        letter: validation.matrix(f"{name} {letter}", value, (None, None))
+        for letter, value in (("B", B), ("C", C), ("D", D))
+    }
+
+
+def _text(channel: Channel) -> str:
+    return ", ".join(f"{name}={notation.array(getattr(channel, name))}" for name in "BCD")
+
+
+def _check_function(name: str, function: Callable) -> None:
+    """Check that a nonlinearity can be called as the library does, and is zero at zero."""
+    if not callable(function):
+        raise TypeError(f"{name} must be callable, got {function!r}")
+    # a scalar function that numba has compiled is called from compiled loops
+    scalar = hasattr(function, "py_func") and _takes_scalars(function)
+    at = 0.0 if scalar else np.zeros(2)
+    try:
+        values = np.asarray(function(at))
+    except Exception as error:
+        cause = str(error).partition("\n")[0]
+        raise ValueError(
+            f"{name} must be vectorised: an array of shape (2,) gave {type(error).__name__}: "
+            f"{cause}; NumPy's functions are (np.sin, not math.sin), and numpy.vectorize makes "
+            "any function so"
+        ) from error
+    if values.shape != np.shape(at):
+        raise ValueError(
+            f"{name} must be vectorised: an argument of shape {np.shape(at)} gave shape "
+            f"{values.shape}"
+        )
+    at_zero = np.ravel(values)[0]
+    if not at_zero == 0.0:
+        raise ValueError(
+            f"{name} must be zero at zero, got {at_zero}: "
+            "move the constant into the measurement or the state"
+        )
+
+
+def _takes_scalars(function: Callable) -> bool:
+    try:
+        function(0.0)
+    except Exception:
+        return False
+    return True
