@@ -9,8 +9,8 @@ its mean, an estimator
 
 is linear but for the copies. (The reference `r` is what a detector takes off the argument before
 its nonlinearity, the local oscillator's phase, say; it is zero where there is none.) The linear
-part is taken exactly, whatever `dt`, and the copies' part
-by the exponential Runge-Kutta method of second order,
+part is taken exactly, whatever `dt`, and the copies' part by the exponential Runge-Kutta method of
+second order,
 
 .. math::
 
@@ -37,26 +37,25 @@ S. M. Cox and P. C. Matthews, "Exponential time differencing for stiff systems",
 176(2), 2002: the method ETD2RK.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numba
 import numpy as np
-from numba import njit
-from numba.extending import is_jitted
 from numpy.typing import ArrayLike, NDArray
 
-from robsmooth._numerics.exponential import responses
 from robsmooth._support import validation
-from robsmooth._support.blas import one_thread
-from robsmooth._support.kernels import kept
-from robsmooth._support.validation import Matrix
-from robsmooth.systems.channels import Nonlinearity
+from robsmooth.estimators.sample_loop import (
+    Model,
+    Record,
+    Steps,
+    running_functions,
+    sample_loop,
+    sizes_of,
+    takes_numbers,
+)
 
 OUTPUTS = ("smoothed", "filtered")
-_Vectorized = type(numba.vectorize(lambda value: value))
 
 
 class DiscreteSmoother:
@@ -115,15 +114,15 @@ class DiscreteSmoother:
         self.l: int = system.l
         self.m: int = system.m
         self.g: int = system.g
-        self._model = _Model.of(estimator)
+        self._model = Model.of(estimator)
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
-        nonlinearities = _with_functions(system.nonlinearities, functions)
-        functions = tuple(_function(i, nonlinearities[i]) for i in self._model.running)
-        compiled = all(_takes_numbers(function) for function in functions)
+        self._sizes = sizes_of(self._model.n, self.l, self.m, len(self._model.running))
+        running = running_functions(system.nonlinearities, functions, self._model.running)
+        compiled = all(takes_numbers(function) for function in running)
         self.compiled: bool = compiled and not numba.config.DISABLE_JIT
-        self._advance = _loop(functions, self.compiled)
+        self._advance = sample_loop(running, self.compiled)
         self._patterns: dict[bytes, int] = {}  # of missing channels, to a row of the steps
-        self._steps: _Steps | None = None
+        self._steps: Steps | None = None
         self._pattern(np.zeros(self.l, dtype=bool))
         self.reset()
 
@@ -250,13 +249,10 @@ class DiscreteSmoother:
             Where the state leaves the range of floats.
         """
         readout = self._outputs[validation.choice("output", output, OUTPUTS)]
-        y = _record("y", y, self.l)
-        used = self._reference(reference, len(y))
-        y, starts, patterns = self._segments(y)
+        y = _checked("y", y, self.l)
+        record = self._record(y, self._reference(reference, len(y)))
         state, result = self._state.copy(), np.empty((len(y), len(readout)))
-        sizes = _sizes(len(state), y.shape[1], result.shape[1], used.shape[1])
-        work = (self._model.C_nu, readout, starts, patterns, y, used, state, result)
-        self._advance(sizes, self._steps, *work)
+        self._advance(self._sizes, self._steps, self._model.C_nu, readout, record, state, result)
         if not np.isfinite(state).all():
             raise ArithmeticError("the estimator's state left the range of floating-point numbers")
         self._state = state
@@ -270,22 +266,22 @@ class DiscreteSmoother:
         running = self._model.running
         if given is None:
             return np.zeros((rows, len(running)))
-        reference = _record("reference", given, self.g)
+        reference = _checked("reference", given, self.g)
         if len(reference) != rows:
             raise ValueError(f"reference must have {rows} rows, as y, got {len(reference)}")
         _refuse("reference must be finite", reference, ~np.isfinite(reference))
         return np.ascontiguousarray(reference[:, running])
 
-    def _segments(self, y: NDArray[np.float64]):
-        """Return the record with zeros for what is missing, and where which pattern applies."""
+    def _record(self, y: NDArray[np.float64], reference: NDArray[np.float64]) -> Record:
+        """Return the samples, in segments with the same measurements missing."""
         if np.isfinite(y).all():
-            return y, np.array([0, len(y)]), np.zeros(1, dtype=np.intp)
+            return Record(y, reference, np.array([0, len(y)]), np.zeros(1, dtype=np.intp))
         _refuse("y must be finite, or nan where it is missing", y, np.isinf(y))
         missing = np.isnan(y)
         changes = 1 + np.flatnonzero((missing[1:] != missing[:-1]).any(axis=1))
         starts = np.array([0, *changes, len(y)])
         patterns = np.array([self._pattern(row) for row in missing[starts[:-1]]])
-        return np.where(missing, 0.0, y), starts, patterns
+        return Record(np.where(missing, 0.0, y), reference, starts, patterns)
 
     def _pattern(self, missing: NDArray[np.bool_]) -> int:
         """Return the index of the matrices for these missing channels; make them where needed."""
@@ -293,238 +289,15 @@ class DiscreteSmoother:
         if key not in self._patterns:
             steps = self._model.steps(self.dt, missing)
             if self._steps is not None:
-                steps = _Steps(
-                    *(np.concatenate(pair) for pair in zip(self._steps, steps, strict=True))
-                )
+                steps = Steps(*map(np.concatenate, zip(self._steps, steps, strict=True)))
             self._patterns[key], self._steps = len(self._patterns), steps
         return self._patterns[key]
-
-
-# --- the matrices --------------------------------------------------------------------------------
-
-
-class _Steps(NamedTuple):
-    """The matrices of a step, for each pattern of missing channels.
-
-    They are transposed: what belongs to one state, measurement or copy lies side by side.
-    """
-
-    transition: NDArray[np.float64]  # (patterns, n, n), phi_0
-    measurement: NDArray[np.float64]  # (patterns, l, n), phi_1 h B_y
-    copies: NDArray[np.float64]  # (patterns, copies, n), phi_1 h B_mu
-    correction: NDArray[np.float64]  # (patterns, copies, n), phi_2 h B_mu
-
-
-@dataclass(frozen=True, eq=False)
-class _Model:
-    """The estimator with the copies that it runs.
-
-    A copy whose argument or whose gain is zero is not run.
-    """
-
-    A: Matrix
-    B_y: Matrix
-    B_mu: Matrix
-    C_nu: Matrix
-    C_2: Matrix  # what the estimator expects of y: C_2 x_hat + D mu
-    D: Matrix
-    running: list[int]
-
-    @classmethod
-    def of(cls, estimator) -> "_Model":
-        system = estimator.plant.system
-        l, m, g = system.l, system.m, system.g  # noqa: E741 - the paper's letter
-        B_mu, C_nu = estimator.B_c[:, l:], estimator.C_c[m:]
-        running = [i for i in range(g) if B_mu[:, i].any() and C_nu[i].any()]
-        D = np.hstack([np.zeros((l, 0)), *(c.D for c in system.nonlinearities)])
-        return cls(
-            A=estimator.A_c,
-            B_y=estimator.B_c[:, :l],
-            B_mu=B_mu[:, running],
-            C_nu=np.ascontiguousarray(C_nu[running]),
-            C_2=estimator.plant.C2_tilde[:l],
-            D=D[:, running],
-            running=running,
-        )
-
-    @property
-    def n(self) -> int:
-        return len(self.A)
-
-    @one_thread
-    def steps(self, dt: float, missing: NDArray[np.bool_]) -> _Steps:
-        """Return the matrices of a step with these channels missing."""
-        gain = self.B_y * missing
-        inputs = np.hstack([self.B_y * ~missing, self.B_mu + gain @ self.D])
-        transition, held, ramp = responses(self.A + gain @ self.C_2, inputs, dt)
-        l = len(missing)  # noqa: E741 - the paper's letter
-        matrices = (transition, held[:, :l], held[:, l:], ramp[:, l:])
-        return _Steps(*(np.ascontiguousarray(matrix.T)[None] for matrix in matrices))
-
-
-# --- the nonlinearities' functions ---------------------------------------------------------------
-
-
-def _with_functions(
-    nonlinearities: Sequence[Nonlinearity], functions: Iterable[Callable | None] | None
-) -> list[Nonlinearity]:
-    """Return the nonlinearities with the functions that are given instead of their own."""
-    if functions is None:
-        return list(nonlinearities)
-    if callable(functions):
-        raise TypeError("functions must be a sequence of callables, got a single one")
-    functions = list(functions)
-    if len(functions) != len(nonlinearities):
-        raise ValueError(
-            f"functions must have {len(nonlinearities)} entries, one for each nonlinearity, got "
-            f"{len(functions)}"
-        )
-    return [
-        nonlinearity if function is None else replace(nonlinearity, function=function)
-        for nonlinearity, function in zip(nonlinearities, functions, strict=True)
-    ]
-
-
-def _function(index: int, nonlinearity: Nonlinearity) -> Callable:
-    if nonlinearity.function is None:
-        raise ValueError(
-            f"nonlinearities[{index}] must have a function, because the estimator runs a copy of "
-            "it: give Nonlinearity(..., function=psi), or discretize(dt, functions=[psi])"
-        )
-    return nonlinearity.function
-
-
-def _takes_numbers(function: Callable) -> bool:
-    """Tell whether compiled code can call this function with a number."""
-    if not (is_jitted(function) or isinstance(function, _Vectorized)):
-        return False
-    try:
-        return np.ndim(function(0.0)) == 0
-    except Exception:  # it is for arrays only
-        return False
-
-
-@lru_cache(maxsize=64)
-def _compiled(functions: tuple[Callable, ...]) -> Callable:
-    """Return what writes the values of all functions: the same one for the same functions."""
-    if not functions:
-        return _no_copies
-    others, function, index = _compiled(functions[:-1]), functions[-1], len(functions) - 1
-
-    @njit
-    def copies(arguments, values):
-        others(arguments, values)
-        values[index] = function(arguments[index])
-
-    return copies
-
-
-@njit
-def _no_copies(arguments, values):
-    pass
-
-
-# --- the loop over samples -----------------------------------------------------------------------
-
-
-def _loop(functions: tuple[Callable, ...], compiled: bool) -> Callable:
-    """Return the loop over samples, a function of what follows `copies` in `_advance`."""
-    if compiled:
-        return partial(_advance, _compiled(functions)) if functions else _advance_linear
-    return partial(_interpret, [f if _takes_numbers(f) else partial(_value, f) for f in functions])
-
-
-def _value(function: Callable, argument: float) -> float:
-    """Return the value of a function of arrays at a number."""
-    return np.asarray(function(np.array([argument])))[0]
-
-
-def _sizes(*counts: int) -> tuple[tuple[float, ...], ...]:
-    """Return tuples of these lengths, which the compiler knows, unlike those of arrays."""
-    return tuple((0.0,) * count for count in counts)
-
-
-@njit
-def _advance(copies, sizes, steps, C_nu, readout, starts, patterns, y, reference, state, result):
-    """Take all samples; `state` and `result` are written.
-
-    `sizes` are those of state, measurement, output and copies. Segment s goes from sample
-    ``starts[s]`` to the next segment, with the matrices of ``patterns[s]``.
-    """
-    n, l, m, g = len(sizes[0]), len(sizes[1]), len(sizes[2]), len(sizes[3])  # noqa: E741
-    x = np.empty((2, n))  # now, and at the end of the sample
-    arguments, mu, mu_end = np.empty(g), np.empty(g), np.empty(g)
-    x[0] = state
-    for segment in range(len(patterns)):
-        p = patterns[segment]
-        for k in range(starts[segment], starts[segment + 1]):
-            for i in range(n):
-                x[1, i] = 0.0
-            for j in range(l):
-                for i in range(n):
-                    x[1, i] += steps.measurement[p, j, i] * y[k, j]
-            for j in range(n):
-                for i in range(n):
-                    x[1, i] += steps.transition[p, j, i] * x[0, j]
-            if copies is not None:
-                _subtract(C_nu, x, 0, reference, k, arguments)
-                copies(arguments, mu)
-                for j in range(g):
-                    for i in range(n):
-                        x[1, i] += steps.copies[p, j, i] * mu[j]
-                _subtract(C_nu, x, 1, reference, k, arguments)
-                copies(arguments, mu_end)
-                for j in range(g):
-                    for i in range(n):
-                        x[1, i] += steps.correction[p, j, i] * (mu_end[j] - mu[j])
-            for i in range(n):
-                x[0, i] = x[1, i]
-            for i in range(m):
-                estimate = 0.0
-                for j in range(n):
-                    estimate += readout[i, j] * x[0, j]
-                result[k, i] = estimate
-    for i in range(n):
-        state[i] = x[0, i]
-
-
-@njit
-def _subtract(C_nu, x, row, reference, k, arguments):
-    """Write the copies' arguments at one of the two states."""
-    for i in range(len(arguments)):
-        arguments[i] = -reference[k, i]
-        for j in range(x.shape[1]):
-            arguments[i] += C_nu[i, j] * x[row, j]
-
-
-@kept()
-def _advance_linear(sizes, steps, C_nu, readout, starts, patterns, y, reference, state, result):
-    """Do as `_advance` for an estimator without copies; it need not be compiled anew."""
-    _advance(None, sizes, steps, C_nu, readout, starts, patterns, y, reference, state, result)
-
-
-def _interpret(
-    functions, sizes, steps, C_nu, readout, starts, patterns, y, reference, state, result
-):
-    """Do as `_advance` with functions that are not compiled."""
-
-    def copies(x, k):
-        arguments = C_nu @ x - reference[k]
-        return np.array([f(v) for f, v in zip(functions, arguments, strict=True)])
-
-    for segment, p in enumerate(patterns):
-        transition, measurement, gain, correction = (matrices[p].T for matrices in steps)
-        for k in range(starts[segment], starts[segment + 1]):
-            mu = copies(state, k)
-            end = transition @ state + measurement @ y[k] + gain @ mu
-            state[:] = end + correction @ (copies(end, k) - mu)
-            result[k] = readout @ state
 
 
 # --- checks --------------------------------------------------------------------------------------
 
 
-def _record(name: str, given: ArrayLike, columns: int) -> NDArray[np.float64]:
+def _checked(name: str, given: ArrayLike, columns: int) -> NDArray[np.float64]:
     """Return `given` as an (N, columns) array of floats."""
     try:
         result = np.asarray(given)

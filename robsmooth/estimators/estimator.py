@@ -89,8 +89,9 @@ class Estimator:
         -------
         control.StateSpace
         """
-        l, m, g = self.plant.system.l, self.plant.system.m, self.plant.system.g  # noqa: E741
-        A, gain, copies, nu = self.A_c, self.B_c[:, :l], self.B_c[:, l:], self.C_c[m:]
+        system = self.plant.system
+        gain, copies = np.hsplit(self.B_c, [system.l])
+        A, nu, g = self.A_c, self.C_c[system.m :], system.g
         inputs = {"y": gain, "mu_copy": copies}
         if slopes is not None:
             slopes = validation.array("slopes", slopes, ndim=1)

@@ -121,10 +121,10 @@ class Reader:
         """Return the estimator of a table, a robust design where it has the parameters of one."""
         _check_fields("", table, (*GAINS, "plant"), ("design",))
         plant = self.plant(table["plant"], "plant.")
-        l, m, g = plant.system.l, plant.system.m, plant.system.g  # noqa: E741
+        m, g, measurements = plant.system.m, plant.system.g, plant.system.l
         gains = {name: _matrix(name, table[name]) for name in GAINS}
         n = len(gains["A_c"])
-        shapes = ((n, n), (n, l + g), (m + g, n), (m, n), (m, n))
+        shapes = ((n, n), (n, measurements + g), (m + g, n), (m, n), (m, n))
         for name, shape in zip(GAINS, shapes, strict=True):
             validation.matrix(name, gains[name], shape)
         estimator = Estimator(plant=plant, **gains)

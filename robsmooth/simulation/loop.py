@@ -183,15 +183,15 @@ def nonlinear_loop(
     drift, noise, inputs, outputs = matrices(smoother, loop, reference)
     functions += _nonlinearities(smoother, outputs)
 
-    n, l, g = system.n, system.l, system.g  # noqa: E741 - the paper's letter
+    n, measurements, g = system.n, system.l, system.g
     kept = np.r_[:n, plant.n : len(drift)]  # nothing depends on the model of the delay
-    measured = np.hstack([plant.C2_tilde[:l], np.zeros((l, len(smoother.A_c)))])
+    measured = np.pad(plant.C2_tilde[:measurements], ((0, 0), (0, len(smoother.A_c))))
     no_x = np.zeros((len(outputs), n))
     bounds = [c.lipschitz for c in system.nonlinearities]
     joined = NonlinearLoop(
         drift=np.vstack([drift[kept], measured])[:, kept],
-        inputs=np.vstack([inputs[kept], plant.D21_tilde[:l]]),
-        noise=np.vstack([noise[kept], plant.D21_bar[:l]]),
+        inputs=np.vstack([inputs[kept], plant.D21_tilde[:measurements]]),
+        noise=np.vstack([noise[kept], plant.D21_bar[:measurements]]),
         arguments=outputs[:, kept],
         reference=np.hstack([no_x, reference_outputs(smoother, reference)]),
         readout=block_diag(system.C0, np.vstack([smoother.C_f, smoother.C_a])),

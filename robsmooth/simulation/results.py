@@ -211,8 +211,8 @@ class SamplePaths:
     delay: float
 
     def __repr__(self) -> str:
-        paths, steps, l = self.y.shape  # noqa: E741 - the paper's letter
+        paths, steps, measurements = self.y.shape
         return (
             f"SamplePaths({paths} paths of {steps} steps of {self.step:.4g} s, "
-            f"lag={self.delay:g} s, {l} measurements, {self.w.shape[2]} outputs)"
+            f"lag={self.delay:g} s, {measurements} measurements, {self.w.shape[2]} outputs)"
         )

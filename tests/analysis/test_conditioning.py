@@ -86,7 +86,7 @@ def relative(found, expected):
 def problems(draw, max_n, max_order, max_g=0):
     """A system in order-one units, the units to bring it to, a lag and an order."""
     rng = np.random.default_rng(draw(seeds))
-    sizes = {name: draw(st.integers(1, 3), label=name) for name in ("m", "l")}
+    sizes = {name: draw(st.integers(1, 3), label=name) for name in ("m", "measurements")}
     n, g = draw(st.integers(1, max_n), label="n"), draw(st.integers(0, max_g), label="g")
     system = random_system(rng, n=n, g=g, **sizes, size=10.0 ** rng.uniform(-6, -2) / n)
     units = {
@@ -157,7 +157,7 @@ def test_a_better_filter_has_an_error_with_as_many_digits(decades):
 @pytest.mark.parametrize("lag", [1e-12, 1e-9, 1e-6])
 @pytest.mark.parametrize("order", [3, 12])
 def test_a_lag_that_is_next_to_nothing_changes_next_to_nothing(lag, order):
-    system = random_system(np.random.default_rng(3), n=4, m=2, l=1, g=0)
+    system = random_system(np.random.default_rng(3), n=4, m=2, measurements=1, g=0)
     here = nominal_error(fixed_lag_smoother(system, lag, order), "smoothed")
     filtered = nominal_error(kalman_bucy(system), "filtered")
     assert relative(here, filtered) < 20 * lag + 1e-12
@@ -232,7 +232,7 @@ def test_designs_are_certified_and_the_same_in_all_units(problem, cost):
 @pytest.mark.parametrize("n, order, g", [(100, 12, 2), (60, 4, 0)])
 def test_a_hundred_states_are_designed_for_and_certified(n, order, g):
     rng = np.random.default_rng(n)
-    system = random_system(rng, n=n, m=3, l=3, g=g, size=1e-6)
+    system = random_system(rng, n=n, m=3, measurements=3, g=g, size=1e-6)
     plant = augment(system, 0.3, order)
     multipliers = random_multipliers(rng, plant)
     design = design_smoother(plant, 1e3, multipliers)
@@ -287,7 +287,7 @@ def test_there_is_an_answer_that_is_not_negative_or_a_refusal(seed, decades):
         return 10.0 ** rng.uniform(-decades / 2, decades / 2, shape)
 
     n, g = rng.integers(1, 5), rng.integers(0, 3)
-    system = random_system(rng, n=n, m=2, l=2, g=g, size=1e-4)
+    system = random_system(rng, n=n, m=2, measurements=2, g=g, size=1e-4)
     system = in_units(noisier(system, magnitude()), magnitude(), magnitude(n), magnitude())
     lag, order = magnitude(), rng.integers(0, 13)
 

@@ -49,7 +49,7 @@ def general():
     """A design with two uncertainties, two nonlinearities, two outputs and two measurements."""
     rng = np.random.default_rng(1)
     while True:
-        plant = augment(random_system(rng, n=2, m=2, l=2, g=2, size=0.1), 0.7, 2)
+        plant = augment(random_system(rng, n=2, m=2, measurements=2, g=2, size=0.1), 0.7, 2)
         design = feasible_design(rng, plant)
         if design is not None:
             return design
@@ -190,7 +190,7 @@ def test_covariance_is_symmetric_and_positive(design, seed):
 
 @pytest.mark.parametrize("order", [0, 1, 3])
 def test_smoothed_error_tends_to_the_filtered_one_as_the_delay_vanishes(order):
-    system = random_system(np.random.default_rng(3), n=2, m=2, l=1, g=0)
+    system = random_system(np.random.default_rng(3), n=2, m=2, measurements=1, g=0)
     filtered = baselines.kalman_bucy(system)
     Delta = np.zeros((3, 4))
     target = error_covariance(filtered, Delta, "filtered")

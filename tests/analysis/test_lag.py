@@ -65,7 +65,7 @@ def test_sweep_has_the_errors_of_the_designs():
 @settings(max_examples=3)
 @given(seeds)
 def test_no_design_beats_the_exact_optimum_and_a_high_order_reaches_it(seed):
-    system = random_system(np.random.default_rng(seed), n=2, m=2, l=2, g=1)
+    system = random_system(np.random.default_rng(seed), n=2, m=2, measurements=2, g=1)
     delay = 1.0 / np.abs(baselines.kalman_bucy(system).poles).max()
     sweep = lag_sweep(system, [delay], [1, 2, 6])
     assert (sweep.nominal >= sweep.optimal * (1 - 1e-9)).all()
@@ -179,7 +179,7 @@ def test_robust_smoother_may_need_a_lag_for_what_the_optimal_filter_has():
 @settings(max_examples=5)
 @given(seeds)
 def test_choice_for_random_systems_meets_the_target(seed):
-    system = random_system(np.random.default_rng(seed), n=2, m=2, l=2, g=1)
+    system = random_system(np.random.default_rng(seed), n=2, m=2, measurements=2, g=1)
     try:
         choice = choose_lag(system, fraction=0.7, max_order=4)
     except InfeasibleDesignError:

@@ -103,7 +103,7 @@ def test_worst_uncertainty_is_admissible_and_has_the_error_that_it_is_said_to(de
 
 
 def test_worst_of_two_slopes_is_the_largest_of_a_grid():
-    plain = random_system(np.random.default_rng(3), n=2, m=2, l=2, g=2, size=0.15)
+    plain = random_system(np.random.default_rng(3), n=2, m=2, measurements=2, g=2, size=0.15)
     channels = [Uncertainty(c.B, 0 * c.C, c.D) for c in plain.uncertainties]
     system = UncertainSystem(
         plain.A, plain.B1, plain.C0, plain.C2, plain.D21, channels, plain.nonlinearities
@@ -181,7 +181,7 @@ def test_guaranteed_error_is_against_the_model_of_the_delay(example):
 
 
 def test_search_does_not_depend_on_the_seed():
-    design = designed(8, n=3, m=2, l=2, g=2)
+    design = designed(8, n=3, m=2, measurements=2, g=2)
     first, second = (worst_case(design, seed=seed).mean_square for seed in (0, 1))
     assert_allclose(first, second, rtol=1e-9)
 
@@ -213,7 +213,7 @@ def test_worst_phase_of_the_example_is_the_best_of_a_grid(example, output, loop)
     "seed, sizes, output", [(3, {"m": 1, "g": 0}, "smoothed"), (5, {"m": 2, "g": 1}, "filtered")]
 )
 def test_worst_at_each_frequency_is_worse_than_constant_and_than_random(seed, sizes, output):
-    design = designed(seed, n=2, l=2, **sizes)
+    design = designed(seed, n=2, measurements=2, **sizes)
     found = worst_dynamic_case(design, output, starts=4)
     nominal, constant, worst = found.spectra
     assert found.constant.mean_square < found.mean_square
@@ -279,7 +279,7 @@ def test_without_uncertainty_nothing_is_worse_than_the_nominal_error():
 
 
 def test_worst_cases_do_not_depend_on_the_unit_of_time():
-    design = designed(5, n=2, m=1, l=1, g=1)
+    design = designed(5, n=2, m=1, measurements=1, g=1)
     system, fast = design.plant.system, 2.0**30
 
     def faster(channel):

@@ -42,10 +42,10 @@ def linear_system(A, B1, C2, D21, C0=None):
     return UncertainSystem(A=A, B1=B1, C0=C0, C2=C2, D21=D21)
 
 
-def random_linear(seed, n=3, l=2, stable=True):  # noqa: E741 - the paper's letter
+def random_linear(seed, n=3, measurements=2, stable=True):
     """A system without channels, its noises correlated, all states to be estimated."""
     rng = np.random.default_rng(seed)
-    s = random_system(rng, n=n, m=1, l=l, g=0)
+    s = random_system(rng, n=n, m=1, measurements=measurements, g=0)
     A = s.A if stable else s.A + (0.5 - np.linalg.eigvals(s.A).real.max()) * np.eye(n)
     return linear_system(A, s.B1, s.C2, s.D21)
 
@@ -106,7 +106,7 @@ def test_fixed_lag_smoother_is_the_kalman_filter_of_the_system_with_its_delay_mo
 @pytest.mark.parametrize("seed", range(3))
 def test_robust_design_tends_to_the_classical_smoother_as_the_uncertainty_vanishes(seed, g, cost):
     # more states than channels, so that none of the noise is taken for the nonlinearities'
-    system = random_system(np.random.default_rng(seed), n=5, m=2, l=2, g=g)
+    system = random_system(np.random.default_rng(seed), n=5, m=2, measurements=2, g=g)
     certain = replace(
         system,
         uncertainties=[replace(u, C=np.zeros_like(u.C)) for u in system.uncertainties],
@@ -315,7 +315,7 @@ def wiener_error(system, lag, size=2048):
 @pytest.mark.parametrize("lag", [0.0, 0.1, 1.0, np.inf])
 @pytest.mark.parametrize("seed", range(3))
 def test_optimal_error_is_that_of_wieners_spectral_factorisation(seed, lag):
-    system = random_linear(seed, l=1)
+    system = random_linear(seed, measurements=1)
     expected = wiener_error(system, lag)
     found = optimal_fixed_lag_error(system, lag)
     assert_allclose(found, expected, rtol=0, atol=1e-9 * np.trace(expected))
@@ -331,7 +331,7 @@ def test_two_sided_error_of_the_example_has_its_closed_form():
 @pytest.mark.parametrize("lag", [0.3, 1.5])
 def test_fixed_lag_smoother_converges_to_the_optimum_with_its_order(lag):
     rng = np.random.default_rng(4)
-    system = random_system(rng, n=2, m=2, l=1, g=0)
+    system = random_system(rng, n=2, m=2, measurements=1, g=0)
     floor = optimal_fixed_lag_error(system, lag)
     excess = []
     for order in (0, 1, 2, 4, 8):

@@ -429,7 +429,7 @@ def test_random_systems_of_the_strategies_are_mostly_feasible():
     found = 0
     for seed in range(30):
         rng = np.random.default_rng(seed)
-        plant = augment(random_system(rng, n=2, m=1, l=1, g=1, size=0.1), 0.5, 1)
+        plant = augment(random_system(rng, n=2, m=1, measurements=1, g=1, size=0.1), 0.5, 1)
         found += feasible_design(rng, plant) is not None
     assert found > 15
 

@@ -23,7 +23,9 @@ def example():
 def general_design(seed, cost):
     rng = np.random.default_rng(seed)
     for _ in range(50):
-        plant = augment(random_system(rng, n=2, m=2, l=2, g=1 + seed % 2, size=0.05), 0.5, 1)
+        plant = augment(
+            random_system(rng, n=2, m=2, measurements=2, g=1 + seed % 2, size=0.05), 0.5, 1
+        )
         if design := feasible_design(rng, plant, cost):
             return design
     raise AssertionError("no feasible design found")

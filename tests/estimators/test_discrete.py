@@ -62,15 +62,14 @@ def with_functions(system, functions):
 def design(functions=(bend, sine)):
     """A smoother that runs copies of strong nonlinearities, with a lag."""
     g = len(functions)
-    system = random_system(np.random.default_rng(3), n=2, m=2, l=2, g=g, size=0.4)
+    system = random_system(np.random.default_rng(3), n=2, m=2, measurements=2, g=g, size=0.4)
     return baselines.fixed_lag_smoother(with_functions(system, functions), 0.5, 2, copies=True)
 
 
 def linear(estimator):
     """The estimator without its copies."""
-    l, m = estimator.plant.system.l, estimator.plant.system.m  # noqa: E741
-    B_c, C_c = estimator.B_c.copy(), estimator.C_c.copy()
-    B_c[:, l:], C_c[m:] = 0.0, 0.0
+    system, B_c, C_c = estimator.plant.system, estimator.B_c.copy(), estimator.C_c.copy()
+    B_c[:, system.l :], C_c[system.m :] = 0.0, 0.0
     return replace(estimator, B_c=B_c, C_c=C_c)
 
 
@@ -116,15 +115,15 @@ def record(rows, columns=2, gaps=0.0, seed=0):
 
 @given(st.sampled_from([(1, 1, 1, 0), (2, 2, 1, 2), (3, 1, 2, 3)]), seeds, st.floats(-3, 2))
 def test_the_linear_part_is_held_exactly(sizes, seed, exponent):
-    n, m, l, order = sizes  # noqa: E741
-    system = random_system(np.random.default_rng(seed), n, m, l, g=0)
+    n, m, measurements, order = sizes
+    system = random_system(np.random.default_rng(seed), n, m, measurements, g=0)
     estimator = baselines.fixed_lag_smoother(system, 0.5, order)
     dt = 10**exponent / np.abs(estimator.poles).max()
     outputs = np.vstack([estimator.C_a, estimator.C_f])
     Phi, Gamma, *_ = cont2discrete(
-        (estimator.A_c, estimator.B_c, outputs, np.zeros((2 * m, l))), dt
+        (estimator.A_c, estimator.B_c, outputs, np.zeros((2 * m, measurements))), dt
     )
-    y = record(20, l, seed=seed)
+    y = record(20, measurements, seed=seed)
     expected, x = [], np.zeros(len(Phi))
     for row in y:
         x = Phi @ x + Gamma @ row
@@ -250,7 +249,7 @@ def test_long_samples_are_stable():
     tried = 0
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        system = with_functions(random_system(rng, m=2, l=2, g=2), (bend, sine))
+        system = with_functions(random_system(rng, m=2, measurements=2, g=2), (bend, sine))
         estimator = feasible_design(rng, augment(system, 0.5, 2))
         if estimator is None:
             continue
@@ -324,7 +323,7 @@ def test_the_homodyne_copy_acts_on_the_difference_to_the_oscillator():
 
 
 def test_without_measurements_the_kalman_filter_is_the_plant():
-    system = random_system(np.random.default_rng(3), n=3, l=2)
+    system = random_system(np.random.default_rng(3), n=3, measurements=2)
     estimator = baselines.fixed_lag_smoother(system, 0.5, 2)
     discrete = estimator.discretize(0.1)
     discrete.run(record(50))
@@ -356,13 +355,13 @@ def test_a_long_gap_ends_at_the_prior(seed, g, cost):
     plant = augment(random_system(rng, g=g), 0.5, 1)
     estimator = feasible_design(rng, plant, cost)
     assume(estimator is not None)
-    estimator, l = linear(estimator), 1  # noqa: E741
-    drift = estimator.A_c + estimator.B_c[:, :l] @ estimator.plant.C2_tilde[:l]
+    estimator = linear(estimator)
+    drift = estimator.A_c + estimator.B_c[:, :1] @ estimator.plant.C2_tilde[:1]
     slowest = -np.linalg.eigvals(drift).real.max()
     assert slowest > 0
     discrete = estimator.discretize(1.0 / slowest)
-    before = discrete.run(record(20, l, seed=seed))
-    after = discrete.run(np.full((200, l), np.nan))
+    before = discrete.run(record(20, 1, seed=seed))
+    after = discrete.run(np.full((200, 1), np.nan))
     assert np.abs(after[-1]).max() <= 1e-12 * max(np.abs(before).max(), np.abs(after).max())
 
 
@@ -396,7 +395,7 @@ ESTIMATORS = {f: design(functions=f) for f in ((bend, sine), (np.tanh, np.sin), 
 
 def test_large_estimators_in_pieces():
     """Where the compiler does not unroll its loops."""
-    system = random_system(np.random.default_rng(0), n=40, m=3, l=3, g=0, size=0.0)
+    system = random_system(np.random.default_rng(0), n=40, m=3, measurements=3, g=0, size=0.0)
     estimator = baselines.fixed_lag_smoother(system, 0.5, 4)
     y = record(60, 3, gaps=0.1)
     whole = estimator.discretize(0.1).run(y)
@@ -408,13 +407,13 @@ def test_large_estimators_in_pieces():
 
 def solved_linearly(estimator, dt, y):
     """Smoothed estimates, each sample by the exponential of its own equation."""
-    n, l = len(estimator.A_c), y.shape[1]  # noqa: E741
+    n, gain = len(estimator.A_c), estimator.B_c[:, : y.shape[1]]
     x, rows = np.zeros(n), []
     for row in y:
         missing = np.isnan(row)
-        A = estimator.A_c + estimator.B_c[:, :l][:, missing] @ estimator.plant.C2_tilde[:l][missing]
+        A = estimator.A_c + gain[:, missing] @ estimator.plant.C2_tilde[: len(row)][missing]
         block = np.zeros((n + 1, n + 1))
-        block[:n, :n], block[:n, n] = A, estimator.B_c[:, :l] @ np.where(missing, 0.0, row)
+        block[:n, :n], block[:n, n] = A, gain @ np.where(missing, 0.0, row)
         x = (expm(block * dt) @ np.append(x, 1.0))[:n]
         rows.append(estimator.C_a @ x)
     return np.array(rows)
@@ -496,29 +495,27 @@ def sampled_loop(estimator, dt):
     In the coordinates (x, integral of dy); Van Loan's block exponential.
     """
     system = estimator.plant.system
-    n, l = system.n, system.l  # noqa: E741
-    drift = np.zeros((n + l, n + l))
+    n, size = system.n, system.n + system.l
+    drift = np.zeros((size, size))
     drift[:n, :n], drift[n:, :n] = system.A, system.C2
     noise = np.vstack([system.B1, system.D21])
     block = np.block([[-drift, noise @ noise.T], [np.zeros_like(drift), drift.T]]) * dt
     phi = expm(block)
-    transition = phi[n + l :, n + l :].T
-    covariance = transition @ phi[: n + l, n + l :]
+    transition = phi[size:, size:].T
+    covariance = transition @ phi[:size, size:]
     return transition, (covariance + covariance.T) / 2
 
 
 def exact_errors(estimator, dt, lag):
     """The stationary error covariance of the discretised estimator, from a discrete Lyapunov."""
     system = estimator.plant.system
-    n, l, n_c = system.n, system.l, len(estimator.A_c)  # noqa: E741
+    n, n_c, gain = system.n, len(estimator.A_c), estimator.B_c[:, : system.l]
     F, Q = sampled_loop(estimator, dt)
-    Phi, Gamma, *_ = cont2discrete(
-        (estimator.A_c, estimator.B_c[:, :l], np.eye(n_c), np.zeros((n_c, l))), dt
-    )
+    Phi, Gamma, *_ = cont2discrete((estimator.A_c, gain, np.eye(n_c), np.zeros(gain.shape)), dt)
     Gamma = Gamma / dt  # of the integral
     joint = np.zeros((n + n_c, n + n_c))
     joint[:n, :n], joint[n:, :n], joint[n:, n:] = F[:n, :n], Gamma @ F[n:, :n], Phi
-    kick = np.zeros((n + n_c, n + l))
+    kick = np.zeros((n + n_c, len(Q)))
     kick[:n, :n], kick[n:, n:] = np.eye(n), Gamma
     P = solve_discrete_lyapunov(joint, kick @ Q @ kick.T)
     truth = np.hstack([system.C0, np.zeros((system.m, n_c))])
@@ -529,7 +526,7 @@ def exact_errors(estimator, dt, lag):
 
 def classical():
     """A fixed-lag smoother of a system with correlated noises, and its sampling of the lag."""
-    system = random_system(np.random.default_rng(5), n=2, m=2, l=2, g=0, size=0.0)
+    system = random_system(np.random.default_rng(5), n=2, m=2, measurements=2, g=0, size=0.0)
     return baselines.fixed_lag_smoother(system, 0.6, 3)
 
 
@@ -706,9 +703,8 @@ def test_an_unstable_estimator_is_found_out():
 def test_nonlinearities_keep_their_places():
     """The second of two copies is the one that is left when the first has no effect."""
     estimator = design()
-    l = estimator.plant.system.l  # noqa: E741
     B_c = estimator.B_c.copy()
-    B_c[:, l] = 0.0
+    B_c[:, estimator.plant.system.l] = 0.0
     half = replace(estimator, B_c=B_c)
     y, reference = record(12), record(12, seed=1)
     found = half.discretize(1e-3).run(

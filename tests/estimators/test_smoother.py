@@ -44,7 +44,7 @@ def example():
 
 def general_design(seed, cost="filtered", order=2, **kinds):
     rng = np.random.default_rng(seed)
-    sizes = {"n": 2, "m": 2, "l": 2, "g": 2, "size": 0.05, **kinds}
+    sizes = {"n": 2, "m": 2, "measurements": 2, "g": 2, "size": 0.05, **kinds}
     for _ in range(50):
         design = feasible_design(rng, augment(random_system(rng, **sizes), 0.5, order), cost)
         if design is not None:
@@ -234,9 +234,9 @@ def test_design_does_not_depend_on_the_unit_of_time(seed, unit, cost):
 
 def transfer(design, s):
     """From the extended measurement to u-tilde and the smoothed estimate, in y's unit per dt."""
-    l, m = design.plant.system.l, design.plant.system.m  # noqa: E741 - the paper's letter
+    system = design.plant.system
     states = np.linalg.solve(s * np.eye(len(design.A_c)) - design.A_c, design.B_c)
-    return (np.vstack([design.C_c[:m], design.C_a]) @ states)[:, :l]
+    return (np.vstack([design.C_c[: system.m], design.C_a]) @ states)[:, : system.l]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -334,7 +334,9 @@ def test_limit_of_no_uncertainty_is_the_classical_fixed_lag_smoother(seed, order
     # For tau -> infinity and multipliers with M^-1 = J J'. Nonlinearities that nothing excites,
     # but whose fictitious noise enters the state, would remain: g = 0 here.
     rng = np.random.default_rng(seed)
-    plant = augment(without_uncertainty(random_system(rng, n=3, m=2, l=2, g=0)), 0.5, order)
+    plant = augment(
+        without_uncertainty(random_system(rng, n=3, m=2, measurements=2, g=0)), 0.5, order
+    )
     classical = baselines.fixed_lag_smoother(plant.system, 0.5, order)
     differences = []
     for tau in (1e3, 1e5):
@@ -526,8 +528,8 @@ def test_each_part_of_assumption_3_is_named_where_its_scalar_condition_fails(cos
 def test_a_spectral_radius_above_tau_is_refused_by_assumption_3_3():
     # Rare among random systems: both equations have their solutions, which do not fit together.
     rng = np.random.default_rng(1357)
-    n, l, g = rng.integers([1, 1, 0], [4, 3, 2])  # noqa: E741
-    system = random_system(rng, n, 1, l, g, size=10 ** rng.uniform(-2, 0.3))
+    n, measurements, g = rng.integers([1, 1, 0], [4, 3, 2])
+    system = random_system(rng, n, 1, measurements, g, size=10 ** rng.uniform(-2, 0.3))
     plant = augment(system, 1.0, int(rng.integers(0, 2)))
     multipliers = random_multipliers(rng, plant)
     tau = 0.2848035868435802

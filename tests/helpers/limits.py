@@ -25,9 +25,9 @@ def limit_of(plant, zero, cost="filtered", rates=None, seed=0):
     raise AssertionError("no limiting design found")
 
 
-def observer_plant(seed, g=1, l=2, C=0.0, B=1.0):  # noqa: E741 - the paper's letter
+def observer_plant(seed, g=1, measurements=2, C=0.0, B=1.0):
     """A plant with little or no uncertainty but that of its nonlinearities."""
-    system = random_system(np.random.default_rng(seed), n=2, m=1, l=l, g=g)
+    system = random_system(np.random.default_rng(seed), n=2, m=1, measurements=measurements, g=g)
     return augment(
         replace(
             system,
@@ -41,7 +41,7 @@ def observer_plant(seed, g=1, l=2, C=0.0, B=1.0):  # noqa: E741 - the paper's le
 
 def cascade(seed):
     """A plant with X0 and b different from zero: uncertainty drives what vanishing noise enters."""
-    system = random_system(np.random.default_rng(seed), n=3, m=1, l=2, g=3)
+    system = random_system(np.random.default_rng(seed), n=3, m=1, measurements=2, g=3)
     A = np.array(system.A)
     A[0, 1:] = 0.0
     first, second, third = system.nonlinearities
@@ -63,13 +63,13 @@ def cascade(seed):
 
 CASES = {
     "a nonlinearity that enters the state": (observer_plant(1), [3, 4], None),
-    "one measurement": (observer_plant(2, l=1), [3, 4], [0, 0, 0, 1.0, 0.2]),
+    "one measurement": (observer_plant(2, measurements=1), [3, 4], [0, 0, 0, 1.0, 0.2]),
     "two at different rates": (observer_plant(3, g=2), [4, 5, 6, 7], [0, 0, 0, 0, 1, 3, 0.5, 2]),
     "one of two": (observer_plant(3, g=2, B=0.0), [4, 6], None),
     "with uncertainty": (observer_plant(7, g=2, C=0.1, B=0.0), [4, 6], None),
     "cascade": (cascade(1), [5, 6, 8, 9], [0, 0, 0, 0, 0, 1.0, 0.4, 0, 0.7, 1.5, 0]),
     "difference and nonlinearity": (observer_plant(6), [2, 3], None),
     "difference and copy": (observer_plant(4, B=0.0), [2, 4], None),
-    "all of a nonlinearity": (observer_plant(6, l=1), [2, 3, 4], [0, 0, 1.0, 2.0, 0.5]),
+    "all of a nonlinearity": (observer_plant(6, measurements=1), [2, 3, 4], [0, 0, 1.0, 2.0, 0.5]),
     "an uncertainty of the measurement": (observer_plant(6, C=0.5), [1], None),
 }

@@ -31,34 +31,34 @@ def orthogonal_matrix(rng, n):
     return np.linalg.qr(rng.standard_normal((n, n)))[0]
 
 
-def random_system(rng, n=2, m=1, l=1, g=1, size=0.1):  # noqa: E741 - the paper's letter
+def random_system(rng, n=2, m=1, measurements=1, g=1, size=0.1):
     """A system that satisfies Assumptions 1 and 2, with uncertainty of relative `size`.
 
     One uncertainty with two inputs carries the process noise (and some of the measurement's), one
     carries the measurement noise. The noises are the channels' own, mixed by a rotation.
     """
     r = 2
-    B, D = rng.standard_normal((n, r)), 0.2 * rng.standard_normal((l, r))
-    noise = np.diag(rng.uniform(0.3, 1.0, l))
+    B, D = rng.standard_normal((n, r)), 0.2 * rng.standard_normal((measurements, r))
+    noise = np.diag(rng.uniform(0.3, 1.0, measurements))
     uncertainties = (
         Uncertainty(B, size * rng.standard_normal((3, n)), D),
-        Uncertainty(np.zeros((n, l)), size * rng.standard_normal((1, n)), noise),
+        Uncertainty(np.zeros((n, measurements)), size * rng.standard_normal((1, n)), noise),
     )
     nonlinearities = tuple(
         Nonlinearity(
             rng.standard_normal((n, 1)),
             size * rng.standard_normal((1, n)),
-            rng.standard_normal((l, 1)),
+            rng.standard_normal((measurements, 1)),
             lipschitz=rng.uniform(0.5, 2.0),
         )
         for _ in range(g)
     )
-    mixing = orthogonal_matrix(rng, r + l)
+    mixing = orthogonal_matrix(rng, r + measurements)
     return UncertainSystem(
         A=stable_matrix(rng, n),
-        B1=np.hstack([B, np.zeros((n, l))]) @ mixing,
+        B1=np.hstack([B, np.zeros((n, measurements))]) @ mixing,
         C0=rng.standard_normal((m, n)),
-        C2=rng.standard_normal((l, n)),
+        C2=rng.standard_normal((measurements, n)),
         D21=np.hstack([D, noise]) @ mixing,
         uncertainties=uncertainties,
         nonlinearities=nonlinearities,
@@ -88,7 +88,8 @@ def feasible_design(rng, plant, cost="filtered"):
 def systems(draw, max_g=2, max_size=0.15):
     """Systems of up to 3 states, 2 outputs, 2 measurements and `max_g` nonlinearities."""
     sizes = {
-        name: draw(st.integers(1, top), label=name) for name, top in (("n", 3), ("m", 2), ("l", 2))
+        name: draw(st.integers(1, top), label=name)
+        for name, top in (("n", 3), ("m", 2), ("measurements", 2))
     }
     g = draw(st.integers(0, max_g), label="g")
     size = draw(st.just(0.0) | st.floats(1e-9, max_size), label="size")

@@ -68,7 +68,9 @@ def there_and_back(value, folder, **options):
 
 def example_design(g=1, delay=0.3):
     rng = np.random.default_rng(3)
-    return feasible_design(rng, augment(random_system(rng, n=2, m=1, l=1, g=g), delay, 2))
+    return feasible_design(
+        rng, augment(random_system(rng, n=2, m=1, measurements=1, g=g), delay, 2)
+    )
 
 
 # --- there and back -------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ DT = 0.1
 
 def discrete(copies=False):
     """A smoother of two measurements and two outputs, with a nonlinearity."""
-    system = random_system(np.random.default_rng(3), m=2, l=2)
+    system = random_system(np.random.default_rng(3), m=2, measurements=2)
     channels = [replace(c, function=np.sin) for c in system.nonlinearities]
     system = replace(system, nonlinearities=channels)
     return baselines.fixed_lag_smoother(system, 0.5, 2, copies=copies).discretize(DT)

@@ -300,7 +300,7 @@ def test_a_large_system_stays_short():
 def test_systems_of_any_size_show_themselves(plant, seed):
     system = plant.system
     estimator = rs.baselines.fixed_lag_smoother(system, plant.delay, plant.order)
-    wide = random_system(np.random.default_rng(seed), n=7, m=2, l=2, g=5)
+    wide = random_system(np.random.default_rng(seed), n=7, m=2, measurements=2, g=5)
     for shown in (
         *(system, plant, plant.delay_model, estimator, wide),
         *(*system.uncertainties, *system.nonlinearities, *wide.nonlinearities),

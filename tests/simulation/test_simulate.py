@@ -72,7 +72,7 @@ def soft(value):
 
 def curved_estimator(delay=0.3, order=2, seed=3):
     """An estimator for a system with m = l = g = k = 2, its functions curved, with its copies."""
-    system = random_system(np.random.default_rng(seed), n=3, m=2, l=2, g=2)
+    system = random_system(np.random.default_rng(seed), n=3, m=2, measurements=2, g=2)
     system = with_functions(system, soft, lambda v: 0.5 * np.sin(v))
     return fixed_lag_smoother(system, delay, order, copies=True)
 
@@ -142,7 +142,7 @@ def test_equations_are_those_of_the_paper(referenced):
     taken_off = np.zeros((2, len(estimator.A_c)))
     if referenced:
         reference = taken_off = 0.5 * np.random.default_rng(1).standard_normal(taken_off.shape)
-    system, m, l = estimator.plant.system, 2, 2  # noqa: E741 - the paper's letter
+    system, m, measurements = estimator.plant.system, 2, 2
     x_size = system.n
     block = np.array([[0.3, -0.2, 0.4], [0.1, 0.5, -0.3]])
 
@@ -150,7 +150,7 @@ def test_equations_are_those_of_the_paper(referenced):
         return math.cos(3 * t) * np.tanh(zeta[[0, 0]])
 
     def rates(t, state):
-        x, x_hat = state[:x_size], state[x_size:-l]
+        x, x_hat = state[:x_size], state[x_size:-measurements]
         first, second = system.uncertainties
         r = taken_off @ x_hat
         inputs = [(first, block @ first.C @ x), (second, xi(t, (second.C @ x)[:, None])[:, 0])]

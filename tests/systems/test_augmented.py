@@ -28,7 +28,7 @@ def example():
 @pytest.fixture(scope="module")
 def general():
     """k = 2 and g = 2, with channels of different sizes and constants."""
-    return augment(random_system(np.random.default_rng(5), n=3, m=2, l=2, g=2), 0.5, 2)
+    return augment(random_system(np.random.default_rng(5), n=3, m=2, measurements=2, g=2), 0.5, 2)
 
 
 def test_compact_matrices_of_the_example_are_the_printed_ones(example):

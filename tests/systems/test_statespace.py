@@ -56,16 +56,18 @@ def lipschitz(system):
 
 def a_design(seed=1, g=2, delay=0.4):
     rng = np.random.default_rng(seed)
-    return feasible_design(rng, augment(random_system(rng, n=2, m=2, l=2, g=g), delay, 2))
+    return feasible_design(
+        rng, augment(random_system(rng, n=2, m=2, measurements=2, g=g), delay, 2)
+    )
 
 
 def transfer(A, B, C, s):
     return C @ np.linalg.solve(s * np.eye(len(A)) - A, B)
 
 
-def random_plant(rng, n=3, p=2, l=2, D=False):  # noqa: E741 - the paper's letter
-    feedthrough = rng.standard_normal((l, p)) if D else np.zeros((l, p))
-    B, C = rng.standard_normal((n, p)), rng.standard_normal((l, n))
+def random_plant(rng, n=3, p=2, measurements=2, D=False):
+    feedthrough = rng.standard_normal((measurements, p)) if D else np.zeros((measurements, p))
+    B, C = rng.standard_normal((n, p)), rng.standard_normal((measurements, n))
     return control.ss(stable_matrix(rng, n), B, C, feedthrough)
 
 
@@ -137,7 +139,7 @@ def test_each_named_part_has_the_transfer_function_of_its_matrices(system, omega
 
 
 def test_whole_signals_are_chosen_by_their_names():
-    system = random_system(np.random.default_rng(0), n=2, m=2, l=2, g=2)
+    system = random_system(np.random.default_rng(0), n=2, m=2, measurements=2, g=2)
     sys = system.to_statespace(inputs="W", outputs=["y", "zeta_1"])
     assert sys.input_labels == [f"W[{i}]" for i in range(4)]
     assert sys.output_labels == ["y[0]", "y[1]", "zeta_1[0]"]

@@ -1,0 +1,252 @@
+r"""What an estimator does in one sample of a record, and the loop over samples.
+
+The equations are those of `robsmooth.estimators.discrete`. The loop is compiled by numba where all
+functions of the nonlinearities are, or no copy runs; else Python goes from sample to sample.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numba import njit
+from numba.extending import is_jitted
+from numpy.typing import NDArray
+
+from robsmooth._numerics.exponential import responses
+from robsmooth._support.blas import one_thread
+from robsmooth._support.kernels import kept
+from robsmooth._support.validation import Matrix
+from robsmooth.systems.channels import Nonlinearity
+
+_Vectorized = type(numba.vectorize(lambda value: value))
+
+
+class Steps(NamedTuple):
+    """The matrices of a step, for each pattern of missing channels.
+
+    They are transposed: what belongs to one state, measurement or copy lies side by side.
+    """
+
+    transition: NDArray[np.float64]  # (patterns, n, n), phi_0
+    measurement: NDArray[np.float64]  # (patterns, l, n), phi_1 h B_y
+    copies: NDArray[np.float64]  # (patterns, copies, n), phi_1 h B_mu
+    correction: NDArray[np.float64]  # (patterns, copies, n), phi_2 h B_mu
+
+
+class Record(NamedTuple):
+    """The samples of a record, with zeros for what is missing.
+
+    Segment s goes from sample ``starts[s]`` to ``starts[s + 1]``, with the matrices of
+    ``patterns[s]``.
+    """
+
+    y: NDArray[np.float64]  # (N, l)
+    reference: NDArray[np.float64]  # (N, copies)
+    starts: NDArray[np.intp]
+    patterns: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The estimator with the copies that it runs.
+
+    A copy whose argument or whose gain is zero is not run.
+    """
+
+    A: Matrix
+    B_y: Matrix
+    B_mu: Matrix
+    C_nu: Matrix
+    C_2: Matrix  # what the estimator expects of y: C_2 x_hat + D mu
+    D: Matrix
+    running: list[int]
+
+    @classmethod
+    def of(cls, estimator: Any) -> "Model":
+        """Return the model of an `Estimator`, which imports this module."""
+        system = estimator.plant.system
+        B_y, B_mu = np.hsplit(estimator.B_c, [system.l])
+        C_nu = estimator.C_c[system.m :]
+        running = [i for i in range(system.g) if B_mu[:, i].any() and C_nu[i].any()]
+        _, _, D = system.stacked(system.nonlinearities)
+        return cls(
+            A=estimator.A_c,
+            B_y=B_y,
+            B_mu=B_mu[:, running],
+            C_nu=np.ascontiguousarray(C_nu[running]),
+            C_2=estimator.plant.C2_tilde[: system.l],
+            D=D[:, running],
+            running=running,
+        )
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @one_thread
+    def steps(self, dt: float, missing: NDArray[np.bool_]) -> Steps:
+        """Return the matrices of a step with these channels missing."""
+        gain = self.B_y * missing
+        inputs = np.hstack([self.B_y * ~missing, self.B_mu + gain @ self.D])
+        transition, held, ramp = responses(self.A + gain @ self.C_2, inputs, dt)
+        copies = slice(len(missing), None)
+        matrices = (transition, held[:, : len(missing)], held[:, copies], ramp[:, copies])
+        return Steps(*(np.ascontiguousarray(matrix.T)[None] for matrix in matrices))
+
+
+# --- the nonlinearities' functions ---------------------------------------------------------------
+
+
+def running_functions(
+    nonlinearities: Sequence[Nonlinearity],
+    given: Iterable[Callable[[Any], Any] | None] | None,
+    running: Sequence[int],
+) -> tuple[Callable[[Any], Any], ...]:
+    """Return the functions of the copies that run, with those given instead of the plant's."""
+    if callable(given):
+        raise TypeError("functions must be a sequence of callables, got a single one")
+    given = [None] * len(nonlinearities) if given is None else list(given)
+    if len(given) != len(nonlinearities):
+        raise ValueError(
+            f"functions must have {len(nonlinearities)} entries, one for each nonlinearity, got "
+            f"{len(given)}"
+        )
+    pairs = zip(nonlinearities, given, strict=True)
+    functions = [
+        own.function if f is None else replace(own, function=f).function for own, f in pairs
+    ]
+    for i in running:
+        if functions[i] is None:
+            raise ValueError(
+                f"nonlinearities[{i}] must have a function, because the estimator runs a copy of "
+                "it: give Nonlinearity(..., function=psi), or discretize(dt, functions=[psi])"
+            )
+    return tuple(functions[i] for i in running)
+
+
+def takes_numbers(function: Callable) -> bool:
+    """Tell whether compiled code can call this function with a number."""
+    if not (is_jitted(function) or isinstance(function, _Vectorized)):
+        return False
+    try:
+        return np.ndim(function(0.0)) == 0
+    except Exception:  # it is for arrays only
+        return False
+
+
+@lru_cache(maxsize=64)
+def _compiled(functions: tuple[Callable, ...]) -> Callable:
+    """Return what writes the values of all functions: the same one for the same functions."""
+    if not functions:
+        return _no_copies
+    others, function, index = _compiled(functions[:-1]), functions[-1], len(functions) - 1
+
+    @njit
+    def copies(arguments, values):
+        others(arguments, values)
+        values[index] = function(arguments[index])
+
+    return copies
+
+
+@njit
+def _no_copies(arguments, values):
+    pass
+
+
+# --- the loop over samples -----------------------------------------------------------------------
+
+
+def sample_loop(functions: tuple[Callable[[Any], Any], ...], compiled: bool) -> Callable:
+    """Return the loop over samples, a function of what follows `copies` in `_advance`."""
+    if compiled:
+        return partial(_advance, _compiled(functions)) if functions else _advance_linear
+    return partial(_interpret, [f if takes_numbers(f) else partial(_value, f) for f in functions])
+
+
+def _value(function: Callable, argument: float) -> float:
+    """Return the value of a function of arrays at a number."""
+    return np.asarray(function(np.array([argument])))[0]
+
+
+def sizes_of(*counts: int) -> tuple[tuple[float, ...], ...]:
+    """Return tuples of these lengths, which the compiler knows, unlike those of arrays."""
+    return tuple((0.0,) * count for count in counts)
+
+
+@njit
+def _advance(copies, sizes, steps, C_nu, readout, record, state, result):
+    """Take all samples of a `Record`; `state` and `result` are written.
+
+    `sizes` are those of state, measurement, output and copies.
+    """
+    states, measurements, outputs, g = len(sizes[0]), len(sizes[1]), len(sizes[2]), len(sizes[3])
+    x = np.empty((2, states))  # now, and at the end of the sample
+    arguments, mu, mu_end = np.empty(g), np.empty(g), np.empty(g)
+    x[0] = state
+    for segment in range(len(record.patterns)):
+        p = record.patterns[segment]
+        for k in range(record.starts[segment], record.starts[segment + 1]):
+            for i in range(states):
+                x[1, i] = 0.0
+            for j in range(measurements):
+                for i in range(states):
+                    x[1, i] += steps.measurement[p, j, i] * record.y[k, j]
+            for j in range(states):
+                for i in range(states):
+                    x[1, i] += steps.transition[p, j, i] * x[0, j]
+            if copies is not None:
+                _subtract(C_nu, x, 0, record.reference, k, arguments)
+                copies(arguments, mu)
+                for j in range(g):
+                    for i in range(states):
+                        x[1, i] += steps.copies[p, j, i] * mu[j]
+                _subtract(C_nu, x, 1, record.reference, k, arguments)
+                copies(arguments, mu_end)
+                for j in range(g):
+                    for i in range(states):
+                        x[1, i] += steps.correction[p, j, i] * (mu_end[j] - mu[j])
+            for i in range(states):
+                x[0, i] = x[1, i]
+            for i in range(outputs):
+                estimate = 0.0
+                for j in range(states):
+                    estimate += readout[i, j] * x[0, j]
+                result[k, i] = estimate
+    for i in range(states):
+        state[i] = x[0, i]
+
+
+@njit
+def _subtract(C_nu, x, row, reference, k, arguments):
+    """Write the copies' arguments at one of the two states."""
+    for i in range(len(arguments)):
+        arguments[i] = -reference[k, i]
+        for j in range(x.shape[1]):
+            arguments[i] += C_nu[i, j] * x[row, j]
+
+
+@kept()
+def _advance_linear(sizes, steps, C_nu, readout, record, state, result):
+    """Do as `_advance` for an estimator without copies; it need not be compiled anew."""
+    _advance(None, sizes, steps, C_nu, readout, record, state, result)
+
+
+def _interpret(functions, sizes, steps, C_nu, readout, record, state, result):
+    """Do as `_advance` with functions that are not compiled."""
+
+    def copies(x, k):
+        arguments = C_nu @ x - record.reference[k]
+        return np.array([f(v) for f, v in zip(functions, arguments, strict=True)])
+
+    for segment, p in enumerate(record.patterns):
+        transition, measurement, gain, correction = (matrices[p].T for matrices in steps)
+        for k in range(record.starts[segment], record.starts[segment + 1]):
+            mu = copies(state, k)
+            end = transition @ state + measurement @ record.y[k] + gain @ mu
+            state[:] = end + correction @ (copies(end, k) - mu)
+            result[k] = readout @ state
