@@ -173,8 +173,8 @@ def test_equations_are_those_of_the_paper(referenced):
     misfits = []
     for steps in (16, 32, 64):
         integrator = ExponentialIntegrator.of(loop, 1.2 / steps, measured=True)
-        z = np.vstack([start, np.zeros((l, 1))])
-        integral = np.zeros((l, 1))
+        z = np.vstack([start, np.zeros((measurements, 1))])
+        integral = np.zeros((measurements, 1))
         for k in range(steps):
             zeta = loop.arguments @ z[: loop.order]
             z = integrator.advance(k * integrator.step, z, zeta, np.zeros_like(z))
