@@ -25,12 +25,13 @@ from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq, minimize_scalar
 
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.estimators.bound_function import BoundFunction
+from robsmooth.estimators.bound_function import BoundFunction, bound_function
 from robsmooth.estimators.bound_search import FREE_LEVEL, BarrierProblem, barrier_problem
 from robsmooth.estimators.conditions import check_plant, check_stable, multiplier_level, singular
 from robsmooth.estimators.limit import limiting_smoother
@@ -53,6 +54,8 @@ _SAME_MINIMUM = 1e-5  # the least difference between the logarithms of two local
 _HOPELESS = 0.3  # a larger one to the best is not made up for on the rest of a path
 
 _SAMPLES = 32
+_ANY_TAU = math.log(1e8)  # the best tau is closer to the natural one, in natural logarithms ...
+_TAU_TOLERANCE = 1e-7  # ... and found to this
 _EXTREME = 1e-8  # a multiplier of an extreme start, relative to the others
 _TAU_DECADES = np.arange(-2.0, 8.0, 1.0)
 
@@ -117,6 +120,41 @@ def minimize_bound(
         return limit
     design = _design_beside(limit, rates, problem.v, before[0])
     return replace(design, bound_infimum=limit.bound, limit=limit)
+
+
+@one_thread
+def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float:
+    """Return the tau with the least bound at given multipliers, in their limit at zeros.
+
+    The bound falls with tau, from the least one that has a design, and then grows: its slope, which
+    `minimize_bound` knows, has one zero.
+
+    Parameters
+    ----------
+    plant, multipliers, cost
+        As in `limiting_smoother`.
+
+    Returns
+    -------
+    float
+        In seconds times the squared unit of w. Where no tau has a design, the design at this one
+        says why.
+    """
+    multipliers = np.asarray(multipliers, dtype=float)
+    v = bound_function(plant, cost, multipliers > 0.0)
+    rates = 1.0 * singular(plant, multipliers)
+
+    def slope(log_tau: float) -> float:
+        theta = math.exp(log_tau) * multipliers
+        try:
+            return 1.0 + float(v(theta, rates)[1][0] @ theta)
+        except InfeasibleDesignError:  # tau is too small
+            return -1.0
+
+    natural = math.log(v.natural_tau(multipliers))
+    low, high = natural - _ANY_TAU, natural + _ANY_TAU
+    log_tau = brentq(slope, low, high, xtol=_TAU_TOLERANCE) if slope(high) > 0.0 else high
+    return v.time * math.exp(log_tau)
 
 
 def _distinct(problem: BarrierProblem, points: list[np.ndarray]) -> list[np.ndarray]:

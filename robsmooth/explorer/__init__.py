@@ -1,8 +1,8 @@
 """The explorer of explore.ipynb: sliders, and what a design does at their settings."""
 
 from robsmooth._support.extras import extra
+from robsmooth.explorer.describe import experiments
 from robsmooth.explorer.settings import Settings
-from robsmooth.explorer.text import experiments
 
 with extra("notebooks", "the explorer"):
     from robsmooth.explorer.explorer import Explorer

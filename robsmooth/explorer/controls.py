@@ -1,4 +1,4 @@
-"""The widgets of the explorer: sliders, the image of the panels, and what it says in words."""
+"""The widgets of the explorer: sliders, the image of the panels, and a summary."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -9,7 +9,7 @@ from IPython.display import Javascript
 
 from robsmooth.explorer.settings import DESIGNS, RANGES, Settings
 
-_WORDS = {  # label and tooltip of each setting
+_LABELS = {  # label and tooltip of each setting
     "lag": ("lag (µs)", "how far back the smoothed estimate looks"),
     "order": ("order", "states in the model of the lag: more of them follow a delay more closely"),
     "design": ("design", "how the estimator is made"),
@@ -56,7 +56,7 @@ class Controls:
     ----------
     settings : Settings
         To begin with, and to go back to.
-    changed : callable
+    on_change : callable
         Called at each change of the settings.
 
     Attributes
@@ -70,9 +70,9 @@ class Controls:
     reset, copy : ipywidgets.Button
     """
 
-    def __init__(self, settings: Settings, changed: Callable[[], None]):
-        self._changed, self._held = changed, False
-        self.inputs = {name: _input(name) for name in _WORDS}
+    def __init__(self, settings: Settings, on_change: Callable[[], None]):
+        self._on_change, self._muted = on_change, False
+        self.inputs = {name: _input(name) for name in _LABELS}
         self.reset = _button("Reset", "back to the settings at the start")
         self.copy = _button("Copy these settings as code", "to the clipboard")
         self.panels = widgets.Image(format="png", layout={"width": "auto"})
@@ -80,42 +80,42 @@ class Controls:
         self.code = widgets.Textarea(layout={"width": "auto", "height": "26em"})
         self._script = widgets.Output()
         self.reset.on_click(lambda _: self.set(settings))
-        self.copy.on_click(lambda _: self._copy_code())
+        self.copy.on_click(lambda _: self._copy_to_clipboard())
         self._columns = {title: self._column(title) for title in _COLUMNS}
         self.set(settings)
         for each in self.inputs.values():
             each.observe(self._notify, "value")
-        self.widget = self._arranged()
+        self.widget = self._layout()
 
     @property
     def settings(self) -> Settings:
-        """What the inputs say."""
+        """The values of the inputs."""
         values = {name: each.value for name, each in self.inputs.items()}
         return Settings(**values | {name: RANGES[name].si(values[name]) for name in RANGES})
 
     def set(self, settings: Settings) -> None:
         """Put the inputs to these settings: one change."""
-        self._held = True
+        self._muted = True
         for name, value in asdict(settings).items():
             self.inputs[name].value = RANGES[name].shown(value) if name in RANGES else value
-        self._held = False
+        self._muted = False
         self._notify()
 
-    def show(self, png: bytes, summary: str, code: str) -> None:
-        """Show the panels, and what they say in words and code."""
+    def update(self, png: bytes, summary: str, code: str) -> None:
+        """Show the panels, their summary and the settings as code."""
         self.panels.value, self.code.value = png, code
         self.summary.value = f'<div style="line-height: 1.4">{escape(summary)}</div>'
 
     def _notify(self, _=None) -> None:
-        if self._held:
+        if self._muted:
             return
         settings = self.settings
         by_hand = settings.design == "by hand"
         self._columns["A design by hand"].layout.display = "flex" if by_hand else "none"
         self.inputs["cost"].disabled = settings.design == "classical"
-        self._changed()
+        self._on_change()
 
-    def _copy_code(self) -> None:
+    def _copy_to_clipboard(self) -> None:
         self._script.outputs = ()
         self._script.append_display_data(Javascript(_COPY % self._own_class))
 
@@ -128,7 +128,7 @@ class Controls:
         """Labels, which take the room that they need in any font, and inputs beside them."""
         cells = []
         for name in _COLUMNS[title]:
-            label, tooltip = _WORDS[name]
+            label, tooltip = _LABELS[name]
             cells += [widgets.Label(label, tooltip=tooltip), self.inputs[name]]
         grid = {"grid_template_columns": "max-content minmax(12em, 1fr)"}
         return widgets.VBox(
@@ -136,7 +136,7 @@ class Controls:
             layout={"flex": "1 1 0", "min_width": "min-content"},
         )
 
-    def _arranged(self) -> widgets.Widget:
+    def _layout(self) -> widgets.Widget:
         named = {**self.inputs, **{name: getattr(self, name) for name in _OUTPUTS}}
         for name, each in named.items():
             each.add_class(f"robsmooth-{name}")
@@ -158,7 +158,7 @@ class Controls:
 
 
 def _input(name: str) -> widgets.Widget:
-    common = {"tooltip": _WORDS[name][1], "layout": {"width": "auto"}}
+    common = {"tooltip": _LABELS[name][1], "layout": {"width": "auto"}}
     if name in _CHOICES:
         return widgets.Dropdown(options=_CHOICES[name], **common)
     allowed = RANGES[name]

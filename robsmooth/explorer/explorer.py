@@ -15,14 +15,14 @@ from IPython import get_ipython
 from matplotlib.figure import Figure
 
 from robsmooth.explorer.controls import Controls
+from robsmooth.explorer.describe import code, summary
 from robsmooth.explorer.panels import PREPARING, Panels
 from robsmooth.explorer.settings import Settings
-from robsmooth.explorer.snapshot import Snapshot, look, simulate
-from robsmooth.explorer.text import code, summary
+from robsmooth.explorer.snapshot import Snapshot, simulate, take_snapshot
 from robsmooth.homodyne.montecarlo import MonteCarloResult
 
-QUIET = 0.004  # s without an event, before the newest settings are drawn
-PATIENCE = 0.5  # s that a drawing waits for its simulation, where it may come later
+DEBOUNCE = 0.004  # s without an event, before the newest settings are drawn
+SIMULATION_TIMEOUT = 0.5  # s that a drawing waits for its simulation, where it may come later
 
 _thread = ThreadPoolExecutor(1, "robsmooth-simulation")
 
@@ -51,7 +51,7 @@ class Explorer:
         self._timer: asyncio.TimerHandle | None = None
         self._simulation: Future | None = None
         self._simulating: Settings | None = None
-        self._draw()
+        self._redraw()
 
     @property
     def settings(self) -> Settings:
@@ -61,19 +61,19 @@ class Explorer:
     @property
     def snapshot(self) -> Snapshot:
         """What is shown, but for the simulation."""
-        self._finish()
+        self._wait()
         return self._snapshot
 
     @property
     def simulated(self) -> MonteCarloResult | str:
         """The simulation that is shown."""
-        self._finish()
+        self._wait()
         return self._simulated
 
     @property
     def figure(self) -> Figure:
         """The panels."""
-        self._finish()
+        self._wait()
         return self._panels.figure
 
     @property
@@ -84,8 +84,8 @@ class Explorer:
     def show_controls(self) -> Controls:
         """Return the sliders, which from now on say what is shown."""
         if self.controls is None:
-            self.controls = Controls(self._settings, self._changed)
-            self._show()
+            self.controls = Controls(self._settings, self._redraw_soon)
+            self._update_controls()
         return self.controls
 
     def __repr__(self) -> str:
@@ -93,53 +93,53 @@ class Explorer:
 
     def _repr_mimebundle_(self, **_) -> Mapping[str, object]:
         live = {}
-        if somebody_is_there():
+        if can_show_widgets():
             live = self.show_controls().widget._repr_mimebundle_()
         else:
-            self._finish()
+            self._wait()
         image = base64.b64encode(self._panels.png()).decode()
         return {**live, "image/png": image, "text/plain": summary(self._snapshot, self._simulated)}
 
-    def _changed(self) -> None:
+    def _redraw_soon(self) -> None:
         """Have the newest settings drawn: soon, or at once where there is no event loop."""
         loop = _running_loop()
         if loop is None:
-            self._draw()
+            self._redraw()
             return
         if self._timer is not None:
             self._timer.cancel()
-        self._timer = loop.call_later(QUIET, self._draw)
+        self._timer = loop.call_later(DEBOUNCE, self._redraw)
 
-    def _draw(self) -> None:
+    def _redraw(self) -> None:
         loop, settings = _running_loop(), self.settings
-        self._snapshot, self._simulated = look(settings), PREPARING
+        self._snapshot, self._simulated = take_snapshot(settings), PREPARING
         other = self._simulating != settings
         if self._simulation is None or (other and self._simulation.done()):
             self._simulation, self._simulating = _thread.submit(simulate, self._snapshot), settings
             try:
-                self._simulation.result(PATIENCE if loop else None)
+                self._simulation.result(SIMULATION_TIMEOUT if loop else None)
             except TimeoutError:
                 self._simulation.add_done_callback(
-                    lambda _: loop.call_soon_threadsafe(self._changed)
+                    lambda _: loop.call_soon_threadsafe(self._redraw_soon)
                 )
         if self._simulation.done() and self._simulating == settings:
             self._simulated = self._simulation.result()
-        self._panels.show(self._snapshot, self._simulated)
-        self._show()
+        self._panels.update(self._snapshot, self._simulated)
+        self._update_controls()
 
-    def _show(self) -> None:
+    def _update_controls(self) -> None:
         if self.controls:
-            words = summary(self._snapshot, self._simulated)
-            self.controls.show(self._panels.png(), words, self.code)
+            described = summary(self._snapshot, self._simulated)
+            self.controls.update(self._panels.png(), described, self.code)
 
-    def _finish(self) -> None:
+    def _wait(self) -> None:
         """Wait until the newest settings are drawn, simulation and all."""
         while self._simulated is PREPARING or self._snapshot.settings != self.settings:
             self._simulation.result()
-            self._draw()
+            self._redraw()
 
 
-def somebody_is_there() -> bool:
+def can_show_widgets() -> bool:
     """Tell whether a cell is run by a frontend that could show sliders.
 
     One that could not answer a question of the code's, as those that run notebooks in batches, is

@@ -58,14 +58,14 @@ class Panels:
             self.figure.set_layout_engine("none")  # it has done its work: nothing moves any more
         self._background = canvas.copy_from_bbox(self.figure.bbox)
 
-    def show(self, snapshot: Snapshot, simulated: MonteCarloResult | str) -> None:
+    def update(self, snapshot: Snapshot, simulated: MonteCarloResult | str) -> None:
         """Set the data of all panels; a sentence takes the place of those that there are not."""
-        said: set[str] = set()
+        shown: set[str] = set()
         for panel in self._panels:
             sentence = panel.update(snapshot, simulated)
             no_design = sentence == snapshot.estimator
-            panel.say(NO_DESIGN if no_design and sentence in said else sentence)
-            said.add(sentence)
+            panel.set_message(NO_DESIGN if no_design and sentence in shown else sentence)
+            shown.add(sentence)
 
     def png(self) -> bytes:
         """Return the figure as it is now."""
@@ -91,7 +91,7 @@ class _Panel:
         for artist in (*self.artists, *self.instead):
             artist.set(animated=True, in_layout=False)
 
-    def say(self, sentence: str | None) -> None:
+    def set_message(self, sentence: str | None) -> None:
         self.message.set_text(textwrap.fill(sentence or "", _WIDTH))
         for artist in self.artists:
             artist.set_visible(not sentence)
@@ -150,7 +150,7 @@ def _sector(axes: Axes, changing: list[Artist]) -> Update:
 
 def _sweep(axes: Axes, changing: list[Artist]) -> Update:
     names = ("filtered", "smoothed", "classical smoother")
-    filtered, smoothed, classical = (axes.plot([], [], **look)[0] for look in styles(names))
+    filtered, smoothed, classical = (axes.plot([], [], **style)[0] for style in styles(names))
     (optimum,) = axes.plot([], [], "k*", markersize=6, clip_on=False)
     changing += [classical, filtered, smoothed, optimum]
     labels = (*names, "optimum at this lag")
@@ -223,7 +223,9 @@ def _guarantee(axes: Axes, changing: list[Artist]) -> Update:
 
 def _path(axes: Axes, changing: list[Artist]) -> Update:
     (phase,) = axes.plot([], [], **TRUTH)
-    filtered, smoothed = (axes.plot([], [], **look)[0] for look in styles(("filtered", "smoothed")))
+    filtered, smoothed = (
+        axes.plot([], [], **style)[0] for style in styles(("filtered", "smoothed"))
+    )
     changing += [phase, filtered, smoothed]
     lines = {"true": phase, "filtered": filtered, "smoothed": smoothed}
     _legend(axes, lines, "upper left", ncols=2)

@@ -9,14 +9,11 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
-from robsmooth._numerics.exponential import responses
-from robsmooth._numerics.lyapunov import noise_root
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.analysis.statistical_linearisation import (
@@ -24,19 +21,21 @@ from robsmooth.analysis.statistical_linearisation import (
     statistical_linearisation,
 )
 from robsmooth.estimators import baselines
+from robsmooth.estimators.bound import best_tau
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.explorer.settings import Settings
-from robsmooth.homodyne.certificate import least_tau, scalar_bound
-from robsmooth.homodyne.loop import Loop, homodyne_loop
+from robsmooth.explorer.settings import RANGES, Settings
+from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo import (
     LossOfLockWarning,
     MonteCarloResult,
     monte_carlo,
 )
 from robsmooth.homodyne.parameters import HomodyneParameters
-from robsmooth.systems.augmented import augment
+from robsmooth.simulation.integrator import ExponentialIntegrator
+from robsmooth.simulation.loop import nonlinear_loop
+from robsmooth.systems.augmented import AugmentedSystem, augment
 
 # Where the least bound of the example is, whatever the parameters, unless it pays to ignore the
 # measurement: tau is all that is left to search for.
@@ -44,42 +43,29 @@ BEST_MULTIPLIERS = (1.0, 0.5, 0.0, 0.0)
 SLOPES = np.linspace(-1.0, 0.0, 21)  # Delta_2 of the sweep
 ADMISSIBLE = np.linspace(-1.0, 1.0, 13)  # Delta_2 of what the bound is compared with
 RUNS = 128  # paths of the simulation
-STEP, SHOWN, BEFORE = 0.2e-6, 200, 150  # of the sample path: s, steps that are shown, and before
-SEED = 8  # of the sample path
-
-_TAU_DECADES = 6.0  # above the least tau, in which the best one is
-_TAU_OF_SMOOTHED = (0.4, 1.05)  # where the best tau is for the smoothed cost, relative to that
+STEP, SHOWN, BEFORE = 0.4e-6, 100, 25  # of the sample path: s, steps that are shown, and before
+SEED = 11  # of the sample path
+_MOST_STATES = 2 + int(RANGES["order"].high)  # the phase and an estimator of the largest order
 
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, eq=False)
-class Guarantee:
-    """The error that a design's bound is for, with the fictitious noise that the bound counts.
+class Guarantee(NamedTuple):
+    """The error that a design's bound is for, with the fictitious noise that the bound counts."""
 
-    Attributes
-    ----------
-    errors : (len(ADMISSIBLE),) array
-        Mean squares, rad^2.
-    bound : float
-        On them, rad^2: twice V. Infinity for a design that comes without.
-    """
-
-    errors: NDArray[np.float64]
-    bound: float
+    errors: NDArray[np.float64]  # mean squares at each of `ADMISSIBLE`, rad^2
+    bound: float  # on them, rad^2: twice V; infinity for a design that comes without
 
 
-@dataclass(frozen=True, eq=False)
-class Sweep:
+class Sweep(NamedTuple):
     """Mean square errors at each of `SLOPES`, rad^2, in a loop without the fictitious noise."""
 
     filtered: NDArray[np.float64]
     smoothed: NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class Path:
-    """A path of the phase, rad, and its estimates at the same times."""
+class Path(NamedTuple):
+    """A path of the phase, rad, and its estimates, made at the same times."""
 
     time: NDArray[np.float64]
     phase: NDArray[np.float64]
@@ -124,14 +110,14 @@ class Snapshot:
     path: Path | str
 
 
-def look(settings: Settings) -> Snapshot:
+def take_snapshot(settings: Settings) -> Snapshot:
     """Return what there is to see at some settings."""
     parameters = settings.parameters
     system = parameters.uncertain_system()
-    estimator = _or_sentence(lambda: design(settings))
+    estimator = _or_message(lambda: design(settings))
 
     def of_estimator(find: Callable[[Estimator], T]) -> T | str:
-        return estimator if isinstance(estimator, str) else _or_sentence(lambda: find(estimator))
+        return estimator if isinstance(estimator, str) else _or_message(lambda: find(estimator))
 
     return Snapshot(
         settings=settings,
@@ -141,12 +127,12 @@ def look(settings: Settings) -> Snapshot:
         estimator=estimator,
         poles=of_estimator(lambda found: _poles(parameters, found)),
         sweep=of_estimator(_sweep),
-        classical=_or_sentence(lambda: _sweep(_classical(settings))),
+        classical=_or_message(lambda: _sweep(_classical(settings))),
         guarantee=of_estimator(_guarantee),
         predicted=of_estimator(
             lambda found: statistical_linearisation(found, parameters.equivalent_slope)
         ),
-        path=of_estimator(lambda found: _path(homodyne_loop(parameters, found))),
+        path=of_estimator(_path),
     )
 
 
@@ -154,13 +140,9 @@ def simulate(snapshot: Snapshot) -> MonteCarloResult | str:
     """Simulate the nonlinear loop of a snapshot, many times."""
     if isinstance(snapshot.estimator, str):
         return snapshot.estimator
-
-    def run() -> MonteCarloResult:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LossOfLockWarning)  # the slips are counted
-            return monte_carlo(snapshot.parameters, snapshot.estimator, runs=RUNS)
-
-    return _or_sentence(run)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LossOfLockWarning)  # the slips are counted
+        return _or_message(lambda: monte_carlo(snapshot.parameters, snapshot.estimator, runs=RUNS))
 
 
 def design(settings: Settings) -> Estimator:
@@ -173,8 +155,7 @@ def design(settings: Settings) -> Estimator:
     """
     if settings.design == "classical":
         return _classical(settings)
-    tau, multipliers = robust_arguments(settings)
-    return _robust(settings, tau, multipliers)
+    return limiting_smoother(_plant(settings), *robust_arguments(settings), settings.cost)
 
 
 @lru_cache(maxsize=1)
@@ -182,38 +163,12 @@ def robust_arguments(settings: Settings) -> tuple[float, tuple[float, ...]]:
     """Return tau and the multipliers of a robust design: as set, or with the least bound."""
     if settings.design == "by hand":
         return settings.tau, settings.multipliers
-    parameters, p = settings.parameters, sum(BEST_MULTIPLIERS[1:3])
-    least = least_tau(parameters, p)
-    tau = _best_tau(
-        lambda tau: float(scalar_bound(parameters, p, tau)), least, 10.0**_TAU_DECADES * least, 1e-6
-    )
-    if settings.cost == "smoothed":  # a search that takes its time
-        low, high = (factor * tau for factor in _TAU_OF_SMOOTHED)
-        tau = _best_tau(lambda tau: _bound(settings, tau), low, high, 3e-3)
+    tau = best_tau(_plant(settings), BEST_MULTIPLIERS, settings.cost)
     return float(f"{tau:.6g}"), BEST_MULTIPLIERS
 
 
-def _best_tau(bound: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
-    """Return the tau with the least bound, which may be infinite at some."""
-    found = minimize_scalar(
-        lambda logarithm: -1.0 / bound(math.exp(logarithm)),
-        bounds=(math.log(low), math.log(high)),
-        method="bounded",
-        options={"xatol": tolerance},
-    )
-    return math.exp(found.x)
-
-
-def _bound(settings: Settings, tau: float) -> float:
-    try:
-        return _robust(settings, tau, BEST_MULTIPLIERS).bound
-    except InfeasibleDesignError:
-        return math.inf
-
-
-def _robust(settings: Settings, tau: float, multipliers: tuple[float, ...]) -> RobustSmoother:
-    plant = augment(settings.parameters.uncertain_system(), settings.lag, settings.order)
-    return limiting_smoother(plant, tau, multipliers, settings.cost)
+def _plant(settings: Settings) -> AugmentedSystem:
+    return augment(settings.parameters.uncertain_system(), settings.lag, settings.order)
 
 
 def _classical(settings: Settings) -> Estimator:
@@ -221,7 +176,8 @@ def _classical(settings: Settings) -> Estimator:
     return baselines.fixed_lag_smoother(system, settings.lag, settings.order, copies=True)
 
 
-def _or_sentence(find: Callable[[], T]) -> T | str:
+def _or_message(find: Callable[[], T]) -> T | str:
+    """Return what is found, or the message of the error that says why there is nothing."""
     try:
         return find()
     except (InfeasibleDesignError, UnstableLoopError, ArithmeticError, RuntimeError) as error:
@@ -249,35 +205,28 @@ def _guarantee(estimator: Estimator) -> Guarantee:
 def _poles(parameters: HomodyneParameters, estimator: Estimator) -> NDArray[np.complex128]:
     loop = homodyne_loop(parameters, estimator)
     slopes = parameters.beta, parameters.lower_slope
-    return np.array(
-        [np.linalg.eigvals(loop.linearised_drift(slope, slope)[1:, 1:]) for slope in slopes]
-    )
+    drifts = [loop.linearised_drift(slope, slope)[1:, 1:] for slope in slopes]
+    return np.linalg.eigvals(drifts)
 
 
-def _path(loop: Loop) -> Path:
-    """Simulate one path on the same noise, whatever the loop: a change moves it, no more.
+def _path(estimator: Estimator) -> Path:
+    """Simulate one path, on the same noise whatever the loop: a change moves it, no more.
 
-    The linear part of the estimator is exact; the sines are held over a step.
+    That of `sample_paths` depends on the lag, which its step divides, and on the order.
     """
-    drive, noise = _normals()
-    transition, held, _ = responses(loop.drift, loop.gains()[1:], STEP)
-    measured, copied = held.T
-    decay = math.exp(-loop.phase_decay * STEP)
-    phase_noise = np.array([[loop.phase_diffusion]])
-    spread = noise_root(np.array([[-loop.phase_decay]]), phase_noise, STEP)[0, 0]
-    phase, state = 0.0, np.zeros(loop.order)
-    phases, states = np.empty(len(drive)), np.empty((len(drive), loop.order))
-    for k, (kick, shot) in enumerate(zip(drive, loop.sine_noise / STEP**0.5 * noise, strict=True)):
-        seen = math.sin(phase - loop.reference @ state) + shot
-        copy = math.sin(loop.copy @ state)
-        state = transition @ state + seen * measured + copy * copied
-        phase = decay * phase + spread * kick
-        phases[k], states[k] = phase, state
-    shown = slice(BEFORE, None)
+    loop = nonlinear_loop(estimator)
+    integrator = ExponentialIntegrator.of(loop, STEP)
+    start, *steps = _normals()[:, : loop.order, None]
+    z = loop.stationary_root @ start
+    states = []
+    for normals in steps:
+        z = integrator.advance(0.0, z, loop.arguments @ z, integrator.noise @ normals)
+        states.append(z[:, 0])
     time = STEP * np.arange(1, SHOWN + 1)
-    return Path(time, phases[shown], states[shown] @ loop.filtered, states[shown] @ loop.smoothed)
+    return Path(time, *loop.readout @ np.array(states[BEFORE:]).T)  # w and its two estimates
 
 
 @cache
 def _normals() -> NDArray[np.float64]:
-    return np.random.default_rng(SEED).standard_normal((2, BEFORE + SHOWN))
+    """Return the noise of each state at the start and in each step."""
+    return np.random.default_rng(SEED).standard_normal((1 + BEFORE + SHOWN, _MOST_STATES))

@@ -19,7 +19,7 @@ from robsmooth import (
     minimize_bound,
 )
 from robsmooth.estimators import bound as bound_module
-from robsmooth.estimators.bound import VANISHING
+from robsmooth.estimators.bound import VANISHING, best_tau
 from robsmooth.estimators.conditions import multiplier_level
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.homodyne.certificate import scalar_bound
@@ -160,6 +160,32 @@ def test_limit_is_the_design_that_attains_the_infimum(bests, cost):
         value = getattr(limit, name)
         atol = 1e-4 * np.abs(value).max()
         assert_allclose(getattr(best, name), value, rtol=0, atol=atol)
+
+
+@pytest.mark.parametrize("cost", COSTS)
+def test_the_best_tau_is_that_of_the_search_for_all(bests, cost):
+    limit = bests[cost].limit
+    assert_allclose(best_tau(limit.plant, limit.multipliers, cost), limit.tau, rtol=1e-4)
+
+
+@pytest.mark.parametrize("gamma", [0.05, 0.4, 0.8])
+def test_the_best_tau_of_the_example_is_the_root_of_a_quartic(gamma):
+    """Without X, V = Y(1 + tau k/kappa)/2, with 1/tau and Y functions of u = kappa/Y - lambda."""
+    p = replace(homodyne.PAPER, gamma=gamma)
+    k = 0.5 * p.kappa * (2.0 * p.alpha * gamma) ** 2
+    a = p.lam**2 + 0.5 * p.kappa * (2.0 * p.alpha) ** 2 * (p.beta**2 - gamma**2)
+    u = np.roots([1.0, 0.0, -(2.0 * a + 3.0 * k), -2.0 * k * p.lam, a * (a + k)])
+    u = u.real[(u.real > 0.0) & (u.real < np.sqrt(a))].item()
+    plant = augment(p.uncertain_system(), 3.1e-6, 2)
+    tau = best_tau(plant, (1.0, 0.5, 0.0, 0.0), "filtered")
+    assert_allclose(tau, p.kappa / (a - u**2), rtol=1e-6)
+
+
+def test_the_best_tau_of_multipliers_without_a_design_is_refused_by_the_design(example):
+    multipliers = (0.9, 0.1, 0.1, 0.1)
+    tau = best_tau(example, multipliers, "smoothed")
+    with pytest.raises(InfeasibleDesignError):
+        limiting_smoother(example, tau, multipliers, "smoothed")
 
 
 def test_the_design_beside_the_infimum_is_close_to_it_and_feasible(best, example):

@@ -1,4 +1,4 @@
-"""What the panels show in words and in a table, and the settings as code."""
+"""What the panels show as sentences and as a table, and the settings as code."""
 
 import math
 from collections.abc import Mapping
@@ -9,9 +9,9 @@ from robsmooth.explorer.snapshot import (
     RUNS,
     SLOPES,
     Snapshot,
-    look,
     robust_arguments,
     simulate,
+    take_snapshot,
 )
 from robsmooth.homodyne.montecarlo import MonteCarloResult
 
@@ -120,7 +120,7 @@ def experiments(cases: Mapping[str, Settings], caption: str) -> Table:
     """Return what the panels show in several cases, one a row."""
     rows: list[tuple] = []
     for name, settings in cases.items():
-        snapshot = look(settings)
+        snapshot = take_snapshot(settings)
         simulated = simulate(snapshot)
         if isinstance(simulated, str):
             rows.append((name, "no design", "no design", None, None, None))
