@@ -226,7 +226,8 @@ def _function_names(nonlinearities: Sequence[Nonlinearity]) -> list[str | None]:
         if function is None:
             names.append(None)
             continue
-        name = getattr(function, "__qualname__", None) or type(function).__qualname__
+        called = getattr(function, "__name__", type(function).__qualname__)  # NumPy's, before 2.2
+        name = getattr(function, "__qualname__", called)
         for j, other in enumerate(names):
             if other == name and nonlinearities[j].function != function:
                 raise ValueError(
