@@ -97,6 +97,19 @@ def minimize_bound(
     InfeasibleDesignError
         Where no feasible design was found; it says which condition fails, and up to how much of
         the uncertainty there are designs.
+
+    See Also
+    --------
+    design_smoother : the design at given tau and lambda.
+    best_lag, choose_lag : the delay and the order, too.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> smoother = rs.minimize_bound(plant, cost="smoothed")
+    >>> round(smoother.mean_square_bound, 4), round(smoother.bound_infimum, 5)
+    (0.1399, 0.06994)
     """
     check_plant(plant, cost)
     starts = validation.integer("starts", starts, low=1)

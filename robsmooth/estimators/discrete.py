@@ -64,7 +64,7 @@ class DiscreteSmoother:
     Made by ``estimator.discretize(dt)``; the module's docstring has its equations. Sample k, from
     zero since the start or the last `reset`, is the mean of :math:`dy/dt` over the interval from
     ``k * dt`` to ``(k + 1) * dt``. Its row of the output is the estimate at the interval's end:
-    the smoothed one is of w at ``(k + 1) * dt - lag``, the filtered one of w at ``(k + 1) * dt``.
+    the smoothed one is of w at ``(k + 1) * dt - delay``, the filtered one of w at ``(k + 1) * dt``.
     `times` has these times.
 
     The state is kept between calls: a record in pieces gives the same rows, to the last bit, as in
@@ -90,8 +90,8 @@ class DiscreteSmoother:
     ----------
     dt : float
         Length of a sample's interval, s.
-    lag : float
-        Of the smoothed estimate, s.
+    delay : float
+        That of the smoothed estimate, s; also by the name ``lag``.
     l, m, g : int
         Numbers of measurements, outputs and nonlinearities.
     compiled : bool
@@ -100,6 +100,23 @@ class DiscreteSmoother:
         for every sample, which is slower by a factor of a hundred and more.
     samples : int
         Taken since the start or the last `reset`.
+
+    See Also
+    --------
+    smooth_record : smooths a record from file to file.
+
+    Examples
+    --------
+    The second sample is missing:
+
+    >>> import numpy as np
+    >>> import robsmooth as rs
+    >>> smoother = rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
+    >>> discrete = smoother.discretize(dt=1e-6)
+    >>> discrete.run([[0.2], [np.nan], [0.1]]).shape, discrete.samples
+    ((3, 1), 3)
+    >>> discrete.times(1).round(9)
+    array([-1.e-07])
     """
 
     def __init__(
@@ -109,7 +126,7 @@ class DiscreteSmoother:
         functions: Iterable[Callable[[Any], Any] | None] | None = None,
     ) -> None:
         self.dt: float = validation.positive("dt", dt)
-        self.lag: float = estimator.plant.delay
+        self.delay: float = estimator.plant.delay
         system = estimator.plant.system
         self.l: int = system.l
         self.m: int = system.m
@@ -130,12 +147,17 @@ class DiscreteSmoother:
         model = self._model
         how = "compiled" if self.compiled else "not compiled"
         return (
-            f"DiscreteSmoother(dt={self.dt:g} s, lag={self.lag:g} s, {model.n} states, "
+            f"DiscreteSmoother(dt={self.dt:g} s, delay={self.delay:g} s, {model.n} states, "
             f"{self.l} measurements, {self.m} outputs, {len(model.running)} copies, {how}, "
             f"{self.samples} samples taken)"
         )
 
     # --- what it knows ---------------------------------------------------------------------------
+
+    @property
+    def lag(self) -> float:
+        """The same as `delay`."""
+        return self.delay
 
     @property
     def state(self) -> NDArray[np.float64]:
@@ -144,7 +166,7 @@ class DiscreteSmoother:
 
     @property
     def smoothed(self) -> NDArray[np.float64]:
-        """The smoothed estimate now, (m,): of w one lag back."""
+        """The smoothed estimate now, (m,): of w one delay back."""
         return self._outputs["smoothed"] @ self._state
 
     @property
@@ -170,8 +192,8 @@ class DiscreteSmoother:
         rows = validation.integer("rows", rows, low=0)
         if rows > self.samples:
             raise ValueError(f"rows must be at most the {self.samples} samples taken, got {rows}")
-        lag = self.lag if validation.choice("output", output, OUTPUTS) == "smoothed" else 0.0
-        return np.arange(self.samples - rows + 1, self.samples + 1) * self.dt - lag
+        delay = self.delay if validation.choice("output", output, OUTPUTS) == "smoothed" else 0.0
+        return np.arange(self.samples - rows + 1, self.samples + 1) * self.dt - delay
 
     # --- what it does ----------------------------------------------------------------------------
 

@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimator:
-    """An estimator of a plant's output, filtered and one lag back.
+    """An estimator of a plant's output, filtered and one delay back.
 
     Attributes
     ----------
     plant : AugmentedSystem
-        The system and lag that it is for.
+        What it is for: the system and the delay.
     A_c : (n_c, n_c) array
         Its drift, 1/s; n_c is the plant's order for all designs of this package.
     B_c : (n_c, l + g) array
@@ -43,10 +43,22 @@ class Estimator:
     C_c : (m + g, n_c) array
         Its outputs: rows of w-hat, then of the copies' arguments nu-tilde.
     C_a : (m, n_c) array
-        The read-out of the smoothed estimate of w one lag back.
+        The read-out of the smoothed estimate of w one delay back.
     C_f : (m, n_c) array
         The read-out of the filtered estimate of w now; w-hat for every design but one whose cost
         is on the smoothed error.
+
+    See Also
+    --------
+    minimize_bound, baselines : robust and classical designs.
+    error_covariance, simulate : the errors of any of them.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> smoother = rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
+    >>> smoother
+    Estimator(3 states, delay=3.1e-06 s, order=2, 1 measurements, 1 outputs, 1 copies)
     """
 
     plant: AugmentedSystem
@@ -82,21 +94,32 @@ class Estimator:
             Closes the copies: each nonlinearity becomes a constant slope, and ``mu_copy`` goes.
             Zeros are the nominal case.
         outputs : str or sequence of str, optional
-            Which to keep, of ``smoothed`` (of w one lag back), ``filtered`` (of w now) and
+            Which to keep, of ``smoothed`` (of w one delay back), ``filtered`` (of w now) and
             ``nu_copy``. Default: all.
 
         Returns
         -------
         control.StateSpace
+
+        See Also
+        --------
+        UncertainSystem.to_statespace : the system, to be joined with it.
+
+        Examples
+        --------
+        >>> import robsmooth as rs
+        >>> smoother = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+        >>> smoother.to_statespace(outputs="filtered").input_labels
+        ['y[0]', 'mu_copy[0]']
         """
         system = self.plant.system
         gain, copies = np.hsplit(self.B_c, [system.l])
-        A, nu, g = self.A_c, self.C_c[system.m :], system.g
+        A, nu = self.A_c, self.C_c[system.m :]
         inputs = {"y": gain, "mu_copy": copies}
         if slopes is not None:
             slopes = validation.array("slopes", slopes, ndim=1)
-            if slopes.size != g:
-                raise ValueError(f"slopes must have {g} entries, got {slopes.size}")
+            if slopes.size != system.g:
+                raise ValueError(f"slopes must have {system.g} entries, got {slopes.size}")
             A = A + copies * slopes @ nu
             inputs = {"y": gain}
         read_outs = {"smoothed": self.C_a, "filtered": self.C_f, "nu_copy": nu}
@@ -125,6 +148,17 @@ class Estimator:
             For a dt that is not positive, or a copy without a function.
         ArithmeticError
             Where the estimator is unstable, and dt too long for it.
+
+        See Also
+        --------
+        smooth_record : smooths a record from file to file.
+
+        Examples
+        --------
+        >>> import robsmooth as rs
+        >>> smoother = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+        >>> smoother.discretize(dt=1e-7).run([[0.2], [0.1]]).shape
+        (2, 1)
         """
         from robsmooth.estimators.discrete import DiscreteSmoother  # numba takes long to import
 
@@ -154,6 +188,6 @@ class Estimator:
             *((name, f"${notation.matrix(value)}$") for name, value in matrices.items()),
         ]
         caption = (
-            f"{what}: lag ${notation.number(plant.delay)}$ s, delay model of order {plant.order}."
+            f"{what}: delay ${notation.number(plant.delay)}$ s, delay model of order {plant.order}."
         )
         return table_of_values([*rows, *shared], caption, digits=6).html()

@@ -34,19 +34,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._numerics.riccati import solve_riccati
-from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
-from robsmooth.estimators.conditions import (
-    ASSUMPTION_X,
-    certified_solution,
-    check_multiplier_level,
-    check_plant,
-    singular,
-    weights,
-)
-from robsmooth.estimators.equations import DesignEquations
-from robsmooth.estimators.problem import DesignProblem
-from robsmooth.estimators.smoother import RobustSmoother, solve_design
+from robsmooth.estimators.conditions import ASSUMPTION_X, certified_solution, singular
+from robsmooth.estimators.smoother import RobustSmoother, design_equations, solve_design
 from robsmooth.systems.augmented import AugmentedSystem
 
 
@@ -96,31 +86,32 @@ def limiting_smoother(
     ValueError, TypeError
         For bad arguments, as `design_smoother`; for rates that leave M(lambda) singular.
 
+    See Also
+    --------
+    minimize_bound : finds tau and lambda, and returns a limit beside a design next to it.
+
     References
     ----------
     Section III: Assumptions 2 and 3, equations (eqcons), (eqCparams) and (eqbound).
+
+    Examples
+    --------
+    The multipliers of the nonlinearity and of its copy vanish:
+
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> limit = rs.limiting_smoother(plant, tau=1.1e-6, multipliers=[1.0, 0.5, 0.0, 0.0])
+    >>> round(limit.mean_square_bound, 4)
+    0.2433
     """
-    check_plant(plant, cost)
-    tau = validation.positive("tau", tau)
-    multipliers = weights("multipliers", plant, multipliers)
-    vanishing = singular(plant, multipliers)
-    rates = vanishing.astype(float) if rates is None else weights("rates", plant, rates)
-    rates = np.where(multipliers == 0.0, rates, 0.0)
-    check_multiplier_level(plant, multipliers)
-    problem = DesignProblem.of(plant, cost, multipliers > 0.0)
-    equations = DesignEquations(problem, tau, multipliers, rates)
-    if not vanishing.any():
-        return solve_design(equations, cost)
-    if singular(plant, multipliers + rates).any():
-        raise ValueError(
-            "rates must be positive for enough of the vanishing multipliers to make M positive, "
-            f"got {rates.tolist()}"
-        )
+    equations = design_equations(plant, tau, multipliers, cost, limit=True, rates=rates)
     design = solve_design(equations, cost)
+    if not singular(plant, equations.multipliers).any():
+        return design
     A, Q, S = equations.equation_of_slope(design.X)
     x = certified_solution(f"{ASSUMPTION_X} in the limit", lambda: solve_riccati(A, Q, S))
     return replace(
         design,
-        bound=design.bound - 0.5 * tau * float(np.trace(S @ x.X)),
+        bound=design.bound - 0.5 * equations.tau * float(np.trace(S @ x.X)),
         certificates={**design.certificates, "x": x},
     )

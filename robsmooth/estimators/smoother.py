@@ -16,6 +16,7 @@ from robsmooth.estimators.conditions import (
     check_nonsingular,
     check_plant,
     check_stable,
+    singular,
     weights,
 )
 from robsmooth.estimators.equations import DesignEquations
@@ -52,6 +53,19 @@ class RobustSmoother(Estimator):
         Then the design that attains it in the limit.
     spectral_radius : float
         rho(YX), below tau.
+
+    See Also
+    --------
+    design_smoother, minimize_bound, limiting_smoother : make it.
+    error_covariance, worst_case : its errors under given and worst uncertainties.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> smoother = rs.design_smoother(plant, tau=1.1e-6, multipliers=[1.0, 0.49, 1e-4, 1e-4])
+    >>> smoother.A_c.shape, round(smoother.bound, 4), round(smoother.mean_square_bound, 4)
+    ((3, 3), 0.1233, 0.2465)
     """
 
     tau: float
@@ -72,7 +86,7 @@ class RobustSmoother(Estimator):
 
     @property
     def mean_square_bound(self) -> float:
-        """The guarantee: 2V, above the mean square error of the cost, (unit of w)^2."""
+        """The guarantee, 2V: no admissible uncertainty makes the mean square error larger."""
         return 2.0 * self.bound
 
     def __repr__(self) -> str:
@@ -125,32 +139,62 @@ def design_smoother(
     ValueError, TypeError
         For a tau that is not positive, multipliers of the wrong length or sign, an unknown cost.
 
+    See Also
+    --------
+    minimize_bound : finds tau and lambda.
+    limiting_smoother : where multipliers vanish.
+
     References
     ----------
     Section III: Assumptions 2 and 3, equations (eqcons), (eqCparams) and (eqbound).
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> smoother = rs.design_smoother(plant, tau=1.1e-6, multipliers=[1.0, 0.49, 1e-4, 1e-4])
+    >>> round(smoother.mean_square_bound, 4)
+    0.2465
     """
     return solve_design(design_equations(plant, tau, multipliers, cost), cost)
 
 
 def design_equations(
-    plant: AugmentedSystem, tau: float, multipliers: ArrayLike, cost: str = "filtered"
+    plant: AugmentedSystem,
+    tau: float,
+    multipliers: ArrayLike,
+    cost: str = "filtered",
+    *,
+    limit: bool = False,
+    rates: ArrayLike | None = None,
 ) -> DesignEquations:
-    """Return the equations at one tau and lambda, after checking all but Assumption 3.
+    """Return the equations of a design or of a limit, after checking all but Assumption 3.
 
     Raises
     ------
     InfeasibleDesignError
         Where Assumption 2, M(lambda) > 0 or the constraint (eqcons) fails.
     ValueError, TypeError
-        For a tau that is not positive, multipliers of the wrong length or sign, an unknown cost.
+        For bad arguments: those of `design_smoother`, or of `limiting_smoother`.
     """
     check_plant(plant, cost)
     tau = validation.positive("tau", tau)
     multipliers = weights("multipliers", plant, multipliers)
-    check_nonsingular(plant, multipliers)
+    if limit:
+        ones = singular(plant, multipliers).astype(float)
+        rates = ones if rates is None else weights("rates", plant, rates)
+        rates = np.where(multipliers == 0.0, rates, 0.0)
+    else:
+        check_nonsingular(plant, multipliers)
+        rates = np.zeros_like(multipliers)
     check_multiplier_level(plant, multipliers)
+    if singular(plant, multipliers + rates).any():
+        raise ValueError(
+            "rates must be positive for enough of the vanishing multipliers to make M positive, "
+            f"got {rates.tolist()}"
+        )
     problem = DesignProblem.of(plant, cost, multipliers > 0.0)
-    return DesignEquations(problem, tau, multipliers, np.zeros_like(multipliers))
+    return DesignEquations(problem, tau, multipliers, rates)
 
 
 def solve_design(equations: DesignEquations, cost: str) -> RobustSmoother:

@@ -51,7 +51,7 @@ class Compared:
     def promised(self) -> float | None:
         """Twice the design's bound V, rad^2: what it promises of the error of its cost."""
         robust = isinstance(self.estimator, RobustSmoother)
-        return 2.0 * self.estimator.bound if robust else None
+        return self.estimator.mean_square_bound if robust else None
 
     @property
     def exact(self) -> float:

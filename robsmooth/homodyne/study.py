@@ -261,7 +261,7 @@ def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[s
         Delta = smoother.plant.structured_delta((), [slope])
         return float(error_covariance(smoother, Delta, loop="real")[0, 0])
 
-    found = {"bound": 2 * smoother.bound, "nominal": linear(0.0), "edge": linear(-1.0)}
+    found = {"bound": smoother.mean_square_bound, "nominal": linear(0.0), "edge": linear(-1.0)}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LossOfLockWarning)  # slips are a result here

@@ -57,7 +57,7 @@ def test_bound_of_a_design_is_the_analysis_at_its_multipliers_with_more_noise(de
     spread = loop.inputs @ np.linalg.solve(plant.M(theta), loop.inputs.T)
     weighted = loop.outputs.T @ plant.N(theta) @ loop.outputs
     P = solve_riccati(loop.A, C.T @ C + weighted, -spread).X
-    assert_allclose(design.tau * np.trace(spread @ P), 2 * design.bound, rtol=1e-6)
+    assert_allclose(design.tau * np.trace(spread @ P), design.mean_square_bound, rtol=1e-6)
     # and the noise is more than the loop's own
     excess = design.tau * spread - loop.B @ loop.B.T
     assert np.linalg.eigvalsh(excess).min() > -1e-9 * np.linalg.norm(excess)

@@ -138,7 +138,7 @@ def test_bound_holds_for_every_admissible_delta(design, seed):
     for _ in range(5):
         Delta = admissible_delta(rng, design.plant)
         P = error_covariance(design, Delta, "filtered")
-        assert np.trace(P) / 2 <= design.bound * (1 + 1e-9)
+        assert np.trace(P) <= design.mean_square_bound * (1 + 1e-9)
 
 
 @given(designs(cost="smoothed"), seeds)
@@ -149,7 +149,7 @@ def test_bound_of_the_smoothed_cost_holds_for_the_output_of_the_delay_model(desi
     error = np.hstack([plant.C_a, -design.C_c[: plant.system.m]])
     for _ in range(5):
         P = closed_loop(design, admissible_delta(rng, plant)).covariance()
-        assert np.trace(error @ P @ error.T) / 2 <= design.bound * (1 + 1e-9)
+        assert np.trace(error @ P @ error.T) <= design.mean_square_bound * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("slope", [-1.0, -0.5, 0.0, 0.5, 1.0])
@@ -158,13 +158,13 @@ def test_bound_of_the_smoothed_cost_holds_for_the_examples_smoothed_error(slope)
     plant = augment(homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
     design = design_smoother(plant, 7.023e-7, [1.0, 0.4999, 1e-4, 1e-4], cost="smoothed")
     P = error_covariance(design, plant.structured_delta((), [slope]))
-    assert P[0, 0] / 2 <= design.bound
+    assert P[0, 0] <= design.mean_square_bound
 
 
 def test_bound_is_not_for_a_delta_that_breaks_the_difference_constraint(example):
     # Norm one, but the copy has another slope than the nonlinearity: not admissible.
     P = error_covariance(example, np.diag([0.0, -1.0, 0.0]), "filtered")
-    assert P[0, 0] / 2 > 1.5 * example.bound
+    assert P[0, 0] > 1.5 * example.mean_square_bound
 
 
 def test_leaving_out_the_fictitious_noise_lowers_the_error(general, example):
@@ -303,7 +303,7 @@ def test_a_slope_is_admissible_up_to_the_lipschitz_constant(lipschitz):
     plant = augment(replace(system, nonlinearities=(steeper,)), 3.1e-6, 2)
     design = design_smoother(plant, *NEAR_INFIMUM)
     P = error_covariance(design, plant.structured_delta((), [-lipschitz]), "filtered")
-    assert P[0, 0] / 2 <= design.bound
+    assert P[0, 0] <= design.mean_square_bound
     with pytest.raises(ValueError, match="norm at most 1"):
         error_covariance(design, plant.structured_delta((), [-1.01 * lipschitz]), "filtered")
 

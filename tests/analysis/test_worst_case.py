@@ -254,7 +254,7 @@ def test_an_uncertainty_that_knows_the_future_is_worse_than_the_exact_worst_case
 
 
 def test_no_theorem_has_the_worst_at_each_frequency_below_the_guarantee(example):
-    above = designed(25, n=2, m=1, l=1, g=0)
+    above = designed(25, n=2, m=1, measurements=1, g=0)
     assert worst_dynamic_case(above, "guaranteed").mean_square > 1.05 * above.mean_square_bound
     assert analysis_bound(above).mean_square < above.mean_square_bound
     assert worst_dynamic_case(example, "guaranteed").mean_square < example.mean_square_bound

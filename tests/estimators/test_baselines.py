@@ -125,7 +125,7 @@ def test_robust_design_tends_to_the_classical_smoother_as_the_uncertainty_vanish
         assert_allclose(*pair, rtol=0, atol=1e-9 * np.trace(pair[1]))
     filtered = error_covariance(classical, nominal(classical), "filtered")
     if cost == "filtered":  # from above, as the noise that is left to the copies does
-        assert -1e-12 < 2 * robust.bound / np.trace(filtered) - 1.0 < (1e-8 if g else 1e-9)
+        assert -1e-12 < robust.mean_square_bound / np.trace(filtered) - 1.0 < (1e-8 if g else 1e-9)
 
 
 @given(seeds)
@@ -380,7 +380,7 @@ def test_linear_robust_filter_runs_no_copy_and_keeps_its_bound():
     rng = np.random.default_rng(0)
     for _ in range(20):
         P = error_covariance(design, admissible_delta(rng, design.plant), "filtered")
-        assert P[0, 0] / 2 <= design.bound
+        assert P[0, 0] <= design.mean_square_bound
     for slope in (-1.0, -0.3, 1.0):
         # the same loop, on the plant of the nonlinear system and on the design's own
         here = error_covariance(
@@ -388,7 +388,7 @@ def test_linear_robust_filter_runs_no_copy_and_keeps_its_bound():
         )
         there = error_covariance(design, design.plant.structured_delta([0.0, slope]), "filtered")
         assert_allclose(here, there, rtol=1e-12)
-        assert here[0, 0] / 2 <= design.bound
+        assert here[0, 0] <= design.mean_square_bound
 
 
 def test_lipschitz_constant_enters_the_linear_robust_filter():
@@ -425,11 +425,11 @@ def test_only_an_uncertain_system_has_an_estimator(call):
 
 @pytest.mark.parametrize("lag", [-1.0, np.nan, -np.inf])
 def test_a_lag_is_not_negative(lag):
-    with pytest.raises(ValueError, match=r"^lag must"):
+    with pytest.raises(ValueError, match=r"^delay must"):
         optimal_fixed_lag_error(random_linear(0), lag)
 
 
 @pytest.mark.parametrize("lag", ["1", None, [1.0], np.ones(2)])
 def test_a_lag_is_a_number(lag):
-    with pytest.raises(TypeError, match=r"^lag must"):
+    with pytest.raises(TypeError, match=r"^delay must"):
         optimal_fixed_lag_error(random_linear(0), lag)

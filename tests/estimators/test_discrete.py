@@ -480,7 +480,7 @@ def test_it_tells_what_it_is():
     discrete = design().discretize(0.2)
     discrete.step([1.0, 2.0])
     assert repr(discrete) == (
-        "DiscreteSmoother(dt=0.2 s, lag=0.5 s, 6 states, 2 measurements, 2 outputs, 2 copies, "
+        "DiscreteSmoother(dt=0.2 s, delay=0.5 s, 6 states, 2 measurements, 2 outputs, 2 copies, "
         "compiled, 1 samples taken)"
     )
     assert "not compiled" in repr(design().discretize(0.2, functions=KINDS["plain"]))

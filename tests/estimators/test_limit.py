@@ -119,7 +119,7 @@ def test_the_guarantee_holds_in_the_limit(case, cost):
     error = np.hstack([C, -limit.C_c[: plant.system.m]])
     for _ in range(20):
         P = closed_loop(limit, admissible_delta(rng, plant)).covariance()
-        assert np.trace(error @ P @ error.T) / 2 <= limit.bound
+        assert np.trace(error @ P @ error.T) <= limit.mean_square_bound
 
 
 def test_only_the_ratios_of_the_rates_matter_and_not_how_a_pair_shares_its_own():

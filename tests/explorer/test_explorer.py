@@ -102,7 +102,7 @@ def test_the_code_finds_the_numbers_of_the_panels(name):
     assert found["simulated"].smoothed == simulated.smoothed
     assert found["simulated"].filtered == simulated.filtered
     if snapshot.settings.design != "classical":
-        assert 2 * found["smoother"].bound == snapshot.guarantee.bound
+        assert found["smoother"].mean_square_bound == snapshot.guarantee.bound
 
 
 def test_where_there_is_no_design_the_code_raises_what_the_panels_say():

@@ -85,9 +85,9 @@ def test_tightness_is_relative_to_the_guarantee():
         for worst in (worst_case, analysis_bound)
     ]
     (row,) = tables.beyond.tightness({"design": found}).rows
-    assert row[1] == 2 * design.bound
-    assert row[5] == f"{100 * found[1].mean_square / (2 * design.bound):.0f}%"
-    assert row[8] == f"{100 * found[3].mean_square / (2 * design.bound):.0f}%"
+    assert row[1] == design.mean_square_bound
+    assert row[5] == f"{100 * found[1].mean_square / design.mean_square_bound:.0f}%"
+    assert row[8] == f"{100 * found[3].mean_square / design.mean_square_bound:.0f}%"
 
 
 def test_a_share_that_no_order_reaches_is_left_empty():

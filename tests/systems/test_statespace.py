@@ -329,7 +329,7 @@ def test_a_robust_design_for_a_plant_holds_its_bound():
     assert design is not None
     for value in (-1.0, 0.0, 1.0):
         error = error_covariance(design, design.plant.structured_delta([value, 0.0]), "filtered")
-        assert 0.5 * np.trace(error) <= design.bound
+        assert np.trace(error) <= design.mean_square_bound
 
 
 PLANT = control.ss(-1.0, [[1.0, 2.0]], 1.0, [[0.0, 0.0]])

@@ -55,7 +55,7 @@ def own_systems(results: Mapping[str, tuple[RobustSmoother, SimulationResult]]) 
                 "predicted": float(np.trace(predicted)),
                 "filtered error": cells.estimate(filtered, ".3g", ".1g"),
                 "saved": f"{1 - smoothed.mean_square / filtered.mean_square:.0%}",
-                "$2V$": 2.0 * design.bound,
+                "$2V$": design.mean_square_bound,
                 "constraints used": f"{found.constraints.max():.0%}",
                 "time outside": f"{100 * found.violated.max():.2g}%",
             }

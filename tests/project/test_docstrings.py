@@ -1,0 +1,57 @@
+"""The examples in the docstrings: they run as they are printed, and every public name has some."""
+
+import doctest
+import importlib
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import robsmooth
+from tests.helpers.public import PUBLIC
+
+SOURCES = Path(robsmooth.__file__).parent
+WITH_EXAMPLES = sorted(
+    ".".join(path.relative_to(SOURCES.parent).with_suffix("").parts).removesuffix(".__init__")
+    for path in SOURCES.rglob("*.py")
+    if ">>> " in path.read_text(encoding="utf-8")
+)
+# Rooms of which public names have no example yet.
+MISSING = (
+    "robsmooth._support",
+    "robsmooth.analysis",
+    "robsmooth.homodyne",
+    "robsmooth.io",
+    "robsmooth.paper",
+    "robsmooth.simulation",
+)
+
+
+def room(member):
+    return ".".join(member.__module__.split(".")[:2])
+
+
+def has_example(member):
+    text = inspect.getdoc(member) or ""
+    return bool(re.search(r"^Examples\n-{8}\n(.|\n)*^>>> ", text, flags=re.MULTILINE))
+
+
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
+def test_examples_run_as_printed(module, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = doctest.testmod(importlib.import_module(module))
+    assert result.attempted > 0
+    assert result.failed == 0
+
+
+@pytest.mark.parametrize(
+    "name", sorted(name for name, member in PUBLIC.items() if room(member) not in MISSING)
+)
+def test_every_public_name_has_an_example(name):
+    assert has_example(PUBLIC[name]), f"{name} has no Examples"
+
+
+@pytest.mark.parametrize("missing", MISSING)
+def test_a_room_that_has_all_its_examples_is_not_listed_as_missing(missing):
+    assert not all(has_example(m) for m in PUBLIC.values() if room(m) == missing)
