@@ -40,9 +40,7 @@ from robsmooth.estimators.conditions import (
 from robsmooth.estimators.equations import DesignEquations
 from robsmooth.estimators.problem import DesignProblem
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.delay import pade_delay
-from robsmooth.systems.system import UncertainSystem
 
 _STABILITY_MARGIN = 1e-10  # of a Riccati equation's closed loop, relative to its Hamiltonian's norm
 
@@ -92,7 +90,7 @@ class BoundFunction:
         A, B_Y, C2, D = self.problem.of_Y
         B, Z = self.problem.B, X @ T
 
-        A_X = self.problem.plant.A_p + equations.worst_noise @ X
+        A_X = self.problem.A + equations.worst_noise @ X
         from_X, on_noise = T @ U @ T.T / 2, Z / 2
         gradient_x = np.zeros_like(weights.rates)
         if rates.any():
@@ -132,43 +130,17 @@ def bound_function(plant: AugmentedSystem, cost: str, positive: np.ndarray) -> B
     Raises
     ------
     InfeasibleDesignError
-        Where noise without bound would enter the state, and no measurement would tell of it.
+        As `DesignProblem.of`.
     """
-    plant, time = _natural_units(plant, cost)
-    return BoundFunction(DesignProblem.of(plant, cost, positive), time)
-
-
-def _natural_units(plant: AugmentedSystem, cost: str) -> tuple[AugmentedSystem, float]:
-    """Return the plant with time, states and measurements of order one, and its unit of time.
-
-    Without the delay model where the cost does not see it.
-    """
-    system, model = plant.system, plant.delay_model
-    if cost == "filtered":
-        model = pade_delay(0.0, 0, system.m)
-    time = 1.0 / np.linalg.norm(AugmentedSystem(system, model, plant.J_21).A_p, 2)
-    variance = np.diag(solve_continuous_lyapunov(system.A, -system.B1 @ system.B1.T))
-    x = np.sqrt(np.where(variance > 0.0, variance, 1.0))[:, None]
+    system = plant.system
+    if cost == "filtered":  # which does not see the delay model
+        plant = AugmentedSystem(system, pade_delay(0.0, 0, system.m), plant.J_21)
+    time = 1.0 / np.linalg.norm(plant.A_p, 2)
+    variances = np.ones(plant.n)
+    variances[: system.n] = np.diag(solve_continuous_lyapunov(system.A, -system.B1 @ system.B1.T))
+    x = np.sqrt(np.where(variances > 0.0, variances, 1.0))[:, None]
     y = np.linalg.norm(system.D21, axis=1)[:, None]
-    root = np.sqrt(time)
-    return AugmentedSystem(
-        UncertainSystem(
-            A=time * system.A / x * x.T,
-            B1=root * system.B1 / x,
-            C0=system.C0 * x.T,
-            C2=root * system.C2 / y * x.T,
-            D21=system.D21 / y,
-            uncertainties=[
-                Uncertainty(root * c.B / x, root * c.C * x.T, c.D / y) for c in system.uncertainties
-            ],
-            nonlinearities=[
-                Nonlinearity(root * c.B / x, root * c.C * x.T, c.D / y, c.lipschitz)
-                for c in system.nonlinearities
-            ],
-        ),
-        replace(model, F=time * model.F, G=time * model.G, delay=model.delay / time),
-        plant.J_21,
-    ), time
+    return BoundFunction(DesignProblem.of(plant, cost, positive).in_units(time, x, y), time)
 
 
 def _stabilising(condition: str, A: Matrix, Q: Matrix, S: Matrix) -> Matrix:

@@ -50,7 +50,7 @@ class BarrierProblem:
     ----------
     v : BoundFunction
         The bound as a function of tau lambda, in whose unit of time tau is.
-    positive, vanishing : (a,), (z,) arrays of int
+    positive, vanishing : (k + 3g,) arrays of bool
         Which multipliers are positive, and which vanish at rates that matter.
     levels : (a, q, q) array
         J'M_iJ of the positive multipliers, with a row more for each of those that no noise bounds.
@@ -72,8 +72,8 @@ class BarrierProblem:
     def arguments(self, point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Return tau in the unit of `v`, all multipliers, and the proportions of all rates."""
         values = np.exp(point)
-        multipliers, rates = np.zeros((2, len(self.v.problem.plant.M_i)))
-        multipliers[self.positive], fast = np.split(values[1:], [len(self.positive)])
+        multipliers, rates = np.zeros((2, len(self.positive)))
+        multipliers[self.positive], fast = np.split(values[1:], [len(self.levels)])
         if fast.size:
             rates[self.vanishing] = fast / fast.sum()
         return values[0], multipliers, rates
@@ -131,12 +131,12 @@ class BarrierProblem:
                     result[i] = (self.log_bound(trial)[1] - gradient) / step
                     break
         # tau does what all positive multipliers do together
-        result[0] = result[1 : 1 + len(self.positive)].sum(axis=0)
+        result[0] = result[1 : 1 + len(self.levels)].sum(axis=0)
         return (result + result.T) / 2 + mu * second
 
     def minimum(self, point: np.ndarray, mu: float, iterations: int = _ITERATIONS) -> np.ndarray:
         """Return a local minimum of `objective`, by Newton's method from a feasible point."""
-        multipliers = slice(1, 1 + len(self.positive))
+        multipliers = slice(1, 1 + len(self.levels))
         value, gradient = self.objective(point, mu)
         for _ in range(iterations):
             # Steps are relative for multipliers, which the constraint is linear in, and of
@@ -190,4 +190,4 @@ def barrier_problem(
     levels = np.pad(levels, ((0, 0), (0, len(free)), (0, len(free))))
     for row, i in enumerate(free, start=q):
         levels[i, row, row] = FREE_LEVEL
-    return BarrierProblem(v, np.flatnonzero(positive), np.flatnonzero(vanishing), levels)
+    return BarrierProblem(v, positive, vanishing, levels)

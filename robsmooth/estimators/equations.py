@@ -84,7 +84,7 @@ class DesignEquations:
     @cached_property
     def weights(self) -> Weights:
         """What the equations need of the multipliers."""
-        return Weights.of(self.problem.plant.system.k, self.multipliers, self.rates)
+        return Weights.of(self.problem.k, self.multipliers, self.rates)
 
     @cached_property
     def R(self) -> Matrix:
@@ -149,12 +149,12 @@ class DesignEquations:
 
     def equation_X(self, quadratic_sign: float = 1.0) -> Equation:
         """Return the second Riccati equation of Assumption 3; the theory has `quadratic_sign` 1."""
-        return self.problem.plant.A_p, self.Q_X, -quadratic_sign / self.tau * self.worst_noise
+        return self.problem.A, self.Q_X, -quadratic_sign / self.tau * self.worst_noise
 
     def equation_of_slope(self, X: Matrix) -> Equation:
         """Return the equation of x, how fast X grows as a limit is left."""
         B = self.problem.B
-        A = self.problem.plant.A_p + self.worst_noise @ X / self.tau
+        A = self.problem.A + self.worst_noise @ X / self.tau
         return A, self._output_cost(self.weights.rates), -B * self.unbounded_noise @ B.T / self.tau
 
     def solve_Y(self) -> RiccatiSolution:
@@ -186,8 +186,9 @@ class DesignEquations:
         T = np.eye(len(X)) + root / (self.tau - radii) @ root.T @ X
         information, gain = self.over_E
         K = Y @ information.T + gain.T
-        nonlinear, (a, b, *_) = self.problem.nonlinear, self.weights
-        B, excess = self.problem.B[:, nonlinear], a * b * self.noise_X[nonlinear]  # 1/f - 1/e
+        a, b, *_ = self.weights
+        copies = self.problem.channels >= self.problem.k
+        B, excess = self.problem.B[:, copies], a * b * self.noise_X[copies]  # 1/f - 1/e
         U = K @ self.E @ K.T + B * excess @ B.T
         return K, U, T, 0.5 * float(np.trace(Y @ self.R + U @ X @ T)), radius
 
@@ -196,13 +197,13 @@ class DesignEquations:
         problem, (a, b, *_) = self.problem, self.weights
         A, _, C2, _ = problem.of_Y
         K, _, T, bound, radius = self.solution(X, Y)
-        arguments, k = problem.arguments, problem.plant.system.k
-        constraint = self.tau * problem.lipschitz**2 * np.split(self.multipliers[k:], 3)[0]
-        Gamma = -np.hstack([problem.C.T, arguments.T * constraint])
+        arguments = problem.C1[problem.rows >= problem.k] / problem.lipschitz[:, None]
+        difference = self.tau * problem.lipschitz**2 * np.split(self.multipliers[problem.k :], 3)[0]
+        Gamma = -np.hstack([problem.C.T, arguments.T * difference])
         C_c = np.vstack([problem.C, b[:, None] * arguments]) @ T
         A_c = A - K @ C2 + Y @ (self.R + Gamma @ C_c) / self.tau
         K = K @ problem.combinations.T + problem.known
-        copies = (problem.B - K @ problem.D)[:, problem.nonlinear] * a
+        copies = (problem.B - K @ problem.D)[:, problem.channels >= problem.k] * a
         return A_c, np.hstack([K, copies]), C_c, bound, radius
 
     def _output_cost(self, weights: np.ndarray) -> Matrix:

@@ -105,7 +105,7 @@ def limiting_smoother(
     0.2433
     """
     equations = design_equations(plant, tau, multipliers, cost, limit=True, rates=rates)
-    design = solve_design(equations, cost)
+    design = solve_design(plant, equations, cost)
     if not singular(plant, equations.multipliers).any():
         return design
     A, Q, S = equations.equation_of_slope(design.X)

@@ -25,9 +25,8 @@ class DesignProblem:
 
     Attributes
     ----------
-    plant : AugmentedSystem
-    C : (m, n) array
-        The output that the cost is on.
+    A, C, C2 : (n, n), (m, n), (l, n) arrays
+        The plant's drift, the output that the cost is on, and the measurement.
     B, D, C1 : (n, r + g), (l, r + g), (h + g, n) arrays
         The channels of the uncertainties and nonlinearities: inputs into the state and into the
         measurement, and outputs.
@@ -42,8 +41,9 @@ class DesignProblem:
         into the state, and the combinations of measurements that these channels do not enter.
     """
 
-    plant: AugmentedSystem
+    A: Matrix
     C: Matrix
+    C2: Matrix
     B: Matrix
     D: Matrix
     C1: Matrix
@@ -75,55 +75,58 @@ class DesignProblem:
         C1 = scales[:, None] * plant.C1_tilde[: len(rows)]
         left = Weights.of(k, 1.0 * positive, np.zeros(len(positive)))
         unknown, unbounded = left.Y[channels] == 0.0, left.X[channels] == 0.0
-        known, combinations = _known_inputs(plant, B[:, unknown], D[:, unknown])
+        known, combinations = _known_inputs(system.D21, B[:, unknown], D[:, unknown])
         if _reaches(plant.A_p, B[:, unbounded], C1[left.X[rows] > 0.0]):
             raise refusal(
                 ASSUMPTION_X,
                 "towards the limit of these multipliers the bound grows without limit, because the "
                 "remaining uncertainty acts on states that a vanishing channel's noise enters",
             )
-        return cls(
-            plant=plant,
-            C=plant.C_p0 if cost == "filtered" else plant.C_a,
-            B=B,
-            D=D,
-            C1=C1,
-            channels=channels,
-            rows=rows,
-            lipschitz=lipschitz,
-            unbounded=unbounded,
-            known=known,
-            combinations=combinations,
+        C, C2 = plant.C_p0 if cost == "filtered" else plant.C_a, plant.C2_tilde[: system.l]
+        matrices = (plant.A_p, C, C2, B, D, C1)
+        return cls(*matrices, channels, rows, lipschitz, unbounded, known, combinations)
+
+    @property
+    def k(self) -> int:
+        """Number of uncertainties; what is left of the channels is the nonlinearities'."""
+        return int(self.channels[-1]) + 1 - len(self.lipschitz)
+
+    @cached_property
+    def of_Y(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+        """A, B, C2 and D of the Y equation: the same, but in a limit."""
+        N = self.combinations
+        return (
+            self.A - self.known @ self.C2,
+            self.B - self.known @ self.D,
+            N.T @ self.C2,
+            N.T @ self.D,
         )
 
-    @property
-    def nonlinear(self) -> np.ndarray:
-        """(r + g,) which of the channels are the nonlinearities'."""
-        return self.channels >= self.plant.system.k
-
-    @property
-    def arguments(self) -> Matrix:
-        """(g, n) those of the nonlinearities, nu."""
-        return self.C1[self.rows >= self.plant.system.k] / self.lipschitz[:, None]
+    def in_units(self, time: float, x: Matrix, y: Matrix) -> "DesignProblem":
+        """Return the problem with other units of time, states (n, 1) and measurements (l, 1)."""
+        root = np.sqrt(time)
+        return replace(
+            self,
+            A=time * self.A / x * x.T,
+            C=self.C * x.T,
+            C2=root * self.C2 / y * x.T,
+            B=root * self.B / x,
+            D=self.D / y,
+            C1=root * self.C1 * x.T,
+            known=root * self.known / x * y.T,
+            combinations=self.combinations * y,
+        )
 
     def scaled(self, size: float) -> "DesignProblem":
         """Return the problem of uncertainty whose outputs are `size` times as large."""
         return replace(self, C1=size * self.C1, lipschitz=size * self.lipschitz)
 
-    @cached_property
-    def of_Y(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-        """A, B, C2 and D of the Y equation: of the plant, but in a limit."""
-        N, C2 = self.combinations, self.plant.C2_tilde[: len(self.D)]
-        A, B = self.plant.A_p - self.known @ C2, self.B - self.known @ self.D
-        return A, B, N.T @ C2, N.T @ self.D
 
-
-def _known_inputs(plant: AugmentedSystem, B: Matrix, D: Matrix) -> tuple[Matrix, Matrix]:
+def _known_inputs(D21: Matrix, B: Matrix, D: Matrix) -> tuple[Matrix, Matrix]:
     """Return `known` and `combinations` where these channels have noise without bound."""
-    measurements = plant.system.l
     if not B.shape[1]:
-        return np.zeros((plant.n, measurements)), np.eye(measurements)
-    deviations = np.linalg.norm(plant.system.D21, axis=1)[:, None]
+        return np.zeros((len(B), len(D))), np.eye(len(D))
+    deviations = np.linalg.norm(D21, axis=1)[:, None]
     D = D / deviations
     # Directions that no measurement sees are of no account, if they do not enter the state either.
     unseen = null_space(D, rcond=_NEGLIGIBLE)

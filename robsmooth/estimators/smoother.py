@@ -156,7 +156,7 @@ def design_smoother(
     >>> round(smoother.mean_square_bound, 4)
     0.2465
     """
-    return solve_design(design_equations(plant, tau, multipliers, cost), cost)
+    return solve_design(plant, design_equations(plant, tau, multipliers, cost), cost)
 
 
 def design_equations(
@@ -197,9 +197,8 @@ def design_equations(
     return DesignEquations(problem, tau, multipliers, rates)
 
 
-def solve_design(equations: DesignEquations, cost: str) -> RobustSmoother:
+def solve_design(plant: AugmentedSystem, equations: DesignEquations, cost: str) -> RobustSmoother:
     """Solve the equations of a design, after checking Assumption 3."""
-    plant = equations.problem.plant
     check_stable(plant)
     Y = certified_solution(ASSUMPTION_Y, equations.solve_Y)
     X = certified_solution(ASSUMPTION_X, equations.solve_X)
