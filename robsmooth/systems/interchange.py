@@ -1,7 +1,7 @@
 """What a system is made of, read from python-control's objects."""
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,45 +9,13 @@ from numpy.typing import ArrayLike
 
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
-from robsmooth.systems.channels import Nonlinearity, Uncertainty, members
-from robsmooth.systems.statespace import Blocks, check_continuous
+from robsmooth.systems.channels import Nonlinearity, Uncertainty
+from robsmooth.systems.statespace import Blocks
 
 if TYPE_CHECKING:
     import control
 
 _ASYMMETRY = 1e-12  # of a covariance, and below zero of its eigenvalues, relative to its diagonal
-
-
-def parts_of_plant(
-    plant: "control.StateSpace",
-    process_noise: ArrayLike,
-    measurement_noise: ArrayLike,
-    outputs: ArrayLike | None,
-    process_uncertainty: ArrayLike | None,
-    measurement_uncertainty: ArrayLike | None,
-    uncertainties: Iterable[Uncertainty],
-) -> dict[str, Any]:
-    """Return the parts of a system as `UncertainSystem.from_plant` makes it."""
-    check_continuous("plant", plant)
-    process = _noise_factor("process_noise", process_noise, plant.ninputs)
-    measurement = _noise_factor("measurement_noise", measurement_noise, plant.noutputs)
-    B, D = plant.B @ process, plant.D @ process
-    no_B, none = np.zeros((plant.nstates, plant.noutputs)), np.zeros((1, plant.nstates))
-    C_0, C_1 = (
-        none if given is None else given for given in (process_uncertainty, measurement_uncertainty)
-    )
-    return {
-        "A": plant.A,
-        "B1": np.hstack([B, no_B]),
-        "C0": plant.C if outputs is None else outputs,
-        "C2": plant.C,
-        "D21": np.hstack([D, measurement]),
-        "uncertainties": (
-            Uncertainty(B, C_0, D),
-            Uncertainty(no_B, C_1, measurement),
-            *members("uncertainties", uncertainties, Uncertainty),
-        ),
-    }
 
 
 def parts_of_statespace(
@@ -97,7 +65,7 @@ def parts_of_statespace(
     }
 
 
-def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
+def noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
     """Return the symmetric square root of a noise's intensity."""
     if np.ndim(intensity) == 0:
         return np.sqrt(validation.real(name, intensity, low=0.0)) * np.eye(size)

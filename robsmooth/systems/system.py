@@ -33,8 +33,8 @@ from robsmooth.systems.channels import (
     members,
     set_fields,
 )
-from robsmooth.systems.interchange import parts_of_plant, parts_of_statespace
-from robsmooth.systems.statespace import Blocks
+from robsmooth.systems.interchange import noise_factor, parts_of_statespace
+from robsmooth.systems.statespace import Blocks, check_continuous
 
 if TYPE_CHECKING:
     import control
@@ -188,16 +188,23 @@ class UncertainSystem:
         >>> rs.UncertainSystem.from_plant(plant, process_noise=1.0, measurement_noise=0.01).D21
         array([[0. , 0.1]])
         """
-        parts = parts_of_plant(
-            plant,
-            process_noise,
-            measurement_noise,
-            outputs,
-            process_uncertainty,
-            measurement_uncertainty,
-            uncertainties,
+        check_continuous("plant", plant)
+        process = noise_factor("process_noise", process_noise, plant.ninputs)
+        measurement = noise_factor("measurement_noise", measurement_noise, plant.noutputs)
+        B, D = plant.B @ process, plant.D @ process
+        no_B, none = np.zeros((plant.nstates, plant.noutputs)), np.zeros((1, plant.nstates))
+        given = (process_uncertainty, measurement_uncertainty)
+        C_0, C_1 = (none if C is None else C for C in given)
+        channels = (Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement))
+        return cls(
+            A=plant.A,
+            B1=np.hstack([B, no_B]),
+            C0=plant.C if outputs is None else outputs,
+            C2=plant.C,
+            D21=np.hstack([D, measurement]),
+            uncertainties=(*channels, *members("uncertainties", uncertainties, Uncertainty)),
+            nonlinearities=nonlinearities,
         )
-        return cls(**parts, nonlinearities=nonlinearities)
 
     @classmethod
     def from_statespace(
