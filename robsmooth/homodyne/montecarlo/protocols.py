@@ -57,7 +57,6 @@ WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode, before sampling 
 # Steps in response times of the loop, by the biases that `robsmooth.homodyne.montecarlo` states.
 SILENT_EULER = 1 / 40  # two standard errors of a default run
 SILENT_SPLITTING = 1 / 4  # less than one, but already 15% of the slips
-LARGEST_SPLITTING = 10.0
 STABLE_PART = 0.5  # of the longest step for which the Euler-Maruyama scheme is stable: the default
 
 FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, below which there are no control variates
@@ -333,12 +332,6 @@ class ErgodicSimulation(Simulation):
                 int(STEP_OF_TIME_CONSTANT * response / step + MULTIPLE_TOLERANCE), 1
             ),
         )
-        if step > LARGEST_SPLITTING * response:
-            raise ValueError(
-                f"step must be at most {LARGEST_SPLITTING:g} times the loop's response time, "
-                f"{response:.4g} s, because longer steps make slips of their own, got {step:g} s; "
-                f"{default:.8g} s is fine"
-            )
         return cls(
             runs=ERGODIC_RUNS if runs is None else runs,
             seed=seed,
