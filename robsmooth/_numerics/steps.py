@@ -7,7 +7,23 @@ MULTIPLE_TOLERANCE = 1e-6  # how far delay / step may be from a whole number
 
 
 class LongStepWarning(RuntimeWarning):
-    """The step is long for the loop: the results of the simulation depend on it."""
+    """The step is long for the loop: the results of the simulation depend on it.
+
+    See Also
+    --------
+    robsmooth.monte_carlo, robsmooth.simulate : give it, and say which steps are fine.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import robsmooth as rs
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> with warnings.catch_warnings(record=True) as given:
+    ...     warnings.simplefilter("always")
+    ...     result = rs.monte_carlo(rs.homodyne.PAPER, kalman, runs=64, step=2e-6)
+    >>> given[0].category.__name__
+    'LongStepWarning'
+    """
 
 
 def warn_of_long_step(

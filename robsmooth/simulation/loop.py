@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
 from robsmooth._numerics import linearisation
@@ -164,7 +164,7 @@ class NonlinearLoop:
 
 def nonlinear_loop(
     smoother: Estimator,
-    uncertainties: Sequence = (),
+    uncertainties: Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]] = (),
     loop: str = "real",
     reference: Reference = "system",
 ) -> NonlinearLoop:

@@ -3,17 +3,17 @@
 import math
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import frozen
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import Reference
 from robsmooth.simulation.integrator import ExponentialIntegrator
@@ -40,7 +40,7 @@ _CONSTRAINT_TOLERANCE = 1e-6  # relative: one that holds with equality is not vi
 def simulate(
     smoother: Estimator,
     *,
-    uncertainties: Sequence = (),
+    uncertainties: Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]] = (),
     reference: Reference = "system",
     loop: str = "real",
     runs: int = 256,
@@ -176,7 +176,7 @@ def simulate(
 def sample_paths(
     smoother: Estimator,
     *,
-    uncertainties: Sequence = (),
+    uncertainties: Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]] = (),
     reference: Reference = "system",
     loop: str = "real",
     runs: int = 3,

@@ -71,7 +71,7 @@ OBJECTS = {
     "AugmentedSystem": (lambda: smoother().plant, ["delay=3.1e-06 s", "order=2", "n=3 states"]),
     "DiscreteSmoother": (
         lambda: rs.baselines.kalman_bucy(PAPER.uncertain_system()).discretize(1e-7),
-        ["dt=1e-07 s", "lag=0 s", "1 states"],
+        ["dt=1e-07 s", "delay=0 s", "1 states"],
     ),
     "Estimator": (
         lambda: rs.baselines.fixed_lag_smoother(PAPER.uncertain_system(), 3.1e-6, 2),

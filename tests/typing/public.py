@@ -153,7 +153,7 @@ assert_type(found[0].value, float | str | None)
 
 # --- errors and warnings --------------------------------------------------------------------------
 
-for warning in (rs.InadmissibleWarning, rs.LossOfLockWarning):
+for warning in (rs.InadmissibleWarning, rs.LongStepWarning, rs.LossOfLockWarning):
     assert issubclass(warning, Warning)
 try:
     rs.design_smoother(plant, 1e-9, [1.0, 1.0])
