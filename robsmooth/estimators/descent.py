@@ -1,0 +1,118 @@
+r"""Descent on an error over all linear estimators of a given order.
+
+The variables are the drift, the gains, the copies' arguments and the read-out of the estimate of
+(eqcontrol). The error and its gradient with respect to the loop's matrices are the caller's; here
+that is brought to the estimator's own. States of the estimator have no meaning of their own: the
+search goes on in coordinates in which their covariance is the identity.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import LinAlgError, solve_continuous_lyapunov
+from scipy.optimize import minimize
+
+from robsmooth._support.validation import Matrix
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import matrices
+
+_REFUSED = 1e2  # more than the logarithm of any error in natural units
+_GRADIENT = 1e-9  # of the logarithm, at the end of a search
+_ITERATIONS = 400
+_NONE = np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """The gradient of an error with respect to the matrices of `OpenLoop`."""
+
+    A: Matrix
+    B: Matrix
+    inputs: Matrix
+    outputs: Matrix
+    estimate: Matrix
+
+    def of_estimator(self, estimator: Estimator) -> np.ndarray:
+        """Return the gradient with respect to `variables`."""
+        plant = estimator.plant
+        n, m, own = plant.n, plant.system.m, slice(plant.n, None)
+        noise = _real_noise(estimator)
+        drift = self.A[own, own]
+        gain = (
+            self.A[own, :n] @ plant.C2_tilde.T
+            + self.B[own] @ noise.T
+            + self.inputs[own] @ plant.D21_tilde.T
+        )
+        arguments = (plant.D12_tilde.T @ self.outputs[:, own])[m:]
+        parts = (drift, gain, arguments, self.estimate[:, own])
+        return np.concatenate([part.ravel() for part in parts])
+
+
+def _real_noise(estimator: Estimator) -> Matrix:
+    """Return the noise of the extended measurement, the copies without any."""
+    noise = estimator.plant.D21_bar.copy()
+    noise[estimator.plant.system.l :] = 0.0
+    return noise
+
+
+def variables(estimator: Estimator) -> np.ndarray:
+    """Return drift, gains, the copies' arguments and the read-out as one array."""
+    m = estimator.plant.system.m
+    parts = (estimator.A_c, estimator.B_c, estimator.C_c[m:], estimator.C_a)
+    return np.concatenate([part.ravel() for part in parts])
+
+
+def with_variables(estimator: Estimator, x: np.ndarray) -> Estimator:
+    """Return the estimator that has these variables; its C_c and C_a read the same estimate."""
+    m = estimator.plant.system.m
+    parts = (estimator.A_c, estimator.B_c, estimator.C_c[m:], estimator.C_a)
+    ends = np.cumsum([part.size for part in parts])[:-1]
+    A_c, B_c, arguments, C_a = (
+        values.reshape(part.shape).copy()
+        for values, part in zip(np.split(x, ends), parts, strict=True)
+    )
+    return replace(estimator, A_c=A_c, B_c=B_c, C_c=np.vstack([C_a, arguments]), C_a=C_a)
+
+
+def balanced(estimator: Estimator) -> Estimator:
+    """Return the same estimator with states whose nominal covariance is the identity."""
+    A, B, _, _ = matrices(estimator, "real")
+    covariance = solve_continuous_lyapunov(A, -B @ B.T)[estimator.plant.n :, estimator.plant.n :]
+    sizes, directions = np.linalg.eigh(covariance)
+    sizes = np.sqrt(np.maximum(sizes, 1e-14 * sizes.max()))
+    to, back = directions * sizes, (directions / sizes).T
+    return replace(
+        estimator,
+        A_c=back @ estimator.A_c @ to,
+        B_c=back @ estimator.B_c,
+        C_c=estimator.C_c @ to,
+        C_a=estimator.C_a @ to,
+        C_f=estimator.C_f @ to,
+    )
+
+
+Objective = Callable[[Estimator, np.ndarray], tuple[float, np.ndarray]]
+
+
+def descend(
+    estimator: Estimator, objective: Objective, more: np.ndarray = _NONE
+) -> tuple[Estimator, np.ndarray, float]:
+    """Return an estimator with a lower objective, its `more` variables, and the objective.
+
+    The objective is a logarithm; it returns its gradient in `variables` and in `more`. It raises an
+    ArithmeticError or LinAlgError where the estimator is not to be considered.
+    """
+    estimator = balanced(estimator)
+    start = np.concatenate([variables(estimator), more])
+    own = len(start) - len(more)
+
+    def value(x: np.ndarray) -> tuple[float, np.ndarray]:
+        try:
+            return objective(with_variables(estimator, x[:own]), x[own:])
+        except (ArithmeticError, LinAlgError):
+            return _REFUSED, np.zeros_like(x)
+
+    options = {"maxiter": _ITERATIONS, "gtol": _GRADIENT}
+    found = minimize(value, start, jac=True, method="BFGS", options=options)
+    return with_variables(estimator, found.x[:own]), found.x[own:], float(found.fun)
