@@ -231,7 +231,7 @@ def _profiles(folder: Path) -> dict:
 
 def _key(root: Path, notebook: Path, profile: str, values: Mapping[str, object]) -> str:
     """Hash of all that a notebook's results depend on."""
-    sources = [path for path in PACKAGE.rglob("*") if path.suffix in {".py", ".mplstyle"}]
+    sources = [path for path in PACKAGE.rglob("*") if path.suffix in {".py", ".pyi", ".mplstyle"}]
     inputs = [root / "data/published.toml", root / provenance.LOCK]
     digests = {
         str(path.relative_to(PACKAGE.parent)): provenance.sha256(path) for path in sorted(sources)
