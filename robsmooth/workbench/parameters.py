@@ -1,11 +1,7 @@
 """A notebook's parameters: read from its tagged cell, checked against what that cell allows.
 
-The cell tagged `parameters` holds one typed, commented value a line; the comment may open with the
-values allowed, an interval (with `inf`, too) or a set::
-
-    runs: int = 50_000  # [1, 1e9] runs of the Monte Carlo
-    lag: float = 3.1e-6  # (0, 1e-3] s, delay of the smoothed estimate
-    profile: str = "paper"  # {paper, quick} scale of the run
+The cell tagged `parameters` holds lines such as `lag: float = 3.1e-6  # (0, 1e-3] s, of smoothing`.
+The comment may open with what is allowed: an interval (with `inf`, too), or a set `{one, other}`.
 
 papermill itself only warns of an unknown name and checks no type. Its own reader of this cell is
 not used: it skips a line whose comment holds an equals sign.
@@ -23,9 +19,8 @@ TYPES = {"bool": bool, "int": int, "float": float, "str": str}
 # Set by the pipeline, for each run anew, and of no influence on the results. Every notebook has the
 # folders that figures, and data, are written to; the others may be there: the address of a Dask
 # scheduler, and a folder to resume an interrupted run from.
-FOLDERS = ("output_dir", "data_dir")
 OPTIONAL = ("scheduler", "checkpoint_dir")
-SET_BY_PIPELINE = FOLDERS + OPTIONAL
+SET_BY_PIPELINE = ("output_dir", "data_dir", *OPTIONAL)
 
 _INTERVAL = re.compile(r"([\[(])\s*([^\s,]+)\s*,\s*([^\s,]+?)\s*([\])])\s*")
 _CHOICES = re.compile(r"\{\s*([^{}]+?)\s*\}\s*")
@@ -132,9 +127,7 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
         raise PipelineError(f"{where}: line {error.lineno} is not Python") from error
     for statement in statements:
         match statement:
-            case ast.AnnAssign(ast.Name(name), ast.Name(kind), ast.expr() as value) if (
-                kind in TYPES
-            ):
+            case ast.AnnAssign(ast.Name(name), ast.Name(kind), value) if value and kind in TYPES:
                 line = source.splitlines()[statement.end_lineno - 1].encode()
                 comment = line[statement.end_col_offset :].decode().strip().lstrip("# ")
                 try:

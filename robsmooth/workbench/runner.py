@@ -22,7 +22,7 @@ from pathlib import Path
 
 from robsmooth._support import cluster, files
 from robsmooth._support.extras import check_installed, extra
-from robsmooth.workbench import parameters as parameters_cell
+from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
 from robsmooth.workbench.execution import Execution, Failure
 from robsmooth.workbench.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineError, unknown
@@ -78,36 +78,12 @@ class Task:
     seed: object
     optional: tuple[str, ...]  # those of `parameters.OPTIONAL` that it has
     key: str  # hash of all that its results depend on
-
-    @property
-    def notebook(self) -> Path:
-        """Its source."""
-        return self.run.root / "notebooks" / f"{self.name}.ipynb"
-
-    @property
-    def executed(self) -> Path:
-        """Its executed copy."""
-        return self.run.work / "notebooks" / f"{self.name}.ipynb"
-
-    @property
-    def staging(self) -> Path:
-        """What it writes to."""
-        return self.run.work / "staging" / self.name
-
-    @property
-    def stamp(self) -> Path:
-        """The key and the files of its last run."""
-        return self.run.work / "stamps" / f"{self.name}.json"
-
-    @property
-    def checkpoints(self) -> Path:
-        """Folder that it resumes from: another one for each state of its inputs."""
-        return self.run.work / "checkpoints" / f"{self.name}-{self.key[:16]}"
-
-    @property
-    def about(self) -> Path:
-        """Its provenance."""
-        return self.run.results / "figures" / f"{self.name}.provenance.json"
+    notebook: Path
+    executed: Path  # its executed copy
+    about: Path  # its provenance
+    staging: Path  # folder that it writes to
+    stamp: Path  # key and files of its last run
+    checkpoints: Path  # folder that it resumes from: another one for each state of its inputs
 
 
 @dataclass(frozen=True)
@@ -153,31 +129,49 @@ def plan(run: Request) -> list[Task]:
     """Select the notebooks, and check all that can be checked before anything is run."""
     with extra("notebooks", "a run of the notebooks"):
         check_installed(*NEEDED)
-    folder, overrides = run.root / "notebooks", run.parameters
+    folder = run.root / "notebooks"
     profiles = _profiles(folder)
     names = select(profiles["notebooks"], run.only)
-    known = {name: parameters_cell.read(folder / f"{name}.ipynb") for name in names}
+    known = {name: cell.read(folder / f"{name}.ipynb") for name in names}
     everywhere = {parameter for each in known.values() for parameter in each}
-    for name in overrides:
+    for name in run.parameters:
         if name not in everywhere:
             raise unknown("--set: parameter", name, everywhere - {*SET_BY_PIPELINE})
-    tasks = []
-    for name, parameters in known.items():
-        own = {key: value for key, value in overrides.items() if key in parameters}
-        listed, where = profiles[run.profile].get(name, {}), f"[{run.profile}.{name}]"
-        values = {"profile": run.profile} if "profile" in parameters else {}
-        values |= parameters_cell.check(parameters, listed, f"profiles.toml, {where}")
-        values |= parameters_cell.check(parameters, own, f"--set for {name}")
-        seed = values.get("seed", parameters["seed"].default if "seed" in parameters else None)
-        optional = tuple(each for each in OPTIONAL if each in parameters)
-        key = _key(run, folder / f"{name}.ipynb", values)
-        tasks.append(Task(run, name, values, seed, optional, key))
+    tasks = [_task(run, name, each, profiles[run.profile]) for name, each in known.items()]
     try:
         with cluster.connect(run.dask):  # here an error is one sentence, and comes at once
             pass
     except (ConnectionError, ImportError, ValueError) as error:
         raise PipelineError(f"--dask: {error}") from error
     return tasks
+
+
+def _task(
+    run: Request, name: str, parameters: Mapping[str, cell.Parameter], profile: Mapping[str, dict]
+) -> Task:
+    """Check the values given for the parameters of a notebook."""
+    own = {key: value for key, value in run.parameters.items() if key in parameters}
+    where = f"profiles.toml, [{run.profile}.{name}]"
+    values = {"profile": run.profile} if "profile" in parameters else {}
+    values |= cell.check(parameters, profile.get(name, {}), where)
+    values |= cell.check(parameters, own, f"--set for {name}")
+    defaults = {key: each.default for key, each in parameters.items()}
+    notebook = run.root / "notebooks" / f"{name}.ipynb"
+    key = _key(run, notebook, values)
+    return Task(
+        run,
+        name,
+        values,
+        seed=(defaults | values).get("seed"),
+        optional=tuple(each for each in OPTIONAL if each in parameters),
+        key=key,
+        notebook=notebook,
+        executed=run.work / "notebooks" / notebook.name,
+        about=run.results / "figures" / f"{name}.provenance.json",
+        staging=run.work / "staging" / name,
+        stamp=run.work / "stamps" / f"{name}.json",
+        checkpoints=run.work / "checkpoints" / f"{name}-{key[:16]}",
+    )
 
 
 def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
@@ -256,16 +250,10 @@ def _start(task: Task) -> Execution:
 
 
 def _finish(task: Task, execution: Execution) -> NotebookResult:
+    """Move what the notebook has produced to its place, with its provenance and a stamp."""
     seconds, failure = execution.seconds, execution.failure()
     if failure:
         return NotebookResult(task, "failed", (), seconds, failure)
-    produced = _publish(task, execution)
-    _clear_checkpoints(task)
-    return NotebookResult(task, "done", produced, seconds)
-
-
-def _publish(task: Task, execution: Execution) -> tuple[str, ...]:
-    """Move what the notebook has produced to its place, with its provenance and a stamp."""
     produced = {
         path.relative_to(task.staging).as_posix(): provenance.sha256(path)
         for folder in ("figures", "data")
@@ -289,7 +277,8 @@ def _publish(task: Task, execution: Execution) -> tuple[str, ...]:
     )
     produced[f"figures/{task.about.name}"] = provenance.sha256(task.about)
     files.write_json(task.stamp, {"key": task.key, "files": produced})
-    return tuple(produced)
+    _clear_checkpoints(task)
+    return NotebookResult(task, "done", tuple(produced), seconds)
 
 
 def _listed(about: Path) -> set[str]:
