@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what `_names` imports where it is first asked for
     from robsmooth import homodyne as homodyne
-    from robsmooth._numerics.steps import LongStepWarning as LongStepWarning
     from robsmooth._support.errors import InfeasibleDesignError as InfeasibleDesignError
+    from robsmooth._support.errors import LongStepWarning as LongStepWarning
     from robsmooth._support.errors import UnstableLoopError as UnstableLoopError
     from robsmooth.analysis.constraints import AnalysisBound as AnalysisBound
     from robsmooth.analysis.constraints import analysis_bound as analysis_bound

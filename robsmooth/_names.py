@@ -8,8 +8,7 @@ from importlib import import_module
 
 # Names by the module that defines them; a module that is itself public stands alone.
 _HOMES = {
-    "robsmooth._support.errors": ("InfeasibleDesignError", "UnstableLoopError"),
-    "robsmooth._numerics.steps": ("LongStepWarning",),
+    "robsmooth._support.errors": ("InfeasibleDesignError", "LongStepWarning", "UnstableLoopError"),
     "robsmooth.analysis.constraints": ("AnalysisBound", "analysis_bound"),
     "robsmooth.analysis.covariance": (
         "delta_sweep",
