@@ -20,7 +20,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.smoother import RobustSmoother, design_equations
+from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.delay import DelayModel
 
@@ -221,9 +221,13 @@ def designs() -> dict[str, Estimator]:
     }
 
 
-def boundary_multipliers(vanishing: float) -> list[float]:
-    """Return the example's lambda on the edge of its constraint, with lambda_3 = lambda_4 given."""
-    return [1.0, 0.5 - vanishing / 2, vanishing, vanishing]
+def design_near_edge(best: RobustSmoother, tau: float, vanishing: float) -> RobustSmoother:
+    """Return the example's design with lambda on the edge of its constraint.
+
+    It has the plant and the cost of another, and lambda_3 = lambda_4 given.
+    """
+    multipliers = [1.0, 0.5 - vanishing / 2, vanishing, vanishing]
+    return design_smoother(best.plant, tau, multipliers, best.cost)
 
 
 def x_discriminant(tau: float, multipliers: np.ndarray) -> float:

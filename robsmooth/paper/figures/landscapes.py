@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.estimators.smoother import RobustSmoother, design_smoother
+from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne.certificate import scalar_bound
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.paper import published
@@ -92,8 +92,7 @@ def all_designs(
 
 def _bound(best: RobustSmoother, tau: float, vanishing: float) -> float:
     """Return the bound V with lambda_3 = lambda_4, not a number where there is no design."""
-    multipliers = published.boundary_multipliers(vanishing)
     try:
-        return design_smoother(best.plant, tau, multipliers, best.cost).bound
+        return published.design_near_edge(best, tau, vanishing).bound
     except InfeasibleDesignError:
         return np.nan
