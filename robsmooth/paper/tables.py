@@ -35,12 +35,13 @@ P = ParamSpec("P")
 Records = Iterator[dict[str, Any]]  # the cells of each row, by their columns
 
 
-def _table(caption: str, digits: int = 4) -> Callable[[Callable[P, Records]], Callable[P, Table]]:
-    """Make a function return the table of the records that it yields."""
+def _table(digits: int = 4) -> Callable[[Callable[P, Records]], Callable[P, Table]]:
+    """Make a function return the table of the records that it yields, with its text as caption."""
 
     def decorate(records: Callable[P, Records]) -> Callable[P, Table]:
         @wraps(records)
         def table(*args: P.args, **kwargs: P.kwargs) -> Table:
+            caption = " ".join(records.__doc__.split())
             return Table.of_records(records(*args, **kwargs), caption, digits)
 
         return table
@@ -85,9 +86,9 @@ def sector_ranges(values: HomodyneParameters, variance: float) -> Table:
     )
 
 
-@_table("The gains at the printed tau and lambda for each reading of the X equation.", digits=5)
+@_table(digits=5)
 def sign_readings(plant: AugmentedSystem, tau: float, multipliers: Sequence[float]) -> Records:
-    """Return the leading gains for each reading of the X equation's quadratic term."""
+    """The gains at the printed tau and lambda for each reading of the X equation."""
 
     def leading(A_c: Matrix, B_c: Matrix, C_c: Matrix, bound: float) -> dict[str, float]:
         gains = {"$A_c[0,0]$": A_c[0, 0], "$B_c[0,1]$": B_c[0, 1]}
@@ -125,12 +126,11 @@ def approach_to_infimum(best: RobustSmoother, vanishing: Iterable[float]) -> Tab
     )
 
 
-@_table(
-    "The designs compared. V bounds half the filtered error covariance with the fictitious "
-    "noise of the copies; of a pair of complex poles one is shown."
-)
+@_table()
 def designs(compared: Mapping[str, Estimator]) -> Records:
-    """Return the design table: bound, tau, lambda and poles."""
+    """The designs compared. V bounds half the filtered error covariance with the fictitious noise
+    of the copies; of a pair of complex poles one is shown.
+    """
     for name, design in compared.items():
         record = {"design": name}
         if isinstance(design, RobustSmoother):
@@ -139,12 +139,11 @@ def designs(compared: Mapping[str, Estimator]) -> Records:
         yield record | {"poles (1/s)": _numbers(design.poles, digits=3)}
 
 
-@_table(
-    "Error covariances (rad²) of the designs, with the fictitious noise of the copies, as "
-    "in the paper's formula, and without it, as in a real loop."
-)
+@_table()
 def covariances(compared: Mapping[str, Estimator]) -> Records:
-    """Return nominal and worst error covariances, with the copies' fictitious noise and without."""
+    """Error covariances (rad²) of the designs, with the fictitious noise of the copies, as in the
+    paper's formula, and without it, as in a real loop.
+    """
     for name, design in compared.items():
         for output in predictions.outputs(design):
             record = {"error": f"{name}, {output}"}
@@ -155,12 +154,11 @@ def covariances(compared: Mapping[str, Estimator]) -> Records:
             yield record
 
 
-@_table(
-    "What the fictitious noise costs: least bound and nominal filtered error covariance "
-    "(rad²) against the intensity that the design assumes for it."
-)
+@_table()
 def copy_noise(designs: Mapping[float, RobustSmoother]) -> Records:
-    """Return bounds against the intensity J_21 that the design assumes for the copies."""
+    """What the fictitious noise costs: least bound and nominal filtered error covariance (rad²)
+    against the intensity that the design assumes for it.
+    """
     for intensity, design in designs.items():
         record = {"$J_{21}$": f"{intensity:g}", "least $V$": design.bound_infimum or design.bound}
         for column, loop in {"with copy noise": "theory", "without": "real"}.items():
@@ -189,12 +187,11 @@ def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Table:
     return Table.of_records(records, caption)
 
 
-@_table(
-    "Three routes, one number: simulation (± one standard error), moments without sampling "
-    "(± estimated truncation), and statistical linearisation."
-)
+@_table()
 def errors_by_method(found: predictions.ErrorsByMethod) -> Records:
-    """Return the errors by simulation, by their moments and by statistical linearisation."""
+    """Three routes, one number: simulation (± one standard error), moments without sampling (±
+    estimated truncation), and statistical linearisation.
+    """
     for error, methods in found.items():
         moments = methods["moments"]
         linearised = methods["statistical linearisation"].mean_square
@@ -208,12 +205,11 @@ def errors_by_method(found: predictions.ErrorsByMethod) -> Records:
         }
 
 
-@_table(
-    "The filtered error of the printed smoother as the phase noise grows. Predictions are "
-    "for a loop in lock, and are left out where their method finds no such loop."
-)
+@_table()
 def noise_sweep(found: Iterable[predictions.NoisySimulation]) -> Records:
-    """Return the filtered errors and the slips of a noise sweep."""
+    """The filtered error of the printed smoother as the phase noise grows. Predictions are for a
+    loop in lock, and are left out where their method finds no such loop.
+    """
     for case in found:
         simulated = case.simulated
         yield {
@@ -261,13 +257,11 @@ def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParamete
 # --- beyond the paper ---------------------------------------------------------------------------
 
 
-@_table(
-    "The best lag and order of those studied for each sector and noise, and what smoothing "
-    "saves there of the filtered error in the nonlinear loop.",
-    digits=3,
-)
+@_table(digits=3)
 def study(found: Study, lag: float) -> Records:
-    """Return the best lag for each sector and noise, and what it and a given one save."""
+    """The best lag and order of those studied for each sector and noise, and what smoothing saves
+    there of the filtered error in the nonlinear loop.
+    """
     near = int(np.argmin(np.abs(np.log(np.array(found.lags) / lag))))
     for (i, gamma), (j, noise) in product(enumerate(found.gammas), enumerate(found.noises)):
         record = {r"$\gamma$": f"{gamma:g}", "shot noise": f"{noise:.3g}"}
@@ -290,14 +284,13 @@ def study(found: Study, lag: float) -> Records:
         }
 
 
-@_table(
-    "Mean square errors (rad²) side by side: under constant uncertainties, the worst that "
-    "the constraints allow, and in the loop with its sine, simulated with the same noise for "
-    "all (± one standard error) and from the moments. $2V$ is what the design promises of the "
-    "error that its cost is for, in a loop whose copies have noise."
-)
+@_table()
 def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float]) -> Records:
-    """Return the errors of the estimators, from no uncertainty to the worst, and with the sine."""
+    """Mean square errors (rad²) side by side: under constant uncertainties, the worst that the
+    constraints allow, and in the loop with its sine, simulated with the same noise for all (± one
+    standard error) and from the moments. $2V$ is what the design promises of the error that its
+    cost is for, in a loop whose copies have noise.
+    """
     for name, case in compared.items():
         yield {
             "estimator": name,
@@ -311,13 +304,11 @@ def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float]) -> R
         }
 
 
-@_table(
-    "The true optimum: the infimum of the bound over all multipliers, where it is, and the "
-    "estimator in the limit; of a pair of complex poles one is shown.",
-    digits=6,
-)
+@_table(digits=6)
 def optima(designs: Mapping[str, RobustSmoother]) -> Records:
-    """Return the least bounds, by what each is for, and where and with which estimator they are."""
+    """The true optimum: the infimum of the bound over all multipliers, where it is, and the
+    estimator in the limit; of a pair of complex poles one is shown.
+    """
     for name, design in designs.items():
         least = design.limit or design
         yield {
@@ -330,13 +321,11 @@ def optima(designs: Mapping[str, RobustSmoother]) -> Records:
         }
 
 
-@_table(
-    "The gains of the phase: its own drift, what the measurement and the copy drive it "
-    "with, and what $\\hat w$ and the copy's argument take of it.",
-    digits=6,
-)
+@_table(digits=6)
 def gains(estimators: Mapping[str, Estimator]) -> Records:
-    """Return the leading entries of the estimators' matrices, which are those of the phase."""
+    r"""The gains of the phase: its own drift, what the measurement and the copy drive it with, and
+    what $\hat w$ and the copy's argument take of it.
+    """
     for name, estimator in estimators.items():
         yield {
             "estimator": name,
@@ -348,15 +337,11 @@ def gains(estimators: Mapping[str, Estimator]) -> Records:
         }
 
 
-@_table(
-    "How tight the guarantee is (rad²): twice the bound against the worst error that the "
-    "constraints allow, which some input attains, against the worst constant uncertainty, and "
-    "against none; in the loop of the theory, whose copies have noise, and in a real one."
-)
+@_table()
 def tightness(found: Mapping[str, tuple[WorstCase | AnalysisBound, ...]]) -> Records:
-    """Return what designs promise against the worst constant case and the worst allowed.
-
-    These are for the error that the bound is for, in the theory's loop and then in a real one.
+    """How tight the guarantee is (rad²): twice the bound against the worst error that the
+    constraints allow, which some input attains, against the worst constant uncertainty, and against
+    none; in the loop of the theory, whose copies have noise, and in a real one.
     """
     for name, (constant, allowed, constant_real, allowed_real) in found.items():
         yield {
@@ -372,13 +357,11 @@ def tightness(found: Mapping[str, tuple[WorstCase | AnalysisBound, ...]]) -> Rec
         }
 
 
-@_table(
-    "The shortest lag, and the lowest order for it, that take a design to a share of what "
-    "smoothing could gain; empty where no order does.",
-    digits=3,
-)
+@_table(digits=3)
 def lag_choices(system: UncertainSystem, names: Iterable[str], shares: Iterable[float]) -> Records:
-    """Return the lag and order that take each design to each share of the possible gain."""
+    """The shortest lag, and the lowest order for it, that take a design to a share of what
+    smoothing could gain; empty where no order does.
+    """
     for design, share in product(names, shares):
         record = {"design": design, "share of the gain": f"{100 * share:g}%"}
         with suppress(InfeasibleDesignError):
@@ -395,9 +378,9 @@ def lag_choices(system: UncertainSystem, names: Iterable[str], shares: Iterable[
 # --- a system of one's own ----------------------------------------------------------------------
 
 
-@_table("Refusals.")
+@_table()
 def refusals(attempts: Mapping[str, Callable[[], object]]) -> Records:
-    """Return what each attempt, named for what is wrong with it, is refused for."""
+    """Refusals."""
     for name, attempt in attempts.items():
         words = "not refused"
         try:
@@ -407,14 +390,12 @@ def refusals(attempts: Mapping[str, Callable[[], object]]) -> Records:
         yield {"what is wrong": name, "what the library says": words}
 
 
-@_table(
-    "Mean square errors in the simulated nonlinear loop (± one standard error), against "
-    "the prediction by equivalent slopes and the guarantee; how much of the energy that "
-    "the constraints allow is used, and how long a nonlinearity is outside its slopes.",
-    digits=3,
-)
+@_table(digits=3)
 def own_systems(results: Mapping[str, tuple[RobustSmoother, SimulationResult]]) -> Records:
-    """Return simulated errors against what is predicted and what is guaranteed."""
+    """Mean square errors in the simulated nonlinear loop (± one standard error), against the
+    prediction by equivalent slopes and the guarantee; how much of the energy that the constraints
+    allow is used, and how long a nonlinearity is outside its slopes.
+    """
     real = {"loop": "real", "allow_inadmissible": True, "reference": "system"}
     for name, (design, found) in results.items():
         smoothed, filtered = found.smoothed, found.filtered
@@ -430,9 +411,9 @@ def own_systems(results: Mapping[str, tuple[RobustSmoother, SimulationResult]]) 
         }
 
 
-@_table("The least bound of the example, searched anew in each unit of time.", digits=12)
+@_table(digits=12)
 def in_units(units: Mapping[str, float]) -> Records:
-    """Return the example's least bound and error in other units of time, given in seconds."""
+    """The least bound of the example, searched anew in each unit of time."""
     for name, unit in units.items():
         rates = {"lam": PAPER.lam * unit, "kappa": PAPER.kappa * unit}
         parameters = replace(PAPER, **rates, alpha=PAPER.alpha * unit**0.5)
