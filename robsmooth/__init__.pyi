@@ -1,8 +1,8 @@
 """The public names, for type checkers and for `_names`, which imports by this list."""
 
 from robsmooth import homodyne as homodyne
-from robsmooth._numerics.steps import LongStepWarning as LongStepWarning
 from robsmooth._support.errors import InfeasibleDesignError as InfeasibleDesignError
+from robsmooth._support.errors import LongStepWarning as LongStepWarning
 from robsmooth._support.errors import UnstableLoopError as UnstableLoopError
 from robsmooth.analysis.constraints import AnalysisBound as AnalysisBound
 from robsmooth.analysis.constraints import analysis_bound as analysis_bound

@@ -1,4 +1,4 @@
-"""The errors that a user may want to catch."""
+"""The errors and the warning that a user may want to catch."""
 
 from typing import Self
 
@@ -23,3 +23,23 @@ class InfeasibleDesignError(ValueError):
 
 class UnstableLoopError(ValueError):
     """A closed loop without a stationary covariance: it is not asymptotically stable."""
+
+
+class LongStepWarning(RuntimeWarning):
+    """The step is long for the loop: the results of the simulation depend on it.
+
+    See Also
+    --------
+    robsmooth.monte_carlo, robsmooth.simulate : give it, and say which steps are fine.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import robsmooth as rs
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> with warnings.catch_warnings(record=True) as given:
+    ...     warnings.simplefilter("always")
+    ...     result = rs.monte_carlo(rs.homodyne.PAPER, kalman, runs=64, step=2e-6)
+    >>> given[0].category.__name__
+    'LongStepWarning'
+    """

@@ -50,20 +50,14 @@ class Verdict:
 
     Attributes
     ----------
-    name : str
-        What it is, e.g. ``"A_c[0, 1]"`` (row and column from zero).
-    place : str
-        Where it stands in the paper.
-    printed : str
-        As printed.
+    name, place, printed : str
+        What it is, e.g. ``"A_c[0, 1]"`` (from zero), where it stands in the paper, and its digits.
     value : float or str or None
         Recomputed, in the printed unit; words for a statement; None where nothing can be computed.
     relative_difference : float or None
         Of value from printed, by the size of printed, where that makes sense.
-    verdict : str
-        One of "reproduced", "reproduced with the sign flipped", "not reproduced", "not checkable".
-    reason : str
-        Why, as far as known, where it does not simply reproduce.
+    verdict, reason : str
+        One of `OUTCOMES`, and why, as far as known, where it does not simply reproduce.
     """
 
     name: str
@@ -104,16 +98,14 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     Parameters
     ----------
     data_dir : path, optional
-        Folder with the Monte Carlo results, monte_carlo.json; by default the project's own data/,
-        which `make figures` writes.
+        Folder with monte_carlo.json; by default the project's own data/.
     kinds : sequence of str
         Which quantities and statements to judge, as data/published.toml sorts them; all by default.
 
     Returns
     -------
     list of Verdict
-        In the order of the paper; a matrix gives one for each entry. A notebook shows it as a
-        table.
+        In the order of the paper, one for each entry of a matrix. A notebook shows a table.
 
     Raises
     ------
@@ -125,25 +117,23 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     simulation = None
     if "simulation" in kinds:
         simulation = results.read(Path(data_dir) if data_dir else data_folder())
-    checks = statements.checks(simulation)
-    recompute = {
-        "model": _model,
-        "optimum": _optimum,
-        "design": _design,
-        "simulation": partial(_simulated, simulation),
-    }
+    recompute = {"model": _model, "optimum": _optimum, "design": _design}
+    recompute["simulation"] = partial(_simulated, simulation)
     recomputed = {kind: values() for kind, values in recompute.items() if kind in kinds}
+    quantities, claims = (
+        [entry for entry in published()[section] if entry["kind"] in kinds]
+        for section in ("quantity", "statement")
+    )
     found = Verdicts()
-    for entry in published()["quantity"]:
-        if entry["kind"] in kinds:
-            values = [each[entry["id"]] for each in recomputed.get(entry["kind"], [])]
-            found.extend(_verdicts_on(entry, values))
-    for entry in published()["statement"]:
-        if entry["kind"] in kinds:
-            holds, value, reason = checks[entry["id"]]()
-            verdict = REPRODUCED if holds else NOT_REPRODUCED
-            statement = entry["id"], entry["place"], entry["text"]
-            found.append(Verdict(*statement, value, None, verdict, reason))
+    for entry in quantities:
+        values = [each[entry["id"]] for each in recomputed.get(entry["kind"], [])]
+        found.extend(_verdicts_on(entry, values))
+    checks = statements.checks(simulation)
+    for entry in claims:
+        holds, value, reason = checks[entry["id"]]()
+        verdict = REPRODUCED if holds else NOT_REPRODUCED
+        statement = entry["id"], entry["place"], entry["text"]
+        found.append(Verdict(*statement, value, None, verdict, reason))
     return found
 
 

@@ -16,7 +16,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.stats import binom
 
 from robsmooth import homodyne, statistical_linearisation
-from robsmooth._numerics.steps import LongStepWarning
+from robsmooth._support.errors import LongStepWarning
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run

@@ -17,8 +17,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
-from robsmooth._numerics.steps import LongStepWarning
-from robsmooth._support.errors import UnstableLoopError
+from robsmooth._support.errors import LongStepWarning, UnstableLoopError
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo import (
     LossOfLockWarning,
