@@ -3,7 +3,6 @@
 When a worker ends, Dask computes its calls again on another, so a function must give the same
 result wherever it runs. To that end a worker computes only with the same software as here. Dask's
 own comparison of versions comes to a warning, and knows nothing of the sources of this package.
-
 Dask is an optional dependency: nothing here imports it before a cluster is asked for.
 """
 
@@ -36,7 +35,7 @@ CALLS_PER_THREAD = 2  # sent ahead: one that is computed and one that waits for 
 CALLS_AHEAD = 2  # and some more, while results are on their way
 LOOK_EVERY = 1.0  # s, how often the cluster is looked at
 ANSWER_TIME = 30.0  # s, for the scheduler to answer
-ADDRESS = re.compile(r"(tcp|tls)://([^\s/:@\[\]]+|\[[\w:.%]+\]):(\d+)")
+ADDRESS = re.compile(r"(?:tcp|tls)://(?:[^\s/:@\[\]]+|\[[\w:.%]+\]):(\d+)")
 PACKAGES = ("numpy", "numba", "scipy")  # what results depend on to the last bit
 LOGGERS = ("distributed", "distributed.client", "tornado.application")
 
@@ -50,30 +49,13 @@ def in_order(
     *,
     timeout: float = 30.0,
 ) -> Iterator[Any]:
-    """Yield ``function(*call)`` for each call, in the order of the calls.
+    """Yield ``function(*call)`` for each call, in the order of the calls, or raise as it does.
 
-    Closing the iterator early, as an error or Ctrl-C in the loop over it does, drops the calls that
-    are on their way.
-
-    Parameters
-    ----------
-    function : callable
-        Sent along with each call: it should pickle to less than about 100 kB.
-    calls : iterable of tuple
-        Arguments; taken as they are needed, a few calls ahead of the results.
-    client : distributed.Client, optional
-        The cluster that computes. Default: computed here, one after another.
-    timeout : float
-        How long the cluster may be without a worker, s.
-
-    Raises
-    ------
-    ConnectionError
-        Where there is no worker, or the scheduler is lost.
-    RuntimeError
-        For a worker with other software, or where a call ended several workers.
-    Exception
-        Whatever the function raises, as itself.
+    The function is sent with each call: it should pickle to less than about 100 kB. Calls are taken
+    as they are needed. Closing the iterator early, as an error or Ctrl-C in the loop over it does,
+    drops the calls that are on their way. ConnectionError where the cluster has no worker for
+    `timeout` seconds or its scheduler is lost; RuntimeError for a worker with other software, or
+    where a call ended several workers.
     """
     _check_client(client)
     if client is None:
@@ -82,15 +64,7 @@ def in_order(
 
 
 def workers(client: "Client | None", *, timeout: float = 30.0) -> int:
-    """Number of threads that the workers have for calls; 1 for None, where calls come one by one.
-
-    Waits up to `timeout` seconds for the first worker.
-
-    Raises
-    ------
-    ConnectionError
-        Where no worker joins in time, or the scheduler is lost.
-    """
+    """Number of threads that the workers have for calls, 1 for None; waits for the first worker."""
     _check_client(client)
     if client is None:
         return 1
@@ -116,31 +90,14 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
     """Connect to the scheduler at an address; with the empty address, give None.
 
     What Dask logs on the side is silenced meanwhile: what matters comes as an exception.
-
-    Parameters
-    ----------
-    address : str
-        "", or as in ``tcp://host:port``.
-    timeout : float
-        s.
-
-    Raises
-    ------
-    ValueError
-        For an address of another form.
-    ImportError
-        Where Dask is not installed.
-    ConnectionError
-        Where no scheduler answers in time.
     """
     if address == "":
         yield None
         return
     parts = isinstance(address, str) and ADDRESS.fullmatch(address)
-    if not parts or not 0 < int(parts[3]) < 2**16:
+    if not parts or not 0 < int(parts[1]) < 2**16:
         raise ValueError(
-            "the address of a scheduler must be tcp://host:port or tls://host:port, got "
-            f"{address!r}"
+            f"the address of a scheduler must be tcp://host:port or tls://host:port, got {address!r}"
         )
     with extra("cluster", "a cluster"):
         from distributed import Client
@@ -167,21 +124,16 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
 def alone() -> AbstractContextManager:
     """Keep other threads of this process out of a block.
 
-    numba's thread pool, where it is of the kind "workqueue", ends the process when two threads
-    enter it at once, as the threads of a worker may.
+    numba's thread pool "workqueue" ends the process when two threads of a worker enter it at once.
     """
     return _ALONE
 
 
 def worker_threads() -> int | None:
     """Number of threads that this process has as a worker of a cluster; None where it is none."""
-    distributed = sys.modules.get("distributed")
-    if distributed is None:
-        return None
-    try:
-        return distributed.get_worker().state.nthreads
-    except ValueError:
-        return None
+    with suppress(KeyError, ValueError):
+        return sys.modules["distributed"].get_worker().state.nthreads
+    return None
 
 
 @cache
@@ -212,9 +164,6 @@ def _sources(folder: "Traversable", prefix: str = "") -> Iterator[tuple[str, byt
 
 # Of now, and not of when it is asked for: by then the files may have been edited.
 _SOURCES = _digest_sources(files("robsmooth"))
-
-
-# --- on a worker ----------------------------------------------------------------------------------
 
 
 class _Call:
@@ -253,12 +202,10 @@ def _check_software(wanted: dict[str, str]) -> None:
         )
 
 
-# --- on the client --------------------------------------------------------------------------------
-
-
 def _on_cluster(
     function: Callable, calls: Iterable[tuple], client: "Client", timeout: float
 ) -> Iterator[Any]:
+    """Do as `in_order`, with few calls on their way: as many as keep all threads at work."""
     import cloudpickle
 
     shipped, calls = cloudpickle.dumps(function), enumerate(calls)

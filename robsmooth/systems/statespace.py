@@ -7,8 +7,7 @@ name and a single component as in ``sys["y[0]", "W[1]"]``.
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import product
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,27 +18,18 @@ from robsmooth._support.validation import Matrix
 if TYPE_CHECKING:  # it takes half a second to import, and only these functions need it
     import control
 
+Signals = Mapping[str, Matrix]
+
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    r"""A linear system by its signals: :math:`\dot x = Ax + \sum_i B_i u_i`, outputs alike.
+    r"""A linear system by its signals: :math:`\dot x = Ax + \sum_i B_i u_i`, outputs alike."""
 
-    Attributes
-    ----------
-    A : (n, n) array
-        Drift, 1/s.
-    inputs : mapping of str to (n, .) arrays
-        How each input signal drives the state.
-    outputs : mapping of str to (., n) arrays
-        How each output signal reads the state.
-    feedthrough : mapping of (str, str) to arrays
-        From an input to an output, by (output, input); zero where left out.
-    """
-
-    A: Matrix
-    inputs: Mapping[str, Matrix]
-    outputs: Mapping[str, Matrix]
+    A: Matrix  # (n, n), 1/s
+    inputs: Signals  # (n, .), how each input signal drives the state
+    outputs: Signals  # (., n), how each output signal reads the state
     feedthrough: Mapping[tuple[str, str], Matrix] = field(default_factory=dict)
+    # by (output, input); zero where left out
 
     @classmethod
     def of(cls, name: str, sys: "control.StateSpace") -> "Blocks":
@@ -60,11 +50,11 @@ class Blocks:
 
     def into_state(self, signal: str) -> Matrix:
         """(n, .) how an input drives the state; without columns where there is no such input."""
-        return self.inputs.get(signal, np.zeros((self.A.shape[0], 0)))
+        return self.inputs.get(signal, np.zeros((len(self.A), 0)))
 
     def from_state(self, signal: str) -> Matrix:
         """(., n) how an output reads the state; without rows where there is no such output."""
-        return self.outputs.get(signal, np.zeros((0, self.A.shape[0])))
+        return self.outputs.get(signal, np.zeros((0, len(self.A))))
 
     def direct(self, output: str, signal: str) -> Matrix:
         """How an input feeds through to an output."""
@@ -75,33 +65,29 @@ class Blocks:
         self, inputs: str | Iterable[str] | None, outputs: str | Iterable[str] | None
     ) -> "Blocks":
         """Return the system with some of its signals, in the order given; None keeps all."""
-        return Blocks(
-            self.A,
-            _chosen("inputs", inputs, self.inputs),
-            _chosen("outputs", outputs, self.outputs),
-            self.feedthrough,
-        )
+        chosen = _chosen("inputs", inputs, self.inputs)
+        return replace(self, inputs=chosen, outputs=_chosen("outputs", outputs, self.outputs))
 
     def to_control(self) -> "control.StateSpace":
         """Return the system as a python-control object."""
         with extra("control", "to_statespace"):
             import control
 
-        n = self.A.shape[0]
+        n = len(self.A)
         B = np.hstack([np.zeros((n, 0)), *self.inputs.values()])
         C = np.vstack([np.zeros((0, n)), *self.outputs.values()])
-        D = np.zeros((C.shape[0], B.shape[1]))
-        rows, columns = _places(self.outputs, axis=0), _places(self.inputs, axis=1)
-        for output, signal in product(rows, columns):
-            D[rows[output], columns[signal]] = self.direct(output, signal)
+        rows = [
+            np.hstack([np.zeros((len(read), 0)), *(self.direct(name, u) for u in self.inputs)])
+            for name, read in self.outputs.items()
+        ]
         return control.StateSpace(
             self.A.copy(),
             B,
             C,
-            D,
+            np.vstack([np.zeros((0, B.shape[1])), *rows]),
             0,
-            inputs=_labels(columns),
-            outputs=_labels(rows),
+            inputs=[f"{u}[{i}]" for u, drive in self.inputs.items() for i in range(drive.shape[1])],
+            outputs=[f"{y}[{i}]" for y, read in self.outputs.items() for i in range(len(read))],
             remove_useless_states=False,
         )
 
@@ -120,41 +106,24 @@ def check_continuous(name: str, sys: "control.StateSpace") -> None:
         raise ValueError(f"{name} must have a state, got a static gain")
 
 
-def _places(signals: Mapping[str, Matrix], axis: int) -> dict[str, slice]:
-    """Return where each signal stands among all components."""
-    ends = np.cumsum([0, *(block.shape[axis] for block in signals.values())]).tolist()
-    return {name: slice(*ends[i : i + 2]) for i, name in enumerate(signals)}
-
-
-def _labels(places: Mapping[str, slice]) -> list[str]:
-    return [f"{name}[{i}]" for name, at in places.items() for i in range(at.stop - at.start)]
-
-
 def _signals(name: str, labels: Sequence[str]) -> dict[str, list[int]]:
     """Return where the components of each signal stand, in their order."""
-    found: dict[str, dict[int, int]] = {}
+    found: dict[str, list[tuple[int, int]]] = {}
     for position, label in enumerate(labels):
-        parts = re.fullmatch(r"(.+)\[(\d+)\]", label)
-        signal, index = (parts[1], int(parts[2])) if parts else (label, 0)
-        positions = found.setdefault(signal, {})
-        if index in positions:
-            raise ValueError(f"{name} {signal!r} has its component {index} twice")
-        positions[index] = position
-    for signal, positions in found.items():
-        missing = set(range(len(positions))) - set(positions)
-        if missing:
+        signal, index = re.fullmatch(r"(?s)(.*?)(?:\[(\d+)\])?", label).groups("0")
+        found.setdefault(signal, []).append((int(index), position))
+    for signal, components in found.items():
+        components.sort()
+        indices = [index for index, _ in components]
+        if indices != list(range(len(indices))):
             raise ValueError(
-                f"{name} {signal!r} has {len(positions)} component(s), "
-                f"but none is called '{signal}[{min(missing)}]'"
+                f"{name} {signal!r} must have its components numbered '{signal}[0]', "
+                f"'{signal}[1]', ..., each once, got the numbers {indices}"
             )
-    return {
-        signal: [positions[i] for i in range(len(positions))] for signal, positions in found.items()
-    }
+    return {signal: [at for _, at in components] for signal, components in found.items()}
 
 
-def _chosen(
-    name: str, wanted: str | Iterable[str] | None, signals: Mapping[str, Matrix]
-) -> Mapping[str, Matrix]:
+def _chosen(name: str, wanted: str | Iterable[str] | None, signals: Signals) -> Signals:
     if wanted is None:
         return signals
     several = isinstance(wanted, Iterable) and not isinstance(wanted, str)

@@ -26,20 +26,14 @@ from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix
-from robsmooth.systems.channels import (
-    Nonlinearity,
-    Uncertainty,
-    check_sizes,
-    members,
-    set_fields,
-)
-from robsmooth.systems.interchange import noise_factor, parts_of_statespace
+from robsmooth.systems.channels import Nonlinearity, Uncertainty, check_sizes, members, set_fields
 from robsmooth.systems.statespace import Blocks, check_continuous
 
 if TYPE_CHECKING:
     import control
 
 _SHOWN = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
+_ASYMMETRY = 1e-12  # of a correlation matrix, and how far below zero its eigenvalues may be
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -68,10 +62,6 @@ class UncertainSystem:
     ValueError, TypeError
         For any matrix that is not 2-D, real, finite and of the shape above.
 
-    See Also
-    --------
-    augment : the next step, a system with the model of a delay.
-
     Examples
     --------
     A sensor's gain is known to 5%, the decay of what it measures to 10%:
@@ -80,9 +70,8 @@ class UncertainSystem:
     >>> decay = rs.Uncertainty(B=[[1.0]], C=[[0.1]], D=[[0.0]])
     >>> gain = rs.Uncertainty(B=[[0.0]], C=[[0.05]], D=[[1.0]])
     >>> A, B1, C0, C2, D21 = [[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]]
-    >>> system = rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties=[decay, gain])
-    >>> system.n, system.l, system.k
-    (1, 1, 2)
+    >>> rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties=[decay, gain]).k
+    2
     """
 
     A: Matrix
@@ -115,13 +104,13 @@ class UncertainSystem:
                 raise ValueError(f"{name} must have at least one row, got shape {value.shape}")
         D21 = validation.matrix("D21", D21, (C2.shape[0], B1.shape[1]))
         set_fields(self, A=A, B1=B1, C0=C0, C2=C2, D21=D21)
-        channels = {
-            "uncertainties": members("uncertainties", uncertainties, Uncertainty),
-            "nonlinearities": members("nonlinearities", nonlinearities, Nonlinearity),
-        }
-        for name, given in channels.items():
-            check_sizes(name, given, states=n, measurements=C2.shape[0])
-        set_fields(self, **channels)
+        for name, given, kind in (
+            ("uncertainties", uncertainties, Uncertainty),
+            ("nonlinearities", nonlinearities, Nonlinearity),
+        ):
+            channels = members(name, given, kind)
+            check_sizes(name, channels, states=n, measurements=C2.shape[0])
+            set_fields(self, **{name: channels})
 
     @classmethod
     def from_plant(
@@ -151,13 +140,9 @@ class UncertainSystem:
         Parameters
         ----------
         plant : control.StateSpace
-            In continuous time, with the noise as its p inputs and the l measurements as its
-            outputs.
-        process_noise : float or (p, p) array
-            Q, the intensity (two-sided spectral density) of the noise; a float is that of each
-            input.
-        measurement_noise : float or (l, l) array
-            R, likewise.
+            In continuous time: p inputs are noises, l outputs are measurements.
+        process_noise, measurement_noise : float, or (p, p) and (l, l) arrays
+            Q and R, intensities (two-sided spectral densities); a float is that of each signal.
         outputs : (m, n) array, optional
             :math:`C_0`, what to estimate of the state. Default: C, the measurements without noise.
         process_uncertainty, measurement_uncertainty : (h, n) arrays, optional
@@ -173,12 +158,8 @@ class UncertainSystem:
         Raises
         ------
         ValueError, TypeError
-            For a plant in discrete time, a static gain or another kind of object, a noise
-            intensity that is not a covariance, and whatever the class itself refuses.
-
-        See Also
-        --------
-        from_statespace : for a plant whose signals have names.
+            For a plant in discrete time, without a state or of another kind, a noise intensity
+            that is not a covariance, and whatever the class itself refuses.
 
         Examples
         --------
@@ -189,12 +170,12 @@ class UncertainSystem:
         array([[0. , 0.1]])
         """
         check_continuous("plant", plant)
-        process = noise_factor("process_noise", process_noise, plant.ninputs)
-        measurement = noise_factor("measurement_noise", measurement_noise, plant.noutputs)
+        process = _noise_factor("process_noise", process_noise, plant.ninputs)
+        measurement = _noise_factor("measurement_noise", measurement_noise, plant.noutputs)
         B, D = plant.B @ process, plant.D @ process
         no_B, none = np.zeros((plant.nstates, plant.noutputs)), np.zeros((1, plant.nstates))
-        given = (process_uncertainty, measurement_uncertainty)
-        C_0, C_1 = (none if C is None else C for C in given)
+        C_0 = none if process_uncertainty is None else process_uncertainty
+        C_1 = none if measurement_uncertainty is None else measurement_uncertainty
         channels = (Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement))
         return cls(
             A=plant.A,
@@ -219,9 +200,7 @@ class UncertainSystem:
         Parameters
         ----------
         sys : control.StateSpace
-            In continuous time. Inputs: unit white noises ``W[0]``, ..., uncertainties ``xi_0[0]``,
-            ... of each channel, nonlinearities ``mu[0]``, ... Outputs: ``w``, ``y``, ``zeta_0``,
-            ... and ``nu`` likewise, in any order. Only y may have feedthrough.
+            In continuous time. Its signals may come in any order; only y may have feedthrough.
         lipschitz : (g,) sequence
             The nonlinearities' constants, which a linear system does not hold.
         functions : (g,) sequence of callables or None, optional
@@ -239,11 +218,6 @@ class UncertainSystem:
             For signals of other names or that do not match, other feedthrough, and whatever the
             class itself refuses.
 
-        See Also
-        --------
-        to_statespace : the way back.
-        from_plant : for a plant that is not so named.
-
         Examples
         --------
         >>> import robsmooth as rs
@@ -251,7 +225,39 @@ class UncertainSystem:
         >>> rs.UncertainSystem.from_statespace(system.to_statespace(), lipschitz=[1.0]).g
         1
         """
-        return cls(**parts_of_statespace(sys, lipschitz, functions, references))
+        blocks = Blocks.of("sys", sys)
+        k = _number_of_uncertainties(blocks)
+        mu, nu, D = blocks.into_state("mu"), blocks.from_state("nu"), blocks.direct("y", "mu")
+        constants = validation.array("lipschitz", lipschitz, ndim=1)
+        named = {"lipschitz": constants}
+        for name, given in (("functions", functions), ("references", references)):
+            named[name] = [None] * len(constants) if given is None else given
+            validation.instance(name, named[name], Sequence)
+        for name, given in {"sys's output 'nu'": nu, **named}.items():
+            if len(given) != mu.shape[1]:
+                raise ValueError(
+                    f"{name} must have as many entries as sys's input 'mu', {mu.shape[1]}, "
+                    f"got {len(given)}"
+                )
+        return cls(
+            A=blocks.A,
+            B1=blocks.into_state("W"),
+            C0=blocks.from_state("w"),
+            C2=blocks.from_state("y"),
+            D21=blocks.direct("y", "W"),
+            uncertainties=[
+                Uncertainty(
+                    blocks.into_state(f"xi_{s}"),
+                    blocks.from_state(f"zeta_{s}"),
+                    blocks.direct("y", f"xi_{s}"),
+                )
+                for s in range(k)
+            ],
+            nonlinearities=[
+                Nonlinearity(mu[:, [i]], nu[[i]], D[:, [i]], *of_function)
+                for i, of_function in enumerate(zip(*named.values(), strict=True))
+            ],
+        )
 
     def to_statespace(
         self,
@@ -260,8 +266,8 @@ class UncertainSystem:
     ) -> "control.StateSpace":
         """Return the linear part as a python-control object, with its channels open.
 
-        Its signals have the components ``W[0]``, ``W[1]``, ...: python-control's ``interconnect``
-        joins it with an estimator's object by their names, and ``sys["y[0]", "W[1]"]`` is a part.
+        A signal has the components ``W[0]``, ``W[1]``, ...: python-control's ``interconnect``
+        joins it to that of an estimator by its name, and ``sys["y[0]", "W[1]"]`` is a part.
 
         Parameters
         ----------
@@ -275,10 +281,6 @@ class UncertainSystem:
         Returns
         -------
         control.StateSpace
-
-        See Also
-        --------
-        from_statespace : the way back.
 
         Examples
         --------
@@ -294,15 +296,11 @@ class UncertainSystem:
         """The linear part by its named signals, as `to_statespace` lists them."""
         mu, nu, mu_to_y = self.stacked(self.nonlinearities)
         channels = list(enumerate(self.uncertainties))
+        zetas = {f"zeta_{s}": c.C for s, c in channels}
         return Blocks(
             self.A,
             inputs={"W": self.B1, **{f"xi_{s}": c.B for s, c in channels}, "mu": mu},
-            outputs={
-                "w": self.C0,
-                "y": self.C2,
-                **{f"zeta_{s}": c.C for s, c in channels},
-                "nu": nu,
-            },
+            outputs={"w": self.C0, "y": self.C2, **zetas, "nu": nu},
             feedthrough={
                 ("y", "W"): self.D21,
                 **{("y", f"xi_{s}"): c.D for s, c in channels},
@@ -358,26 +356,25 @@ class UncertainSystem:
 
     def _repr_latex_(self) -> str:
         """Return the equations of the class with this system's numbers."""
-        mu = [(c, rf"\mu_{{{i}}}") for i, c in enumerate(self.nonlinearities, 1)]
-        xi = [(c, rf"\xi_{{{s}}}") for s, c in enumerate(self.uncertainties, 1)]
-        shown = mu[:_SHOWN] + xi[:_SHOWN]
-        dots = r"\cdots" if max(len(mu), len(xi)) > _SHOWN else ""
-
-        def equation(left: str, of_state: Matrix, channel: str, noise: Matrix) -> str:
-            inputs = [notation.product(getattr(c, channel), symbol) for c, symbol in shown]
-            drift = notation.total([notation.product(of_state, "x"), *inputs, dots])
-            drift = rf"\left[{drift}\right]dt" if drift != "0" else ""
-            return f"{left} &= {notation.total([drift, notation.product(noise, 'dW')])}"
+        mu = [(c, rf"\mu_{{{i}}}") for i, c in enumerate(self.nonlinearities[:_SHOWN], 1)]
+        xi = [(c, rf"\xi_{{{s}}}") for s, c in enumerate(self.uncertainties[:_SHOWN], 1)]
+        dots = r"\cdots" if max(self.k, self.g) > _SHOWN else ""
 
         def of_x(C: Matrix) -> str:
             return notation.product(C, "x") or "0"
+
+        def equation(left: str, of_state: Matrix, channel: str, noise: Matrix) -> str:
+            inputs = [notation.product(getattr(c, channel), symbol) for c, symbol in mu + xi]
+            drift = notation.total([notation.product(of_state, "x"), *inputs, dots])
+            drift = rf"\left[{drift}\right]dt" if drift != "0" else ""
+            return f"{left} &= {notation.total([drift, notation.product(noise, 'dW')])}"
 
         lines = [
             equation("dx", self.A, "B", self.B1) + r"\qquad(t\text{ in s})",
             equation("dy", self.C2, "D", self.D21),
             f"w &= {of_x(self.C0)}",
         ]
-        for i, (c, symbol) in enumerate(mu[:_SHOWN], 1):
+        for i, (c, symbol) in enumerate(mu, 1):
             nu, argument, estimate = rf"\nu_{{{i}}}", rf"\nu_{{{i}}}", ""
             if c.reference is not None:
                 argument = rf"{nu} - r_{{{i}}}"
@@ -386,9 +383,54 @@ class UncertainSystem:
                 rf"{symbol} &= \psi_{{{i}}}({argument}),\quad {nu} = {of_x(c.C)},\quad "
                 rf"\beta_{{{i}}} = {notation.number(c.lipschitz)}{estimate}"
             )
-        for s, (c, symbol) in enumerate(xi[:_SHOWN], 1):
-            zeta = rf"\zeta_{{{s}}}"
+        for c, symbol in xi:
+            zeta = symbol.replace("xi", "zeta")
             lines.append(
                 rf"\lVert{symbol}\rVert &\le \lVert{zeta}\rVert,\quad {zeta} = {of_x(c.C)}"
             )
         return "$$\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}$$"
+
+
+def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
+    """Return the symmetric square root of a noise's intensity."""
+    if np.ndim(intensity) == 0:
+        return np.sqrt(validation.real(name, intensity, low=0.0)) * np.eye(size)
+    intensity = validation.matrix(name, intensity, (size, size))
+    unit = np.sqrt(np.abs(np.diag(intensity)))
+    unit[unit == 0.0] = 1.0
+    correlation = intensity / np.outer(unit, unit)  # signals may have very different units
+    if np.abs(correlation - correlation.T).max(initial=0.0) > _ASYMMETRY:
+        raise ValueError(f"{name} must be symmetric")
+    eigenvalues, vectors = np.linalg.eigh(correlation)
+    if eigenvalues.min(initial=0.0) < -_ASYMMETRY:
+        raise ValueError(
+            f"{name} must be nonnegative definite, got one whose correlation matrix has the "
+            f"eigenvalue {eigenvalues.min():.3g}"
+        )
+    root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T
+    return unit[:, None] * root
+
+
+def _number_of_uncertainties(blocks: Blocks) -> int:
+    """Check that a system's signals are those of the class, and count its uncertainties."""
+    k = 0
+    while f"xi_{k}" in blocks.inputs or f"zeta_{k}" in blocks.outputs:
+        k += 1
+    for kind, signals, known, channel in (
+        ("input", blocks.inputs, ["W", "mu"], "xi"),
+        ("output", blocks.outputs, ["w", "y", "nu"], "zeta"),
+    ):
+        for name in signals:
+            if name not in [*known, *(f"{channel}_{s}" for s in range(k))]:
+                raise ValueError(
+                    f"sys's {kind} {name!r} must be one of {', '.join(known)}, {channel}_0, "
+                    f"{channel}_1, ..., numbered from 0 without a gap; for a plant that is not so "
+                    "named there is from_plant"
+                )
+    for name in ("w", "y"):
+        if name not in blocks.outputs:
+            raise ValueError(f"sys must have an output {name!r}, got {', '.join(blocks.outputs)}")
+    for (output, name), D in blocks.feedthrough.items():
+        if output != "y" and D.any():
+            raise ValueError(f"sys must have feedthrough to 'y' only, got {name!r} to {output!r}")
+    return k
