@@ -30,7 +30,7 @@ from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.channels import set_fields
 from robsmooth.systems.delay import DelayModel, pade_delay
-from robsmooth.systems.statespace import Blocks
+from robsmooth.systems.statespace import state_space
 from robsmooth.systems.system import UncertainSystem
 
 if TYPE_CHECKING:
@@ -232,11 +232,10 @@ class AugmentedSystem:
         >>> plant.to_statespace().output_labels
         ['w[0]', 'y[0]', 'zeta_0[0]', 'nu[0]', 'w_a[0]']
         """
-        part = self.system.blocks
-        inputs = {name: _padded(B, self.n, B.shape[1]) for name, B in part.inputs.items()}
-        outputs = {name: _padded(C, len(C), self.n) for name, C in part.outputs.items()}
-        outputs["w_a"] = self.C_a
-        return Blocks(self.A_p, inputs, outputs, part.feedthrough).to_control()
+        inputs, outputs, feedthrough = self.system.signals()
+        inputs = {name: _padded(B, self.n, B.shape[1]) for name, B in inputs.items()}
+        outputs = {name: _padded(C, len(C), self.n) for name, C in outputs.items()}
+        return state_space(self.A_p, inputs, {**outputs, "w_a": self.C_a}, feedthrough)
 
     def __repr__(self) -> str:
         return (

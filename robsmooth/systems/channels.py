@@ -1,6 +1,6 @@
 """The channels of an uncertain system: where uncertainties and nonlinearities act on it."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -155,14 +155,17 @@ def members(name: str, values: Iterable, kind: type) -> tuple:
     return result
 
 
-def check_sizes(name: str, channels: Sequence[Channel], states: int, measurements: int) -> None:
-    """Check the channels' matrices against the system that they are part of."""
+def fitting(
+    name: str, values: Iterable, kind: type[Channel], states: int, measurements: int
+) -> tuple[Channel, ...]:
+    """Return channels of one kind, checked against the system that they are part of."""
+    channels = members(name, values, kind)
     for index, channel in enumerate(channels):
-        nonlinear = isinstance(channel, Nonlinearity)
-        inputs, outputs = (1, 1) if nonlinear else (channel.B.shape[1], None)
+        inputs, outputs = (1, 1) if kind is Nonlinearity else (channel.B.shape[1], None)
         shapes = {"B": (states, inputs), "C": (outputs, states), "D": (measurements, inputs)}
         for letter, shape in shapes.items():
             validation.matrix(f"{name}[{index}].{letter}", getattr(channel, letter), shape)
+    return channels
 
 
 def _set_matrices(channel: Channel, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> None:

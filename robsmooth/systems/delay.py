@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.systems.statespace import Blocks
+from robsmooth.systems.statespace import state_space
 
 if TYPE_CHECKING:
     import control
@@ -79,8 +79,7 @@ class DelayModel:
 
     def to_statespace(self) -> "control.StateSpace":
         """Return the model as a python-control object, from ``w`` to ``w_a``."""
-        feedthrough = {("w_a", "w"): self.J}
-        return Blocks(self.F, {"w": self.G}, {"w_a": self.H}, feedthrough).to_control()
+        return state_space(self.F, {"w": self.G}, {"w_a": self.H}, {("w_a", "w"): self.J})
 
 
 def pade_delay(delay: float, order: int, channels: int = 1) -> DelayModel:

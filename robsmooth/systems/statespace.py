@@ -7,7 +7,6 @@ name and a single component as in ``sys["y[0]", "W[1]"]``.
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,75 +20,31 @@ if TYPE_CHECKING:  # it takes half a second to import, and only these functions 
 Signals = Mapping[str, Matrix]
 
 
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    r"""A linear system by its signals: :math:`\dot x = Ax + \sum_i B_i u_i`, outputs alike."""
+def state_space(
+    A: Matrix, inputs: Signals, outputs: Signals, feedthrough: Mapping[tuple[str, str], Matrix]
+) -> "control.StateSpace":
+    r"""Return a python-control object, of :math:`\dot x = Ax + \sum_i B_i u_i` and outputs alike.
 
-    A: Matrix  # (n, n), 1/s
-    inputs: Signals  # (n, .), how each input signal drives the state
-    outputs: Signals  # (., n), how each output signal reads the state
-    feedthrough: Mapping[tuple[str, str], Matrix] = field(default_factory=dict)
-    # by (output, input); zero where left out
+    Inputs (n, .) and outputs (., n) are by name, feedthrough by (output, input), zero if left out.
+    """
+    with extra("control", "to_statespace"):
+        import control
 
-    @classmethod
-    def of(cls, name: str, sys: "control.StateSpace") -> "Blocks":
-        """Take a continuous-time system apart by its labels; `name` is what errors call it."""
-        check_continuous(name, sys)
-        inputs = _signals(f"{name}'s input", sys.input_labels)
-        outputs = _signals(f"{name}'s output", sys.output_labels)
-        return cls(
-            A=sys.A,
-            inputs={signal: sys.B[:, at] for signal, at in inputs.items()},
-            outputs={signal: sys.C[at] for signal, at in outputs.items()},
-            feedthrough={
-                (output, signal): sys.D[np.ix_(rows, columns)]
-                for output, rows in outputs.items()
-                for signal, columns in inputs.items()
-            },
-        )
-
-    def into_state(self, signal: str) -> Matrix:
-        """(n, .) how an input drives the state; without columns where there is no such input."""
-        return self.inputs.get(signal, np.zeros((len(self.A), 0)))
-
-    def from_state(self, signal: str) -> Matrix:
-        """(., n) how an output reads the state; without rows where there is no such output."""
-        return self.outputs.get(signal, np.zeros((0, len(self.A))))
-
-    def direct(self, output: str, signal: str) -> Matrix:
-        """How an input feeds through to an output."""
-        shape = self.from_state(output).shape[0], self.into_state(signal).shape[1]
-        return self.feedthrough.get((output, signal), np.zeros(shape))
-
-    def select(
-        self, inputs: str | Iterable[str] | None, outputs: str | Iterable[str] | None
-    ) -> "Blocks":
-        """Return the system with some of its signals, in the order given; None keeps all."""
-        chosen = _chosen("inputs", inputs, self.inputs)
-        return replace(self, inputs=chosen, outputs=_chosen("outputs", outputs, self.outputs))
-
-    def to_control(self) -> "control.StateSpace":
-        """Return the system as a python-control object."""
-        with extra("control", "to_statespace"):
-            import control
-
-        n = len(self.A)
-        B = np.hstack([np.zeros((n, 0)), *self.inputs.values()])
-        C = np.vstack([np.zeros((0, n)), *self.outputs.values()])
-        rows = [
-            np.hstack([np.zeros((len(read), 0)), *(self.direct(name, u) for u in self.inputs)])
-            for name, read in self.outputs.items()
-        ]
-        return control.StateSpace(
-            self.A.copy(),
-            B,
-            C,
-            np.vstack([np.zeros((0, B.shape[1])), *rows]),
-            0,
-            inputs=[f"{u}[{i}]" for u, drive in self.inputs.items() for i in range(drive.shape[1])],
-            outputs=[f"{y}[{i}]" for y, read in self.outputs.items() for i in range(len(read))],
-            remove_useless_states=False,
-        )
+    n, p = len(A), sum(B.shape[1] for B in inputs.values())
+    D = [
+        [feedthrough.get((y, u), np.zeros((len(C), B.shape[1]))) for u, B in inputs.items()]
+        for y, C in outputs.items()
+    ]
+    return control.StateSpace(
+        A.copy(),
+        np.hstack([np.zeros((n, 0)), *inputs.values()]),
+        np.vstack([np.zeros((0, n)), *outputs.values()]),
+        np.vstack([np.zeros((0, p)), *(np.hstack(row) for row in D if p)]),
+        0,
+        inputs=[f"{u}[{i}]" for u, B in inputs.items() for i in range(B.shape[1])],
+        outputs=[f"{y}[{i}]" for y, C in outputs.items() for i in range(len(C))],
+        remove_useless_states=False,
+    )
 
 
 def check_continuous(name: str, sys: "control.StateSpace") -> None:
@@ -106,7 +61,7 @@ def check_continuous(name: str, sys: "control.StateSpace") -> None:
         raise ValueError(f"{name} must have a state, got a static gain")
 
 
-def _signals(name: str, labels: Sequence[str]) -> dict[str, list[int]]:
+def components(name: str, labels: Sequence[str]) -> dict[str, list[int]]:
     """Return where the components of each signal stand, in their order."""
     found: dict[str, list[tuple[int, int]]] = {}
     for position, label in enumerate(labels):
@@ -123,7 +78,8 @@ def _signals(name: str, labels: Sequence[str]) -> dict[str, list[int]]:
     return {signal: [at for _, at in components] for signal, components in found.items()}
 
 
-def _chosen(name: str, wanted: str | Iterable[str] | None, signals: Signals) -> Signals:
+def chosen(name: str, wanted: str | Iterable[str] | None, signals: Signals) -> Signals:
+    """Return the signals of some names, in the order given; None keeps all."""
     if wanted is None:
         return signals
     several = isinstance(wanted, Iterable) and not isinstance(wanted, str)

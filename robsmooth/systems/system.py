@@ -17,7 +17,7 @@ the *reference* :math:`r_i` an estimate of :math:`\nu_i`. What the detector take
 :math:`r_i`, has been added to the linear part of the measurement again, as in Section IV-A.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -26,8 +26,21 @@ from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix
-from robsmooth.systems.channels import Nonlinearity, Uncertainty, check_sizes, members, set_fields
-from robsmooth.systems.statespace import Blocks, check_continuous
+from robsmooth.systems.channels import (
+    Channel,
+    Nonlinearity,
+    Uncertainty,
+    fitting,
+    members,
+    set_fields,
+)
+from robsmooth.systems.statespace import (
+    Signals,
+    check_continuous,
+    chosen,
+    components,
+    state_space,
+)
 
 if TYPE_CHECKING:
     import control
@@ -100,17 +113,14 @@ class UncertainSystem:
         C0 = validation.matrix("C0", C0, (None, n))
         C2 = validation.matrix("C2", C2, (None, n))
         for name, value in (("C0", C0), ("C2", C2)):
-            if value.shape[0] == 0:
+            if len(value) == 0:
                 raise ValueError(f"{name} must have at least one row, got shape {value.shape}")
         D21 = validation.matrix("D21", D21, (C2.shape[0], B1.shape[1]))
         set_fields(self, A=A, B1=B1, C0=C0, C2=C2, D21=D21)
-        for name, given, kind in (
-            ("uncertainties", uncertainties, Uncertainty),
-            ("nonlinearities", nonlinearities, Nonlinearity),
-        ):
-            channels = members(name, given, kind)
-            check_sizes(name, channels, states=n, measurements=C2.shape[0])
-            set_fields(self, **{name: channels})
+        sizes = n, C2.shape[0]
+        uncertainties = fitting("uncertainties", uncertainties, Uncertainty, *sizes)
+        nonlinearities = fitting("nonlinearities", nonlinearities, Nonlinearity, *sizes)
+        set_fields(self, uncertainties=uncertainties, nonlinearities=nonlinearities)
 
     @classmethod
     def from_plant(
@@ -225,9 +235,21 @@ class UncertainSystem:
         >>> rs.UncertainSystem.from_statespace(system.to_statespace(), lipschitz=[1.0]).g
         1
         """
-        blocks = Blocks.of("sys", sys)
-        k = _number_of_uncertainties(blocks)
-        mu, nu, D = blocks.into_state("mu"), blocks.from_state("nu"), blocks.direct("y", "mu")
+        check_continuous("sys", sys)
+        inputs = components("sys's input", sys.input_labels)
+        outputs = components("sys's output", sys.output_labels)
+        k = _number_of_uncertainties(inputs, outputs)
+        for i, j in np.argwhere(sys.D):
+            if i not in outputs["y"]:
+                names = f"{sys.input_labels[j]!r} to {sys.output_labels[i]!r}"
+                raise ValueError(f"sys must have feedthrough to 'y' only, got {names}")
+
+        def channel(signal: str, output: str) -> tuple[Matrix, Matrix, Matrix]:
+            columns, rows = inputs.get(signal, []), outputs.get(output, [])
+            return sys.B[:, columns], sys.C[rows], sys.D[np.ix_(outputs["y"], columns)]
+
+        B1, C0, D21 = channel("W", "w")
+        mu, nu, D = channel("mu", "nu")
         constants = validation.array("lipschitz", lipschitz, ndim=1)
         named = {"lipschitz": constants}
         for name, given in (("functions", functions), ("references", references)):
@@ -240,19 +262,12 @@ class UncertainSystem:
                     f"got {len(given)}"
                 )
         return cls(
-            A=blocks.A,
-            B1=blocks.into_state("W"),
-            C0=blocks.from_state("w"),
-            C2=blocks.from_state("y"),
-            D21=blocks.direct("y", "W"),
-            uncertainties=[
-                Uncertainty(
-                    blocks.into_state(f"xi_{s}"),
-                    blocks.from_state(f"zeta_{s}"),
-                    blocks.direct("y", f"xi_{s}"),
-                )
-                for s in range(k)
-            ],
+            A=sys.A,
+            B1=B1,
+            C0=C0,
+            C2=sys.C[outputs["y"]],
+            D21=D21,
+            uncertainties=[Uncertainty(*channel(f"xi_{s}", f"zeta_{s}")) for s in range(k)],
             nonlinearities=[
                 Nonlinearity(mu[:, [i]], nu[[i]], D[:, [i]], *of_function)
                 for i, of_function in enumerate(zip(*named.values(), strict=True))
@@ -289,28 +304,21 @@ class UncertainSystem:
         >>> system.to_statespace(inputs="W", outputs="y").input_labels
         ['W[0]', 'W[1]']
         """
-        return self.blocks.select(inputs, outputs).to_control()
+        drives, reads, feedthrough = self.signals()
+        drives, reads = chosen("inputs", inputs, drives), chosen("outputs", outputs, reads)
+        return state_space(self.A, drives, reads, feedthrough)
 
-    @property
-    def blocks(self) -> Blocks:
-        """The linear part by its named signals, as `to_statespace` lists them."""
-        mu, nu, mu_to_y = self.stacked(self.nonlinearities)
-        channels = list(enumerate(self.uncertainties))
-        zetas = {f"zeta_{s}": c.C for s, c in channels}
-        return Blocks(
-            self.A,
-            inputs={"W": self.B1, **{f"xi_{s}": c.B for s, c in channels}, "mu": mu},
-            outputs={"w": self.C0, "y": self.C2, **zetas, "nu": nu},
-            feedthrough={
-                ("y", "W"): self.D21,
-                **{("y", f"xi_{s}"): c.D for s, c in channels},
-                ("y", "mu"): mu_to_y,
-            },
-        )
+    def signals(self) -> tuple[Signals, Signals, Mapping[tuple[str, str], Matrix]]:
+        """Inputs, outputs and feedthrough of the linear part by name, as for `state_space`."""
+        channels = [("W", "w", self.B1, self.C0, self.D21)]
+        for s, c in enumerate(self.uncertainties):
+            channels.append((f"xi_{s}", f"zeta_{s}", c.B, c.C, c.D))
+        channels.append(("mu", "nu", *self.stacked(self.nonlinearities)))
+        inputs = {name: B for name, _, B, _, _ in channels}
+        outputs = {"w": self.C0, "y": self.C2} | {name: C for _, name, _, C, _ in channels}
+        return inputs, outputs, {("y", name): D for name, _, _, _, D in channels}
 
-    def stacked(
-        self, channels: Sequence[Uncertainty | Nonlinearity]
-    ) -> tuple[Matrix, Matrix, Matrix]:
+    def stacked(self, channels: Sequence[Channel]) -> tuple[Matrix, Matrix, Matrix]:
         """Return B, C and D of some of the system's channels side by side."""
         return (
             np.hstack([np.zeros((self.n, 0)), *(channel.B for channel in channels)]),
@@ -411,14 +419,14 @@ def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
     return unit[:, None] * root
 
 
-def _number_of_uncertainties(blocks: Blocks) -> int:
+def _number_of_uncertainties(inputs: Iterable[str], outputs: Iterable[str]) -> int:
     """Check that a system's signals are those of the class, and count its uncertainties."""
     k = 0
-    while f"xi_{k}" in blocks.inputs or f"zeta_{k}" in blocks.outputs:
+    while f"xi_{k}" in inputs or f"zeta_{k}" in outputs:
         k += 1
     for kind, signals, known, channel in (
-        ("input", blocks.inputs, ["W", "mu"], "xi"),
-        ("output", blocks.outputs, ["w", "y", "nu"], "zeta"),
+        ("input", inputs, ["W", "mu"], "xi"),
+        ("output", outputs, ["w", "y", "nu"], "zeta"),
     ):
         for name in signals:
             if name not in [*known, *(f"{channel}_{s}" for s in range(k))]:
@@ -428,9 +436,6 @@ def _number_of_uncertainties(blocks: Blocks) -> int:
                     "named there is from_plant"
                 )
     for name in ("w", "y"):
-        if name not in blocks.outputs:
-            raise ValueError(f"sys must have an output {name!r}, got {', '.join(blocks.outputs)}")
-    for (output, name), D in blocks.feedthrough.items():
-        if output != "y" and D.any():
-            raise ValueError(f"sys must have feedthrough to 'y' only, got {name!r} to {output!r}")
+        if name not in outputs:
+            raise ValueError(f"sys must have an output {name!r}, got {', '.join(outputs)}")
     return k

@@ -21,7 +21,7 @@ from robsmooth import (
 )
 from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
-from robsmooth.systems.statespace import Blocks
+from robsmooth.systems.delay import pade_delay
 from tests.helpers.strategies import (
     admissible_delta,
     designs,
@@ -164,12 +164,7 @@ def test_what_goes_out_is_in_continuous_time_a_copy_and_keeps_all_states(monkeyp
 
 
 def test_a_static_gain_is_a_system_too():
-    sys = Blocks(
-        np.zeros((0, 0)),
-        {"w": np.zeros((0, 2))},
-        {"w_a": np.zeros((2, 0))},
-        {("w_a", "w"): np.eye(2)},
-    ).to_control()
+    sys = pade_delay(0.0, 2, channels=2).to_statespace()
     assert sys.dt == 0
     assert_array_equal(sys.D, np.eye(2))
 
