@@ -35,6 +35,7 @@ CALLS_PER_THREAD = 2  # sent ahead: one that is computed and one that waits for 
 CALLS_AHEAD = 2  # and some more, while results are on their way
 LOOK_EVERY = 1.0  # s, how often the cluster is looked at
 ANSWER_TIME = 30.0  # s, for the scheduler to answer
+JOIN_TIME = 30.0  # s, for a worker to join where there is none
 ADDRESS = re.compile(r"(?:tcp|tls)://(?:[^\s/:@\[\]]+|\[[\w:.%]+\]):(\d+)")
 PACKAGES = ("numpy", "numba", "scipy")  # what results depend on to the last bit
 LOGGERS = ("distributed", "distributed.client", "tornado.application")
@@ -43,32 +44,27 @@ _ALONE = threading.RLock()
 
 
 def in_order(
-    function: Callable,
-    calls: Iterable[tuple],
-    client: "Client | None" = None,
-    *,
-    timeout: float = 30.0,
+    function: Callable, calls: Iterable[tuple], client: "Client | None" = None
 ) -> Iterator[Any]:
     """Yield ``function(*call)`` for each call, in the order of the calls, or raise as it does.
 
     The function is sent with each call: it should pickle to less than about 100 kB. Calls are taken
     as they are needed. Closing the iterator early, as an error or Ctrl-C in the loop over it does,
-    drops the calls that are on their way. ConnectionError where the cluster has no worker for
-    `timeout` seconds or its scheduler is lost; RuntimeError for a worker with other software, or
-    where a call ended several workers.
+    drops the calls that are on their way. ConnectionError says that there is no worker or no
+    scheduler, RuntimeError that a worker has other software or that a call ended several workers.
     """
     _check_client(client)
     if client is None:
         return (function(*call) for call in calls)
-    return _on_cluster(function, calls, client, timeout)
+    return _on_cluster(function, calls, client)
 
 
-def workers(client: "Client | None", *, timeout: float = 30.0) -> int:
+def workers(client: "Client | None") -> int:
     """Number of threads that the workers have for calls, 1 for None; waits for the first worker."""
     _check_client(client)
     if client is None:
         return 1
-    deadline = time.monotonic() + timeout
+    deadline = time.monotonic() + JOIN_TIME
     while True:
         try:
             threads = sum(client.nthreads(callback_timeout=ANSWER_TIME).values())
@@ -79,10 +75,10 @@ def workers(client: "Client | None", *, timeout: float = 30.0) -> int:
         if time.monotonic() >= deadline:
             address = client.scheduler.address
             raise ConnectionError(
-                f"no worker has joined the scheduler at {address} for {timeout:g} s: start some "
+                f"no worker has joined the scheduler at {address} for {JOIN_TIME:g} s: start some "
                 f"there, as with `dask worker {address}`"
             )
-        time.sleep(min(0.1, timeout))
+        time.sleep(0.1)
 
 
 @contextmanager
@@ -96,9 +92,8 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
         return
     parts = isinstance(address, str) and ADDRESS.fullmatch(address)
     if not parts or not 0 < int(parts[1]) < 2**16:
-        raise ValueError(
-            f"the address of a scheduler must be tcp://host:port or tls://host:port, got {address!r}"
-        )
+        known = "tcp://host:port or tls://host:port"
+        raise ValueError(f"the address of a scheduler must be {known}, got {address!r}")
     with extra("cluster", "a cluster"):
         from distributed import Client
     with ExitStack() as stack:
@@ -131,8 +126,8 @@ def alone() -> AbstractContextManager:
 
 def worker_threads() -> int | None:
     """Number of threads that this process has as a worker of a cluster; None where it is none."""
-    with suppress(KeyError, ValueError):
-        return sys.modules["distributed"].get_worker().state.nthreads
+    with suppress(AttributeError, ValueError):  # Dask is not imported, or this is no worker
+        return sys.modules.get("distributed").get_worker().state.nthreads
     return None
 
 
@@ -181,30 +176,25 @@ class _Call:
 
 
 def _compute(wanted: dict[str, str], function: bytes, arguments: bytes) -> Any:
-    _check_software(wanted)
+    """Do a call on a worker, after a check that its software is that of the client."""
+    here = software()
+    differences = ", ".join(
+        f"{name} {here.get(name, 'absent')[:12]} and not {wanted.get(name, 'absent')[:12]}"
+        for name in sorted(here | wanted)
+        if here.get(name) != wanted.get(name)
+    )
+    if differences:
+        raise RuntimeError(
+            f"a worker has other software than the client: {differences}; the results would "
+            "differ: start the workers in the same environment, and anew after each change of it"
+        )
     return _loads(function)(*pickle.loads(arguments))
 
 
 _loads = lru_cache(maxsize=1)(pickle.loads)  # a function comes with each of its calls
 
 
-def _check_software(wanted: dict[str, str]) -> None:
-    here = software()
-    if here != wanted:
-        differences = ", ".join(
-            f"{name} {here.get(name, 'absent')[:12]} and not {wanted.get(name, 'absent')[:12]}"
-            for name in sorted(here | wanted)
-            if here.get(name) != wanted.get(name)
-        )
-        raise RuntimeError(
-            f"a worker has other software than the client: {differences}; the results would "
-            "differ: start the workers in the same environment, and anew after each change of it"
-        )
-
-
-def _on_cluster(
-    function: Callable, calls: Iterable[tuple], client: "Client", timeout: float
-) -> Iterator[Any]:
+def _on_cluster(function: Callable, calls: Iterable[tuple], client: "Client") -> Iterator[Any]:
     """Do as `in_order`, with few calls on their way: as many as keep all threads at work."""
     import cloudpickle
 
@@ -214,7 +204,7 @@ def _on_cluster(
     try:
         while True:
             if time.monotonic() >= look_at:
-                threads = workers(client, timeout=timeout)
+                threads = workers(client)
                 look_at = time.monotonic() + LOOK_EVERY
             room = CALLS_PER_THREAD * threads + CALLS_AHEAD - len(pending)
             for index, call in islice(calls, max(room, 0)):
