@@ -78,38 +78,23 @@ def save(
     OSError
         Where the file cannot be written.
 
-    See Also
-    --------
-    load : Reads the file.
-
     Examples
     --------
     >>> import tempfile
-    >>> from pathlib import Path
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder, "filter.toml")
-    ...     rs.save(rs.baselines.kalman_bucy(system), path)
-    ...     print("kind = " in path.read_text())
-    True
+    ...     rs.save(rs.homodyne.PAPER.uncertain_system(), folder + "/system.toml")
+    ...     rs.load(folder + "/system.toml").A
+    array([[-9140.]])
     """
     path, language = _language(path)
-    content = {"format": FORMAT, "kind": "", "units": "SI"}
-    if isinstance(value, UncertainSystem):
-        content |= {"kind": "system", **_system_fields(value)}
-    elif isinstance(value, AugmentedSystem):
-        content |= {"kind": "plant", **_plant_fields(value)}
-    elif isinstance(value, Estimator):
-        content |= {"kind": "estimator", **_estimator_fields(value)}
-    else:
-        raise TypeError(
-            "value must be an UncertainSystem, AugmentedSystem or Estimator, "
-            f"got {type(value).__name__}"
-        )
-    files.write_text(path, _toml_document(content) if language == "toml" else _json(content) + "\n")
+    for kind, (made, fields) in _KINDS.items():
+        if isinstance(value, made):
+            content = {"format": FORMAT, "kind": kind, "units": "SI", **fields(value)}
+            text = _toml_document(content) if language == "toml" else _json(content) + "\n"
+            return files.write_text(path, text)
+    kinds = "an UncertainSystem, AugmentedSystem or Estimator"
+    raise TypeError(f"value must be {kinds}, got {type(value).__name__}")
 
 
 def load(
@@ -141,24 +126,14 @@ def load(
     OSError
         Where the file cannot be read.
 
-    See Also
-    --------
-    save : Writes the file.
-
     Examples
     --------
     >>> import tempfile
-    >>> from pathlib import Path
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder, "system.toml")
-    ...     rs.save(system, path)
-    ...     loaded = rs.load(path)
-    >>> loaded.A
-    array([[-1.]])
+    ...     rs.save(rs.homodyne.PAPER.uncertain_system(), folder + "/system.json")
+    ...     rs.load(folder + "/system.json").n
+    1
     """
     path, language = _language(path)
     functions = {} if functions is None else functions
@@ -201,10 +176,9 @@ def _system_fields(system: UncertainSystem) -> dict:
 
 
 def _plant_fields(plant: AugmentedSystem) -> dict:
-    fields = {"delay": plant.delay, "order": plant.order}
-    if plant.system.g:
-        fields["J_21"] = plant.J_21
-    return fields | {"system": _system_fields(plant.system)}
+    J_21 = {"J_21": plant.J_21} if plant.system.g else {}
+    system = _system_fields(plant.system)
+    return {"delay": plant.delay, "order": plant.order, **J_21, "system": system}
 
 
 def _estimator_fields(estimator: Estimator) -> dict:
@@ -218,23 +192,27 @@ def _estimator_fields(estimator: Estimator) -> dict:
     return fields | {"plant": _plant_fields(estimator.plant)}
 
 
+_KINDS = {
+    "system": (UncertainSystem, _system_fields),
+    "plant": (AugmentedSystem, _plant_fields),
+    "estimator": (Estimator, _estimator_fields),
+}
+
+
 def _function_names(nonlinearities: Sequence[Nonlinearity]) -> list[str | None]:
     """Return the names of the functions, after checking that each stands for one function."""
+    named: dict[str, int] = {}
     names: list[str | None] = []
-    for i, channel in enumerate(nonlinearities):
-        function = channel.function
-        if function is None:
-            names.append(None)
-            continue
+    for i, function in enumerate(channel.function for channel in nonlinearities):
         called = getattr(function, "__name__", type(function).__qualname__)  # NumPy's, before 2.2
-        name = getattr(function, "__qualname__", called)
-        for j, other in enumerate(names):
-            if other == name and nonlinearities[j].function != function:
-                raise ValueError(
-                    f"nonlinearities[{j}].function and nonlinearities[{i}].function must have "
-                    f"names of their own to be saved, got two different ones called {name!r}"
-                )
+        name = None if function is None else getattr(function, "__qualname__", called)
         names.append(name)
+        first = named.setdefault(name, i)
+        if nonlinearities[first].function != function:
+            raise ValueError(
+                f"nonlinearities[{first}].function and nonlinearities[{i}].function must have "
+                f"names of their own to be saved, got two different ones called {name!r}"
+            )
     return names
 
 
@@ -250,29 +228,26 @@ def _toml(table: Mapping, prefix: str, kind: str) -> Iterator[str]:
     """Give the lines of a table: its values, then the tables in it."""
     if kind in _ABOUT:
         yield _ABOUT[kind]
-    tables = {}
+    tables = {name: value for name, value in table.items() if isinstance(value, dict | list)}
     for name, value in table.items():
-        if isinstance(value, dict | list):
-            tables[name] = value
-        else:
+        if name not in tables:
             yield f"{name} = {_text(value)}"
     for name, value in tables.items():
+        opening, closing = ("[[", "]]") if isinstance(value, list) else ("[", "]")
         for member in value if isinstance(value, list) else [value]:
-            yield ""
-            yield f"[[{prefix}{name}]]" if isinstance(value, list) else f"[{prefix}{name}]"
+            yield f"\n{opening}{prefix}{name}{closing}"
             yield from _toml(member, f"{prefix}{name}.", name)
 
 
 def _json(value: object, indent: str = "") -> str:
-    if not isinstance(value, dict | list):
-        return _text(value, indent)
     inner = indent + "  "
+    if isinstance(value, dict):
+        members = [f'"{name}": {_json(member, inner)}' for name, member in value.items()]
+    elif isinstance(value, list):
+        members = [_json(member, inner) for member in value]
+    else:
+        return _text(value, indent)
     opening, closing = "{}" if isinstance(value, dict) else "[]"
-    members = (
-        [f'"{name}": {_json(member, inner)}' for name, member in value.items()]
-        if isinstance(value, dict)
-        else [_json(member, inner) for member in value]
-    )
     return opening + ",".join(f"\n{inner}{m}" for m in members) + f"\n{indent}{closing}"
 
 

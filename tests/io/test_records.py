@@ -253,6 +253,11 @@ def test_blank_lines_at_the_end_do_not_matter(tmp_path, chunk):
     assert_array_equal(found, discrete().run([[1.0, 2.0], [3.0, 4.0]]))
 
 
+def test_a_row_of_gaps_between_spaces_is_no_blank_line(tmp_path):
+    found = smoothed(tmp_path, "y.csv", "1 2\n \n3 4\n", delimiter=" ")
+    assert_array_equal(found, discrete().run([[1.0, 2.0], [np.nan, np.nan], [3.0, 4.0]]))
+
+
 NPY_ERRORS = {
     "objects": (np.array([[1.0, None]], dtype=object), ValueError, "are never unpickled"),
     "words": (np.array([["a", "b"]]), TypeError, "must hold real numbers, got entries of <U1"),
