@@ -76,6 +76,12 @@ def frozen(value: Matrix) -> Matrix:
     return value
 
 
+def set_fields(frozen: object, **values: object) -> None:
+    """Set the fields of a frozen dataclass, as only its constructor may."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
 def positive(name: str, value: float) -> float:
     """Return `value` as a finite float above zero."""
     return real(name, value, low=0.0, low_open=True)

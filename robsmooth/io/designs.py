@@ -231,7 +231,7 @@ def _toml(table: Mapping, prefix: str, kind: str) -> Iterator[str]:
     tables = {name: value for name, value in table.items() if isinstance(value, dict | list)}
     for name, value in table.items():
         if name not in tables:
-            yield f"{name} = {_text(value)}"
+            yield f"{name} = {_json(value)}"
     for name, value in tables.items():
         opening, closing = ("[[", "]]") if isinstance(value, list) else ("[", "]")
         for member in value if isinstance(value, list) else [value]:
@@ -240,26 +240,19 @@ def _toml(table: Mapping, prefix: str, kind: str) -> Iterator[str]:
 
 
 def _json(value: object, indent: str = "") -> str:
+    """Return a value as JSON, without names as TOML, too; a matrix has one row a line."""
+    if isinstance(value, str):
+        printable = "".join(c if c.isprintable() else "?" for c in value)
+        return json.dumps(printable, ensure_ascii=False)
     inner = indent + "  "
+    brackets = "{}" if isinstance(value, dict) else "[]"
     if isinstance(value, dict):
         members = [f'"{name}": {_json(member, inner)}' for name, member in value.items()]
     elif isinstance(value, list):
         members = [_json(member, inner) for member in value]
+    elif np.ndim(value) == 2 and len(value) > 1:
+        members = map(repr, value.tolist())
     else:
-        return _text(value, indent)
-    opening, closing = "{}" if isinstance(value, dict) else "[]"
-    return opening + ",".join(f"\n{inner}{m}" for m in members) + f"\n{indent}{closing}"
-
-
-def _text(value: str | float | np.ndarray, indent: str = "") -> str:
-    """Return a value as both languages write it, a matrix with one row a line."""
-    if isinstance(value, str):
-        printable = "".join(c if c.isprintable() else "?" for c in value)
-        return json.dumps(printable, ensure_ascii=False)
-    value = np.asarray(value)
-    if value.ndim < 2:
-        return repr(value.tolist())
-    rows = [_text(row) for row in value]
-    if len(rows) < 2:
-        return "[" + "".join(rows) + "]"
-    return "[" + ",".join(f"\n{indent}  {row}" for row in rows) + f"\n{indent}]"
+        return repr(np.asarray(value).tolist())
+    body = ",".join(f"\n{inner}{member}" for member in members)
+    return f"{brackets[0]}{body}\n{indent}{brackets[1]}"

@@ -27,8 +27,7 @@ from scipy.linalg import block_diag
 from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import table_of_values
-from robsmooth._support.validation import Matrix, frozen
-from robsmooth.systems.channels import set_fields
+from robsmooth._support.validation import Matrix, frozen, set_fields
 from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.statespace import state_space
 from robsmooth.systems.system import UncertainSystem
@@ -52,22 +51,14 @@ class AugmentedSystem:
     delay_model : DelayModel
     J_21 : (g, g) array
         Intensity of the fictitious noise of the copies.
-    A_p : (n, n) array
-        Drift of the augmented state, 1/s.
-    B_p1 : (n, q + g) array
-        Noise intensity, with zero columns for the noise of the copies.
+    A_p, B_p1 : (n, n) and (n, q + g) arrays
+        Drift of the augmented state, 1/s, and its noise, with zero columns for that of the copies.
     C_p0, C_a : (m, n) arrays
         The undelayed output w, and the delayed one, :math:`w_a = [J_a C_0,\ H_a] x_p`.
-    B1_tilde, D21_tilde : (n, r + 2g) and (l + g, r + 2g) arrays
-        Channel inputs into the state and into the extended measurement.
-    C1_tilde : (h + 2g, n) array
-        Channel outputs from the state.
-    D12_tilde : (h + 2g, m + g) array
-        Channel outputs from the estimator: the copies' arguments.
-    C2_tilde : (l + g, n) array
-        The measurement, then zero rows: the copies' outputs carry no state.
-    D21_bar : (l + g, q + g) array
-        Noise of the extended measurement: D_21, then J_21 for the copies.
+    B1_tilde, C1_tilde, D12_tilde : (n, r + 2g), (h + 2g, n) and (h + 2g, m + g) arrays
+        Channel inputs into the state; channel outputs from the state and from the estimator.
+    C2_tilde, D21_tilde, D21_bar : (l + g, n), (l + g, r + 2g) and (l + g, q + g) arrays
+        State, channel inputs and noise in the extended measurement: y, then the copies' outputs.
     M_i, N_i : tuples of k + 3g arrays
         The matrices of the quadratic constraints on the channel inputs and outputs.
 
@@ -154,10 +145,7 @@ class AugmentedSystem:
     def J(self) -> Matrix:
         """(r + 2g, q + g) solution of Assumption 1: [B_p1; D21_bar] = [B1_tilde; D21_tilde] J.
 
-        Raises
-        ------
-        InfeasibleDesignError
-            Where a noise does not enter through the uncertainty channels.
+        An `InfeasibleDesignError` names a noise that enters through no uncertainty channel.
         """
         channels = np.vstack([self.B1_tilde, self.D21_tilde])
         noise = np.vstack([self.B_p1, self.D21_bar])
@@ -277,8 +265,7 @@ def augment(
     order : int
         Pade order of the delay model, at least zero; order 0 has no delay states.
     J_21 : float or (g, g) array
-        Intensity of the fictitious noise that the theory adds to the copies of the nonlinearities,
-        positive definite; the paper's example has the identity.
+        Intensity of the fictitious noise of the copies, positive definite; the paper has 1.
 
     Returns
     -------

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Matrix, set_fields
 
 REFERENCES = ("filtered", "smoothed")
 
@@ -136,12 +136,6 @@ class Nonlinearity:
 
 
 Channel = Uncertainty | Nonlinearity
-
-
-def set_fields(frozen: object, **values: object) -> None:
-    """Set the fields of a frozen dataclass, as only its constructor may."""
-    for name, value in values.items():
-        object.__setattr__(frozen, name, value)
 
 
 def members(name: str, values: Iterable, kind: type) -> tuple:

@@ -18,10 +18,11 @@ if TYPE_CHECKING:  # it takes half a second to import, and only these functions 
     import control
 
 Signals = Mapping[str, Matrix]
+Feedthrough = Mapping[tuple[str, str], Matrix]
 
 
 def state_space(
-    A: Matrix, inputs: Signals, outputs: Signals, feedthrough: Mapping[tuple[str, str], Matrix]
+    A: Matrix, inputs: Signals, outputs: Signals, feedthrough: Feedthrough
 ) -> "control.StateSpace":
     r"""Return a python-control object, of :math:`\dot x = Ax + \sum_i B_i u_i` and outputs alike.
 

@@ -17,7 +17,7 @@ the *reference* :math:`r_i` an estimate of :math:`\nu_i`. What the detector take
 :math:`r_i`, has been added to the linear part of the measurement again, as in Section IV-A.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -25,22 +25,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Matrix
-from robsmooth.systems.channels import (
-    Channel,
-    Nonlinearity,
-    Uncertainty,
-    fitting,
-    members,
-    set_fields,
-)
-from robsmooth.systems.statespace import (
-    Signals,
-    check_continuous,
-    chosen,
-    components,
-    state_space,
-)
+from robsmooth._support.validation import Matrix, set_fields
+from robsmooth.systems import statespace
+from robsmooth.systems.channels import Channel, Nonlinearity, Uncertainty, fitting, members
+from robsmooth.systems.statespace import Feedthrough, Signals
 
 if TYPE_CHECKING:
     import control
@@ -169,7 +157,7 @@ class UncertainSystem:
         ------
         ValueError, TypeError
             For a plant in discrete time, without a state or of another kind, a noise intensity
-            that is not a covariance, and whatever the class itself refuses.
+            that is no covariance, and whatever the class itself refuses.
 
         Examples
         --------
@@ -179,7 +167,7 @@ class UncertainSystem:
         >>> rs.UncertainSystem.from_plant(plant, process_noise=1.0, measurement_noise=0.01).D21
         array([[0. , 0.1]])
         """
-        check_continuous("plant", plant)
+        statespace.check_continuous("plant", plant)
         process = _noise_factor("process_noise", process_noise, plant.ninputs)
         measurement = _noise_factor("measurement_noise", measurement_noise, plant.noutputs)
         B, D = plant.B @ process, plant.D @ process
@@ -211,12 +199,8 @@ class UncertainSystem:
         ----------
         sys : control.StateSpace
             In continuous time. Its signals may come in any order; only y may have feedthrough.
-        lipschitz : (g,) sequence
-            The nonlinearities' constants, which a linear system does not hold.
-        functions : (g,) sequence of callables or None, optional
-            The nonlinearities themselves.
-        references : (g,) sequence of str or None, optional
-            Their references, as in `Nonlinearity`.
+        lipschitz, functions, references : (g,) sequences, optional
+            Of the nonlinearities, as in `Nonlinearity`: what a linear system does not hold.
 
         Returns
         -------
@@ -225,8 +209,7 @@ class UncertainSystem:
         Raises
         ------
         ValueError, TypeError
-            For signals of other names or that do not match, other feedthrough, and whatever the
-            class itself refuses.
+            For other signals or feedthrough, and whatever the class itself refuses.
 
         Examples
         --------
@@ -235,9 +218,9 @@ class UncertainSystem:
         >>> rs.UncertainSystem.from_statespace(system.to_statespace(), lipschitz=[1.0]).g
         1
         """
-        check_continuous("sys", sys)
-        inputs = components("sys's input", sys.input_labels)
-        outputs = components("sys's output", sys.output_labels)
+        statespace.check_continuous("sys", sys)
+        inputs = statespace.components("sys's input", sys.input_labels)
+        outputs = statespace.components("sys's output", sys.output_labels)
         k = _number_of_uncertainties(inputs, outputs)
         for i, j in np.argwhere(sys.D):
             if i not in outputs["y"]:
@@ -286,12 +269,11 @@ class UncertainSystem:
 
         Parameters
         ----------
-        inputs : str or sequence of str, optional
-            Which to keep, of the white noises ``W`` (of unit intensity), the uncertainties
-            ``xi_0``, ``xi_1``, ... and the nonlinearities' values ``mu``. Default: all.
-        outputs : str or sequence of str, optional
-            Which to keep, of ``w`` (to estimate), ``y`` (the measurement dy/dt), the uncertainties'
-            bounds ``zeta_0``, ... and the nonlinearities' arguments ``nu``. Default: all.
+        inputs, outputs : str or sequence of str, optional
+            Which to keep. Inputs are the white noises ``W`` (of unit intensity), the uncertainties
+            ``xi_0``, ... and the nonlinearities' values ``mu``. Outputs are ``w`` (to estimate),
+            ``y`` (the measurement dy/dt), the uncertainties' bounds ``zeta_0``, ... and the
+            nonlinearities' arguments ``nu``. Default: all.
 
         Returns
         -------
@@ -305,11 +287,12 @@ class UncertainSystem:
         ['W[0]', 'W[1]']
         """
         drives, reads, feedthrough = self.signals()
-        drives, reads = chosen("inputs", inputs, drives), chosen("outputs", outputs, reads)
-        return state_space(self.A, drives, reads, feedthrough)
+        drives = statespace.chosen("inputs", inputs, drives)
+        reads = statespace.chosen("outputs", outputs, reads)
+        return statespace.state_space(self.A, drives, reads, feedthrough)
 
-    def signals(self) -> tuple[Signals, Signals, Mapping[tuple[str, str], Matrix]]:
-        """Inputs, outputs and feedthrough of the linear part by name, as for `state_space`."""
+    def signals(self) -> tuple[Signals, Signals, Feedthrough]:
+        """Inputs, outputs and feedthrough of the linear part by name, for `state_space`."""
         channels = [("W", "w", self.B1, self.C0, self.D21)]
         for s, c in enumerate(self.uncertainties):
             channels.append((f"xi_{s}", f"zeta_{s}", c.B, c.C, c.D))
