@@ -89,7 +89,7 @@ class Journal:
             database.execute(f"PRAGMA application_id = {APPLICATION}")
             columns = "number INTEGER PRIMARY KEY, checksum TEXT, text TEXT"
             database.execute(f"CREATE TABLE record ({columns})")
-            self._insert(0, _text(identity))
+            self._insert(0, identity)
             database.execute("COMMIT")
         if self._value("PRAGMA quick_check(1)") != "ok":
             raise sqlite3.DatabaseError("database disk image is malformed")
@@ -107,16 +107,16 @@ class Journal:
 
         Floats keep every bit.
         """
-        text = _text(dict(record))
         try:
-            self._insert(self._value("SELECT max(number) + 1 FROM record"), text)
+            self._insert(self._value("SELECT max(number) + 1 FROM record"), dict(record))
         except sqlite3.Error as error:
             raise OSError(
                 f"the checkpoint {self.path} takes no more, as where the disk is full: {error}; "
                 "what it held before is kept, and the same run resumes from it once that is mended"
             ) from None
 
-    def _insert(self, number: int, text: str) -> None:
+    def _insert(self, number: int, record: dict) -> None:
+        text = _text(record)
         row = (number, _checksum(number, text), text)
         self._database.execute("INSERT INTO record VALUES (?, ?, ?)", row)
 

@@ -31,16 +31,16 @@ def state_space(
     with extra("control", "to_statespace"):
         import control
 
-    n, p = len(A), sum(B.shape[1] for B in inputs.values())
     D = [
         [feedthrough.get((y, u), np.zeros((len(C), B.shape[1]))) for u, B in inputs.items()]
         for y, C in outputs.items()
     ]
+    no_output = np.zeros((0, sum(B.shape[1] for B in inputs.values())))
     return control.StateSpace(
         A.copy(),
-        np.hstack([np.zeros((n, 0)), *inputs.values()]),
-        np.vstack([np.zeros((0, n)), *outputs.values()]),
-        np.vstack([np.zeros((0, p)), *(np.hstack(row) for row in D if p)]),
+        np.hstack(list(inputs.values())),
+        np.vstack([np.zeros((0, len(A))), *outputs.values()]),
+        np.vstack([no_output, *map(np.hstack, D)]),
         0,
         inputs=[f"{u}[{i}]" for u, B in inputs.items() for i in range(B.shape[1])],
         outputs=[f"{y}[{i}]" for y, C in outputs.items() for i in range(len(C))],
@@ -85,6 +85,8 @@ def chosen(name: str, wanted: str | Iterable[str] | None, signals: Signals) -> S
         return signals
     several = isinstance(wanted, Iterable) and not isinstance(wanted, str)
     wanted = list(wanted) if several else [wanted]
+    if name == "inputs" and not wanted:
+        raise ValueError(f"{name} must be among {', '.join(signals)}, got none")
     for signal in wanted:
         if not isinstance(signal, str) or signal not in signals:
             raise ValueError(f"{name} must be among {', '.join(signals)}, got {signal!r}")

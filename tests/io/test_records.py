@@ -253,8 +253,9 @@ def test_blank_lines_at_the_end_do_not_matter(tmp_path, chunk):
     assert_array_equal(found, discrete().run([[1.0, 2.0], [3.0, 4.0]]))
 
 
-def test_a_row_of_gaps_between_spaces_is_no_blank_line(tmp_path):
-    found = smoothed(tmp_path, "y.csv", "1 2\n \n3 4\n", delimiter=" ")
+@pytest.mark.parametrize("chunk", [1, 2, 1000])
+def test_a_row_of_gaps_between_spaces_is_no_blank_line(tmp_path, chunk):
+    found = smoothed(tmp_path, "y.csv", "1 2\n \n3 4\n", delimiter=" ", chunk=chunk)
     assert_array_equal(found, discrete().run([[1.0, 2.0], [np.nan, np.nan], [3.0, 4.0]]))
 
 

@@ -145,9 +145,10 @@ def test_whole_signals_are_chosen_by_their_names():
     assert sys.output_labels == ["y[0]", "y[1]", "zeta_1[0]"]
     assert_array_equal(sys.D, np.vstack([system.D21, np.zeros((1, 4))]))
     assert_array_equal(sys.C, np.vstack([system.C2, system.uncertainties[1].C]))
-    for selection in (dict(inputs="xi_2"), dict(outputs=["y", "smoothed"]), dict(inputs=0)):
-        with pytest.raises(ValueError, match=r"^(inputs|outputs) must be among .*, got ('|0)"):
-            system.to_statespace(**selection)
+    assert system.to_statespace(outputs=[]).D.shape == (0, 10)
+    for inputs, outputs in (("xi_2", None), (None, ["y", "smoothed"]), (0, None), ([], None)):
+        with pytest.raises(ValueError, match=r"^(inputs|outputs) must be among .*, got ('|0|none)"):
+            system.to_statespace(inputs, outputs)
 
 
 def test_what_goes_out_is_in_continuous_time_a_copy_and_keeps_all_states(monkeypatch):
