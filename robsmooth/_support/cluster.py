@@ -104,8 +104,6 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
             kind = _kind_of_server(address, timeout)
             if kind == "Scheduler":
                 client = Client(address, timeout=timeout, set_as_default=False)
-        except Warning:  # an error where warnings are errors
-            raise
         except Exception as error:
             reason = "is it running?" if isinstance(error, OSError) else str(error)
             raise ConnectionError(

@@ -127,15 +127,14 @@ class Reader:
         for name, shape in zip(GAINS, shapes, strict=True):
             validation.matrix(name, gains[name], shape)
         estimator = Estimator(plant=plant, **gains)
-        return self.robust(table["design"], estimator) if "design" in table else estimator
-
-    def robust(self, table: object, estimator: Estimator) -> RobustSmoother:
-        """Return the robust design that an estimator is by its table."""
-        _check_fields("design.", table, ("tau", "multipliers", "cost", "bound"))
-        tau, bound = (_numbers(f"design.{name}", table[name], 0) for name in ("tau", "bound"))
-        multipliers = _numbers("design.multipliers", table["multipliers"], 1)
+        if "design" not in table:
+            return estimator
+        design = table["design"]
+        _check_fields("design.", design, ("tau", "multipliers", "cost", "bound"))
+        tau, bound = (_numbers(f"design.{name}", design[name], 0) for name in ("tau", "bound"))
+        multipliers = _numbers("design.multipliers", design["multipliers"], 1)
         with _within("design: "):
-            return recomputed(estimator, tau, multipliers, table["cost"], bound)
+            return recomputed(estimator, tau, multipliers, design["cost"], bound)
 
 
 def recomputed(

@@ -36,6 +36,7 @@ from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.channels import Nonlinearity
 from robsmooth.systems.system import UncertainSystem
 
+_FIRST = "# Of robsmooth: time in seconds, rates in 1/s, matrices by rows."
 _ABOUT = {
     "system": """\
 # dx = (A x + sum_s B xi_s + sum_i B mu_i) dt + B1 dW,    w = C0 x
@@ -91,8 +92,9 @@ def save(
     for kind, (made, fields) in _KINDS.items():
         if isinstance(value, made):
             content = {"format": FORMAT, "kind": kind, "units": "SI", **fields(value)}
-            text = _toml_document(content) if language == "toml" else _json(content) + "\n"
-            return files.write_text(path, text)
+            toml = [_FIRST, *_toml(content, "", kind)]
+            lines = toml if language == "toml" else [_json(content)]
+            return files.write_text(path, "\n".join([*lines, ""]))
     kinds = "an UncertainSystem, AugmentedSystem or Estimator"
     raise TypeError(f"value must be {kinds}, got {type(value).__name__}")
 
@@ -217,11 +219,6 @@ def _function_names(nonlinearities: Sequence[Nonlinearity]) -> list[str | None]:
 
 
 # --- fields to text -------------------------------------------------------------------------------
-
-
-def _toml_document(content: Mapping) -> str:
-    first = "# Of robsmooth: time in seconds, rates in 1/s, matrices by rows."
-    return "\n".join([first, *_toml(content, "", content["kind"])]) + "\n"
 
 
 def _toml(table: Mapping, prefix: str, kind: str) -> Iterator[str]:
