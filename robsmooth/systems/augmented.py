@@ -194,17 +194,11 @@ class AugmentedSystem:
         >>> plant.structured_delta(nonlinearities=[-0.5]).diagonal()
         array([ 0. , -0.5, -0.5])
         """
-        uncertain = _entries("uncertainties", uncertainties, self.system.k)
-        slopes = _entries("nonlinearities", nonlinearities, self.system.g)
-        blocks = []
-        for (name, value), rows, columns in zip(
-            (*uncertain, *slopes, *slopes), self.input_sizes, self.output_sizes, strict=True
-        ):
-            if isinstance(value, list | tuple) or np.ndim(value) > 0:
-                blocks.append(validation.matrix(name, value, (rows, columns)))
-            else:
-                blocks.append(validation.real(name, value) * np.eye(rows, columns))
-        return block_diag(np.zeros((0, 0)), *blocks)
+        k, g = self.system.k, self.system.g
+        sizes = list(zip(self.input_sizes, self.output_sizes, strict=True))
+        blocks = _blocks("uncertainties", uncertainties, sizes[:k])
+        slopes = _blocks("nonlinearities", nonlinearities, sizes[k : k + g])
+        return block_diag(np.zeros((0, 0)), *blocks, *slopes, *slopes)
 
     def to_statespace(self) -> "control.StateSpace":
         """Return the linear part as `UncertainSystem.to_statespace` does, with the output ``w_a``.
@@ -348,12 +342,19 @@ def _combination(weights: ArrayLike, matrices: Sequence[Matrix], size: int) -> M
     return sum(terms, np.zeros((size, size)))
 
 
-def _entries(name: str, given: Sequence, count: int) -> list[tuple[str, float | Matrix]]:
-    """Return what is given for each of `count` channels, with a name; zero where it is left out."""
+def _blocks(name: str, given: Sequence, sizes: Sequence[tuple[int, int]]) -> list[Matrix]:
+    """Return blocks of a Delta: a float is on the diagonal of its block, zero where left out."""
     try:
-        values = list(given) or [0.0] * count
+        values = list(given) or [0.0] * len(sizes)
     except TypeError:
-        raise TypeError(f"{name} must be a sequence of length {count}, got {given!r}") from None
-    if len(values) != count:
-        raise ValueError(f"{name} must have {count} entries, got {len(values)}")
-    return [(f"{name}[{index}]", value) for index, value in enumerate(values)]
+        message = f"{name} must be a sequence of length {len(sizes)}, got {given!r}"
+        raise TypeError(message) from None
+    if len(values) != len(sizes):
+        raise ValueError(f"{name} must have {len(sizes)} entries, got {len(values)}")
+    blocks = []
+    for i, (value, size) in enumerate(zip(values, sizes, strict=True)):
+        if isinstance(value, list | tuple) or np.ndim(value) > 0:
+            blocks.append(validation.matrix(f"{name}[{i}]", value, size))
+        else:
+            blocks.append(validation.real(f"{name}[{i}]", value) * np.eye(*size))
+    return blocks
