@@ -20,7 +20,7 @@ from robsmooth._support import notation, validation
 from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.statespace import Blocks
+from robsmooth.systems.statespace import chosen, state_space
 
 if TYPE_CHECKING:
     import control
@@ -123,7 +123,7 @@ class Estimator:
             A = A + copies * slopes @ nu
             inputs = {"y": gain}
         read_outs = {"smoothed": self.C_a, "filtered": self.C_f, "nu_copy": nu}
-        return Blocks(A, inputs, read_outs).select(None, outputs).to_control()
+        return state_space(A, inputs, chosen("outputs", outputs, read_outs), {})
 
     def discretize(
         self, dt: float, functions: Iterable[Callable[[Any], Any] | None] | None = None
