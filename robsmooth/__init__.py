@@ -11,11 +11,11 @@ if TYPE_CHECKING:  # what `_names` imports where it is first asked for
     from robsmooth.analysis.constraints import analysis_bound as analysis_bound
     from robsmooth.analysis.covariance import delta_sweep as delta_sweep
     from robsmooth.analysis.covariance import error_covariance as error_covariance
+    from robsmooth.analysis.lag import LagChoice as LagChoice
     from robsmooth.analysis.lag import LagSweep as LagSweep
+    from robsmooth.analysis.lag import best_lag as best_lag
+    from robsmooth.analysis.lag import choose_lag as choose_lag
     from robsmooth.analysis.lag import lag_sweep as lag_sweep
-    from robsmooth.analysis.lag_choice import LagChoice as LagChoice
-    from robsmooth.analysis.lag_choice import best_lag as best_lag
-    from robsmooth.analysis.lag_choice import choose_lag as choose_lag
     from robsmooth.analysis.statistical_linearisation import (
         statistical_linearisation as statistical_linearisation,
     )

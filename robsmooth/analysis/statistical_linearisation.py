@@ -24,35 +24,12 @@ _TOLERANCE, _ITERATIONS = 1e-13, 1000  # of the slopes
 
 @dataclass(frozen=True)
 class StatisticalLinearisation:
-    """The stationary nonlinear loop, each nonlinearity replaced by its equivalent gain.
+    """The stationary nonlinear loop with slopes in place of its nonlinearity and its copy."""
 
-    Attributes
-    ----------
-    slope : float
-        The equivalent Delta_2 of the nonlinearity.
-    filtered, smoothed : float
-        Mean square errors, in the squared unit of w.
-    copy_slope : float
-        The equivalent Delta_2 of the estimator's copy of the nonlinearity.
-
-    See Also
-    --------
-    robsmooth.statistical_linearisation : Makes it.
-
-    Examples
-    --------
-    >>> import robsmooth as rs
-    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-    >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
-    >>> found = rs.statistical_linearisation(smoother, rs.homodyne.PAPER.equivalent_slope)
-    >>> round(found.slope, 4), round(found.copy_slope, 4) + 0.0
-    (-0.1078, 0.0)
-    """
-
-    slope: float
-    filtered: float
+    slope: float  # the equivalent Delta_2 of the nonlinearity
+    filtered: float  # mean square errors, in the squared unit of w
     smoothed: float
-    copy_slope: float
+    copy_slope: float  # the equivalent Delta_2 of the estimator's copy of the nonlinearity
 
 
 @one_thread
@@ -79,6 +56,8 @@ def statistical_linearisation(
     Returns
     -------
     StatisticalLinearisation
+        With ``slope`` and ``copy_slope``, the equivalent Delta_2 of the nonlinearity and of the
+        estimator's copy, and ``filtered`` and ``smoothed``, mean squares in the squared unit of w.
 
     Raises
     ------
@@ -90,17 +69,15 @@ def statistical_linearisation(
 
     See Also
     --------
-    simulate : The errors of the nonlinear loop itself.
-    robsmooth.stationary_errors : The same for the homodyne loop, by the moments of its state.
+    simulate, stationary_errors
 
     Examples
     --------
     >>> import robsmooth as rs
-    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-    >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
-    >>> found = rs.statistical_linearisation(smoother, rs.homodyne.PAPER.equivalent_slope)
-    >>> round(found.filtered, 4), round(found.smoothed, 4)
-    (0.0881, 0.0517)
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> found = rs.statistical_linearisation(kalman, rs.homodyne.PAPER.equivalent_slope)
+    >>> round(found.slope, 4), round(found.filtered, 4)
+    (-0.1077, 0.0881)
     """
     validation.instance("smoother", smoother, Estimator)
     plant = smoother.plant
@@ -120,12 +97,9 @@ def statistical_linearisation(
         raise TypeError(f"equivalent_slope must be callable, got {equivalent_slope!r}")
 
     def slopes(variances: Matrix) -> Matrix:
-        return np.array(
-            [
-                validation.real("equivalent_slope of a variance", equivalent_slope(float(variance)))
-                for variance in variances
-            ]
-        )
+        found = [equivalent_slope(float(variance)) for variance in variances]
+        name = "equivalent_slope of a variance"
+        return np.array([validation.real(name, slope) for slope in found])
 
     def linear(slopes: Matrix) -> ClosedLoop:
         Delta = plant.structured_delta((), [0.0])
@@ -135,7 +109,7 @@ def statistical_linearisation(
     arguments = matrices(smoother, "real", reference)[3][-2:] / unit
 
     def variances(slopes: Matrix) -> Matrix:
-        return np.maximum(np.diag(linear(slopes).covariance_of(arguments)), 0.0)
+        return np.maximum(np.diag(linear(slopes).covariance(arguments)), 0.0)
 
     start = slopes(np.zeros(2))
     found = linearisation.equivalent_slopes(

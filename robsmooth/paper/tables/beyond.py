@@ -8,7 +8,7 @@ import numpy as np
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import Table
 from robsmooth.analysis.constraints import AnalysisBound
-from robsmooth.analysis.lag_choice import choose_lag
+from robsmooth.analysis.lag import choose_lag
 from robsmooth.analysis.worst_case import WorstCase
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
