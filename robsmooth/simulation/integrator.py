@@ -38,31 +38,19 @@ GROWTH = 1e6  # of an output, from the first chunk on: divergence
 
 @dataclass(frozen=True, eq=False)
 class ExponentialIntegrator:
-    """The scheme of the module's docstring for one loop and step.
-
-    Attributes
-    ----------
-    loop : NonlinearLoop
-    step : float
-        s.
-    transition, first, second, noise : arrays
-        e^{F h}, K_1, K_2, and a lower triangular root of the covariance of eta.
-    readout : array
-        Rows that are recorded: w, its two estimates, zeta-tilde, the reference in it and, where
-        `measured`, the means of dy/dt over the step.
-    """
+    """The scheme of the module's docstring for one loop and step."""
 
     loop: NonlinearLoop
-    step: float
-    transition: Matrix
-    first: Matrix
-    second: Matrix
-    noise: Matrix
-    readout: Matrix
+    step: float  # s
+    transition: Matrix  # e^{F h}
+    first: Matrix  # K_1
+    second: Matrix  # K_2
+    noise: Matrix  # a lower triangular root of the covariance of eta
+    readout: Matrix  # of w, its two estimates, zeta-tilde, the reference in it, and means of dy/dt
 
     @classmethod
     def of(cls, loop: NonlinearLoop, step: float, measured: bool = False) -> Self:
-        """Prepare the steps; `measured` has y integrated along with the state."""
+        """Prepare the steps; `measured` has y integrated along with the state, and read out."""
         N = loop.order
         size = len(loop.drift) if measured else N
         F = np.hstack([loop.linear_drift[:size], np.zeros((size, size - N))])
@@ -70,11 +58,11 @@ class ExponentialIntegrator:
         transition, first, second = responses(F, loop.inputs[:size], step)
         transition[:, N:] = 0.0  # the integral of y begins anew with each step
         return cls(
-            loop=loop,
-            step=step,
-            transition=transition,
-            first=first,
-            second=second,
+            loop,
+            step,
+            transition,
+            first,
+            second,
             noise=noise_root(F, loop.noise[:size], step),
             readout=block_diag(of_state, np.eye(size - N) / step),
         )
@@ -101,19 +89,9 @@ class ExponentialIntegrator:
     ) -> Iterator[tuple[int, NDArray[np.float64]]]:
         """Take `before` steps to time zero, and `steps` more, from a stationary start.
 
-        A path depends on the seed and its number alone.
-
-        Yields
-        ------
-        first : int
-            How many steps from time zero the first record is.
-        records : (at most CHUNK, rows of `readout`, paths) array
-            What `readout` gives after each step.
-
-        Raises
-        ------
-        RuntimeError
-            Where a path diverges.
+        Yields what `readout` gives after each step, (at most CHUNK, rows of `readout`, paths), and
+        how many steps from time zero the first of these is. A path depends on the seed and its
+        number alone. One that diverges is a RuntimeError.
         """
         N, measured = self.loop.order, len(self.transition) - self.loop.order
         of_state = [_generator(seed, path, 0) for path in paths]

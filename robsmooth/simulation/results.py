@@ -10,53 +10,37 @@ from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.simulation.statistics import MeanSquare
 
+Floats = NDArray[np.float64]
+
 
 class InadmissibleWarning(RuntimeWarning):
     """The simulated loop left the region in which the theory's constraints hold.
-
-    See Also
-    --------
-    simulate : Warns.
 
     Examples
     --------
     >>> import warnings
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
     >>> with warnings.catch_warnings():
     ...     warnings.simplefilter("error", rs.InadmissibleWarning)  # make it an error
-    ...     result = rs.simulate(rs.baselines.kalman_bucy(system), runs=4, duration=5.0)
     """
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SimulatedError(MeanSquare):
-    """An error's covariance over independent paths; its trace is the mean square.
+    """An error's covariance over the paths of `simulate`; its trace is the mean square.
 
     Attributes
     ----------
-    covariance : (m, m) array
-        Of the error, about zero, in the squared unit of w.
-    covariance_error : (m, m) array
-        Standard error of each entry.
-
-    See Also
-    --------
-    simulate : Makes it.
+    covariance, covariance_error : (m, m) arrays
+        Of the error, about zero, and the standard error of each entry, in the squared unit of w.
 
     Examples
     --------
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
+    >>> system = rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.1]])
     >>> result = rs.simulate(rs.baselines.kalman_bucy(system), runs=8, duration=5.0)
-    >>> result.filtered.covariance.shape
-    (1, 1)
-    >>> 0.0 < result.filtered.standard_error < result.filtered.mean_square
-    True
+    >>> result.filtered.covariance.shape, result.filtered.covariance_error.shape
+    ((1, 1), (1, 1))
     """
 
     covariance: Matrix
@@ -68,13 +52,12 @@ class SimulatedError(MeanSquare):
 
 @dataclass(frozen=True, eq=False)
 class SimulationResult:
-    """Errors of an estimator in the nonlinear loop.
+    """Errors of an estimator in the nonlinear loop, as `simulate` measures them.
 
     Attributes
     ----------
     smoothed, filtered : SimulatedError
-        Of the estimates of w one lag back, and of w now: ``.mean_square``, ``.standard_error``,
-        ``.covariance``, ``.covariance_error``, in the squared unit of w.
+        Of the estimates of w one lag back, and of w now, in the squared unit of w.
     constraints : (k + 3g,) array
         How much of each of the theory's constraints is used, in the order of the multipliers:
         E[xi' M_i xi] / E[zeta' N_i zeta], at most one where the uncertainty is admissible. The
@@ -87,40 +70,24 @@ class SimulationResult:
         The constant uncertainties, and for the nonlinearities the statistically equivalent slopes
         of the Gaussian loop that they make: with it, and the same reference, `error_covariance`
         predicts the errors.
-    runs : int
-        Independent paths.
-    path_steps : int
-        Steps simulated, over all paths, the warm-up included.
-    wall_time : float
-        s.
-    duration : float
-        Of a path, without the warm-up, s.
-    warm_up : float
-        Simulated before averaging began, s.
-    step : float
-        s.
-    seed : int
-
-    See Also
-    --------
-    simulate : Makes it.
+    runs, path_steps, seed : int
+        Independent paths, and the steps of all of them, the warm-up included.
+    duration, warm_up, step, wall_time : float
+        What of a path is averaged, what is simulated before, a step, and the time it took, s.
 
     Examples
     --------
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
-    >>> smoother = rs.baselines.fixed_lag_smoother(system, delay=0.2, order=2)
-    >>> result = rs.simulate(smoother, runs=8, duration=5.0)
-    >>> result.smoothed.mean_square < result.filtered.mean_square
-    True
+    >>> system = rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.1]])
+    >>> result = rs.simulate(rs.baselines.kalman_bucy(system), runs=8, duration=5.0)
+    >>> result.filtered.standard_error < result.filtered.mean_square, result.runs
+    (True, 8)
     """
 
     smoothed: SimulatedError
     filtered: SimulatedError
-    constraints: NDArray[np.float64]
-    violated: NDArray[np.float64]
+    constraints: Floats
+    violated: Floats
     equivalent_delta: Matrix
     runs: int
     path_steps: int
@@ -160,7 +127,7 @@ class SimulationResult:
 
 @dataclass(frozen=True, eq=False)
 class SamplePaths:
-    """A few paths of the loop, to look at and to try estimators on.
+    """A few paths of the loop, of `sample_paths`, to look at and to try estimators on.
 
     Attributes
     ----------
@@ -171,42 +138,28 @@ class SamplePaths:
     reference : (paths, N, g) array
         What was taken off the nonlinearities' arguments: the mean of its values at the ends of the
         same step, as `DiscreteSmoother.run` takes it beside y. Zero without a reference.
-    w : (paths, N, m) array
-        The outputs at `time`.
-    filtered : (paths, N, m) array
-        The estimates of w at `time`, made then.
-    delayed : (paths, N, m) array
-        The outputs one lag before `time`.
-    smoothed : (paths, N, m) array
-        The estimates of `delayed`, made at `time`.
-    step : float
-        s.
-    delay : float
-        The lag of the smoothed estimates, s.
-
-    See Also
-    --------
-    sample_paths : Makes them.
+    w, delayed : (paths, N, m) arrays
+        The outputs at `time`, and one lag before.
+    filtered, smoothed : (paths, N, m) arrays
+        The estimates of `w` and of `delayed`, made at `time`.
+    step, delay : float
+        The step, and the lag of the smoothed estimates, s.
 
     Examples
     --------
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
-    >>> smoother = rs.baselines.fixed_lag_smoother(system, delay=0.2, order=2)
-    >>> paths = rs.sample_paths(smoother, runs=2, duration=5.0)
-    >>> paths.y.shape, paths.smoothed.shape
-    ((2, 125, 1), (2, 125, 1))
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> rs.sample_paths(kalman, runs=2, duration=1e-4).y.shape
+    (2, 223, 1)
     """
 
-    time: NDArray[np.float64]
-    y: NDArray[np.float64]
-    reference: NDArray[np.float64]
-    w: NDArray[np.float64]
-    filtered: NDArray[np.float64]
-    delayed: NDArray[np.float64]
-    smoothed: NDArray[np.float64]
+    time: Floats
+    y: Floats
+    reference: Floats
+    w: Floats
+    filtered: Floats
+    delayed: Floats
+    smoothed: Floats
     step: float
     delay: float
 

@@ -26,6 +26,8 @@ from scipy.special import ndtri
 
 from robsmooth._support import notation, validation
 
+Floats = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class MeanSquare:
@@ -33,26 +35,18 @@ class MeanSquare:
 
     Attributes
     ----------
-    mean_square : float
-        In the squared unit of the estimated quantity: rad^2 for a phase.
-    standard_error : float
-        In the same unit; not a number for a single path.
+    mean_square, standard_error : float
+        In the squared unit of the estimated quantity: rad^2 for a phase. The second is not a
+        number for a single path.
     variance_reduction : float
         How many times as many paths it would take without control variates.
-
-    See Also
-    --------
-    simulate, monte_carlo : Return such errors.
 
     Examples
     --------
     >>> import robsmooth as rs
     >>> error = rs.MeanSquare(0.1, standard_error=0.002)
-    >>> print(error)
-    0.1 +- 0.002
-    >>> low, high = error.interval(0.95)
-    >>> round(low, 4), round(high, 4)
-    (0.0961, 0.1039)
+    >>> print(error, [round(end, 4) for end in error.interval(0.95)])
+    0.1 +- 0.002 [0.0961, 0.1039]
     """
 
     mean_square: float
@@ -82,14 +76,13 @@ class Moments:
         self.means = np.zeros(variables)
         self.squares = np.zeros(variables)  # sums of squared deviations from the mean
 
-    def add(self, values: NDArray[np.float64]) -> None:
+    def add(self, values: Floats) -> None:
         """Add values, (variables, paths)."""
-        if values.shape[1] == 0:
-            return
         added = Moments(len(values))
         added.count = values.shape[1]
-        added.means = values.mean(axis=1)
-        added.squares = ((values - added.means[:, None]) ** 2).sum(axis=1)
+        if added.count > 0:
+            added.means = values.mean(axis=1)
+            added.squares = ((values - added.means[:, None]) ** 2).sum(axis=1)
         self.merge(added)
 
     def merge(self, other: "Moments") -> None:
@@ -103,46 +96,30 @@ class Moments:
         self.count = count
 
     def mean_square(self, variable: int, plain: int | None = None) -> MeanSquare:
-        """Mean and standard error of one of the variables.
-
-        `plain` is the same variable without control variates, to say what they are worth.
-        """
+        """Return that of a variable; `plain` is the same one without control variates."""
+        mean, squares = float(self.means[variable]), float(self.squares[variable])
         if self.count < 2:
-            mean = float(self.means[variable]) if self.count else math.nan
-            return MeanSquare(mean, math.nan)
-        squares = float(self.squares[variable])
+            return MeanSquare(mean if self.count else math.nan, math.nan)
         error = math.sqrt(squares / (self.count - 1) / self.count)
         without = float(self.squares[variable if plain is None else plain])
-        gain = without / squares if squares > 0 else 1.0
-        return MeanSquare(float(self.means[variable]), error, gain)
+        return MeanSquare(mean, error, without / squares if squares > 0 else 1.0)
 
     def state(self) -> dict:
         """All of it as JSON values, every bit."""
-        return {
-            "count": self.count,
-            "means": self.means.tolist(),
-            "squares": self.squares.tolist(),
-        }
+        sums = {"means": self.means.tolist(), "squares": self.squares.tolist()}
+        return {"count": self.count, **sums}
 
     @classmethod
     def from_state(cls, state: dict) -> "Moments":
         """Return what `state` was taken of."""
         moments = cls(0)
         moments.count = state["count"]
-        moments.means = np.array(state["means"])
-        moments.squares = np.array(state["squares"])
+        moments.means, moments.squares = np.array(state["means"]), np.array(state["squares"])
         return moments
 
 
-def control_weights(
-    values: NDArray[np.float64], controls: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Weights of the controls (controls, paths) that leave least of the values (values, paths).
-
-    Returns
-    -------
-    (values, controls) array
-    """
+def control_weights(values: Floats, controls: Floats) -> Floats:
+    """Return weights, (values, controls), of controls that leave least of values: (., paths)."""
     values = values - values.mean(axis=1, keepdims=True)
     controls = controls - controls.mean(axis=1, keepdims=True)
     scale = np.sqrt((controls**2).sum(axis=1))
@@ -161,7 +138,7 @@ class Tally:
         self.slips = 0
         self.slipped_paths = 0
 
-    def add(self, values: NDArray[np.float64], slips: NDArray[np.float64]) -> None:
+    def add(self, values: Floats, slips: Floats) -> None:
         """Add paths: the variables (variables, paths) and the slips (paths,)."""
         kept = slips == 0
         self.all.add(values)
