@@ -20,9 +20,9 @@ if TYPE_CHECKING:  # what `_names` imports where it is first asked for
         statistical_linearisation as statistical_linearisation,
     )
     from robsmooth.analysis.worst_case import WorstCase as WorstCase
+    from robsmooth.analysis.worst_case import WorstDynamicCase as WorstDynamicCase
     from robsmooth.analysis.worst_case import worst_case as worst_case
-    from robsmooth.analysis.worst_dynamic_case import WorstDynamicCase as WorstDynamicCase
-    from robsmooth.analysis.worst_dynamic_case import worst_dynamic_case as worst_dynamic_case
+    from robsmooth.analysis.worst_case import worst_dynamic_case as worst_dynamic_case
     from robsmooth.estimators import baselines as baselines
     from robsmooth.estimators.bound import minimize_bound as minimize_bound
     from robsmooth.estimators.discrete import DiscreteSmoother as DiscreteSmoother

@@ -90,10 +90,6 @@ class AnalysisBound:
     multipliers: NDArray[np.float64]
     feedback: Matrix
 
-    def __post_init__(self) -> None:
-        frozen(self.multipliers)
-        frozen(self.feedback)
-
     def __repr__(self) -> str:
         given = "none" if self.guarantee is None else f"{self.guarantee:.5g}"
         return (
@@ -159,7 +155,7 @@ def analysis_bound(
     delay_order = validation.integer("delay_order", delay_order, low=1)
     if opened.delay > 0.0:
         opened = _with_delay_model(opened, delay_order)
-    problem = _problem(opened, smoother.plant)
+    problem = _Problem(opened, smoother.plant)
     fraction, theta = _continuation(problem)
     proven = guarantee(smoother, output)
     if fraction < 1.0:
@@ -173,8 +169,8 @@ def analysis_bound(
         gap=float(theta @ np.maximum(point.slack, 0.0)) / point.bound,
         fraction=1.0,
         guarantee=proven,
-        multipliers=multipliers,
-        feedback=problem.free @ point.feedback,
+        multipliers=frozen(multipliers),
+        feedback=frozen(problem.free @ point.feedback),
     )
 
 
@@ -202,21 +198,23 @@ class _Point(NamedTuple):
     feedback: Matrix
 
 
-@dataclass(frozen=True, eq=False)
 class _Problem:
-    """The convex problem: A, B, C of the loop, inputs and constraints without those that are void.
+    """The convex problem: the loop, with the inputs and constraints that are not void.
 
-    A constraint whose right hand side is zero forbids its input.
+    A constraint whose right hand side is zero forbids its input: `free` spans the inputs that are
+    left, and M (between these) and N (between states) are those of the `active` constraints.
     """
 
-    A: Matrix
-    B: Matrix
-    C: Matrix
-    inputs: Matrix
-    free: Matrix  # spans the inputs that are left
-    active: np.ndarray  # which constraints are left
-    M: np.ndarray  # theirs, between free inputs
-    N: np.ndarray  # theirs, between states
+    def __init__(self, loop: OpenLoop, plant: AugmentedSystem):
+        constraints, inputs = len(plant.M_i), loop.inputs.shape[1]
+        M = np.reshape(plant.M_i, (constraints, inputs, inputs))
+        N = [loop.outputs.T @ N_i @ loop.outputs for N_i in plant.N_i]
+        N = np.reshape(N, (constraints, *loop.A.shape))
+        self.A, self.B, self.C = loop.A, loop.B, loop.truth - loop.estimate
+        self.active = N.any(axis=(1, 2))
+        self.free = null_space(M[~self.active].sum(axis=0))
+        self.inputs = loop.inputs @ self.free
+        self.M, self.N = self.free.T @ M[self.active] @ self.free, N[self.active]
 
     def at(self, theta: np.ndarray, fraction: float = 1.0) -> _Point:
         """Evaluate the bound with the outputs scaled; a RiccatiError says that there is none."""
@@ -239,25 +237,6 @@ class _Problem:
         used = np.tensordot(self.M, sensitivity @ covariance @ sensitivity.T, axes=2)
         nominal = np.tensordot(self.C.T @ self.C, covariance, axes=2)
         return np.sqrt(np.maximum(used, 0.0) / allowed) + _LEAST_START * nominal / allowed
-
-
-def _problem(loop: OpenLoop, plant: AugmentedSystem) -> _Problem:
-    constraints, inputs = len(plant.M_i), loop.inputs.shape[1]
-    M = np.reshape(plant.M_i, (constraints, inputs, inputs))
-    N = [loop.outputs.T @ N_i @ loop.outputs for N_i in plant.N_i]
-    N = np.reshape(N, (constraints, *loop.A.shape))
-    active = N.any(axis=(1, 2))
-    free = null_space(M[~active].sum(axis=0))
-    return _Problem(
-        A=loop.A,
-        B=loop.B,
-        C=loop.truth - loop.estimate,
-        inputs=loop.inputs @ free,
-        free=free,
-        active=active,
-        M=free.T @ M[active] @ free,
-        N=N[active],
-    )
 
 
 def _continuation(problem: _Problem) -> tuple[float, np.ndarray]:

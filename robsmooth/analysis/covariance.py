@@ -23,9 +23,6 @@ cannot be negative,
 what the state one lag back contributes, and the noise since then (`robsmooth._numerics.lyapunov`
 finds `W` without the subtraction). The state is :math:`[x_p;\; x_p - \hat x_p]`, so that a small
 error is small from the start.
-
-The paper drives the copies with the fictitious noise of the design: that is ``loop="theory"``. A
-real loop has no such noise: ``loop="real"`` leaves it out.
 """
 
 from collections.abc import Iterable
@@ -171,7 +168,8 @@ def error_covariance(
         bound of a `RobustSmoother` is for: the filtered one where its cost is, and else the error
         of w-hat against the output of the delay model.
     loop : {"theory", "real"}
-        Whether the design's fictitious noise drives the copies, as in the paper's formula.
+        Whether the design's fictitious noise drives the copies, as in the paper's formula; a real
+        loop has no such noise.
     allow_inadmissible : bool
         Whether a Delta with norm above one is let through.
     reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
@@ -192,10 +190,6 @@ def error_covariance(
         Where the estimated rounding error is above a millionth of a variance.
     ValueError, TypeError
         For a Delta of the wrong shape or with norm above one, or an unknown output.
-
-    See Also
-    --------
-    delta_sweep, worst_case, analysis_bound
 
     Examples
     --------

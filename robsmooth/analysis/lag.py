@@ -75,10 +75,6 @@ class LagSweep:
     filtering: float
     two_sided: float
 
-    def __post_init__(self) -> None:
-        for value in (self.lags, self.orders, self.nominal, self.worst, self.optimal):
-            frozen(value)
-
     @property
     def gain(self) -> Matrix:
         """(O, L) share of the possible gain, from filtering to two-sided smoothing, nominally."""
@@ -138,10 +134,8 @@ def lag_sweep(
 
     Raises
     ------
-    InfeasibleDesignError
-        Where there is no design.
-    ValueError, TypeError
-        For an argument that is not as described.
+    InfeasibleDesignError, ValueError, TypeError
+        Where there is no design; where an argument is not as described.
 
     Examples
     --------
@@ -166,11 +160,11 @@ def lag_sweep(
     ]
     shape = len(orders), len(lags)
     return LagSweep(
-        lags=lags,
-        orders=orders,
-        nominal=np.reshape([case.nominal for case in cases], shape),
-        worst=np.reshape([case.mean_square for case in cases], shape),
-        optimal=np.array([_optimal_error(system, lag) for lag in lags]),
+        lags=frozen(lags),
+        orders=frozen(orders),
+        nominal=frozen(np.reshape([case.nominal for case in cases], shape)),
+        worst=frozen(np.reshape([case.mean_square for case in cases], shape)),
+        optimal=frozen(np.array([_optimal_error(system, lag) for lag in lags])),
         filtering=_optimal_error(system, 0.0),
         two_sided=_optimal_error(system, math.inf),
     )
@@ -302,10 +296,9 @@ def choose_lag(
 
     Raises
     ------
-    InfeasibleDesignError
-        Where no order up to `max_order` meets the target, or there is no design.
-    ValueError, TypeError
-        For a target that no smoother can meet, or another argument that is not as described.
+    InfeasibleDesignError, ValueError, TypeError
+        As in `lag_sweep`; the first also where no order up to `max_order` meets the target, the
+        second where no smoother can.
 
     Examples
     --------

@@ -1,8 +1,8 @@
 r"""Errors of the nonlinear loop from slopes that stand for its nonlinearity.
 
-The nonlinearity, and the copy of it, are replaced by slopes that depend on the variances of their
-arguments, which are those of the linear loop with these slopes (`robsmooth._numerics.linearisation`
-iterates). In the homodyne loop the argument is the filtered error, of variance P = P(slope(P)).
+The slopes depend on the variances of their arguments, which are those of the linear loop with these
+slopes (`robsmooth._numerics.linearisation` iterates). In the homodyne loop the argument is the
+filtered error, of variance P = P(slope(P)).
 """
 
 from collections.abc import Callable
@@ -19,7 +19,6 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import Reference, argument_weights, matrices
 
 _LARGEST_VARIANCE = 1e3  # times that at the tangent: no statistical linearisation holds there
-_TOLERANCE, _ITERATIONS = 1e-13, 1000  # of the slopes
 
 
 @dataclass(frozen=True)
@@ -34,9 +33,7 @@ class StatisticalLinearisation:
 
 @one_thread
 def statistical_linearisation(
-    smoother: Estimator,
-    equivalent_slope: Callable[[float], float],
-    reference: Reference = "system",
+    smoother: Estimator, equivalent_slope: Callable[[float], float], reference: Reference = "system"
 ) -> StatisticalLinearisation:
     r"""Predict the errors of the nonlinear loop, from slopes that belong to its own variances.
 
@@ -56,8 +53,8 @@ def statistical_linearisation(
     Returns
     -------
     StatisticalLinearisation
-        With ``slope`` and ``copy_slope``, the equivalent Delta_2 of the nonlinearity and of the
-        estimator's copy, and ``filtered`` and ``smoothed``, mean squares in the squared unit of w.
+        ``slope`` and ``copy_slope``, the equivalent Delta_2 of nonlinearity and copy; ``filtered``
+        and ``smoothed``, mean squares in the squared unit of w.
 
     Raises
     ------
@@ -66,10 +63,6 @@ def statistical_linearisation(
     ValueError, TypeError
         For another kind of plant or reference, or an `equivalent_slope` that is not callable or
         does not return a finite number.
-
-    See Also
-    --------
-    simulate, stationary_errors
 
     Examples
     --------
@@ -112,13 +105,9 @@ def statistical_linearisation(
         return np.maximum(np.diag(linear(slopes).covariance(arguments)), 0.0)
 
     start = slopes(np.zeros(2))
+    largest = _LARGEST_VARIANCE * variances(start).max()
     found = linearisation.equivalent_slopes(
-        start,
-        variances,
-        slopes,
-        tolerance=_TOLERANCE,
-        iterations=_ITERATIONS,
-        largest=_LARGEST_VARIANCE * variances(start).max(),
+        start, variances, slopes, tolerance=1e-13, iterations=1000, largest=largest
     )
     closed = linear(found)
     return StatisticalLinearisation(

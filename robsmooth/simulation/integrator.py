@@ -19,8 +19,6 @@ References
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.random import SFC64, Generator, SeedSequence
@@ -29,43 +27,29 @@ from scipy.linalg import block_diag
 
 from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root
-from robsmooth._support.validation import Matrix
 from robsmooth.simulation.loop import NonlinearLoop
 
 CHUNK = 64  # steps for which noise is drawn ahead, and between two looks for divergence
 GROWTH = 1e6  # of an output, from the first chunk on: divergence
 
 
-@dataclass(frozen=True, eq=False)
 class ExponentialIntegrator:
-    """The scheme of the module's docstring for one loop and step."""
+    """The scheme of the module's docstring for one loop and step.
 
-    loop: NonlinearLoop
-    step: float  # s
-    transition: Matrix  # e^{F h}
-    first: Matrix  # K_1
-    second: Matrix  # K_2
-    noise: Matrix  # a lower triangular root of the covariance of eta
-    readout: Matrix  # of w, its two estimates, zeta-tilde, the reference in it, and means of dy/dt
+    Where `measured`, y is integrated along with the state, and read out.
+    """
 
-    @classmethod
-    def of(cls, loop: NonlinearLoop, step: float, measured: bool = False) -> Self:
-        """Prepare the steps; `measured` has y integrated along with the state, and read out."""
+    def __init__(self, loop: NonlinearLoop, step: float, measured: bool = False):
         N = loop.order
         size = len(loop.drift) if measured else N
         F = np.hstack([loop.linear_drift[:size], np.zeros((size, size - N))])
+        self.loop, self.step = loop, step
+        self.transition, self.first, self.second = responses(F, loop.inputs[:size], step)
+        self.transition[:, N:] = 0.0  # the integral of y begins anew with each step
+        self.noise = noise_root(F, loop.noise[:size], step)
+        # w, its two estimates, zeta-tilde, the reference in it, and the mean of dy/dt
         of_state = np.vstack([loop.readout, loop.arguments, loop.reference])
-        transition, first, second = responses(F, loop.inputs[:size], step)
-        transition[:, N:] = 0.0  # the integral of y begins anew with each step
-        return cls(
-            loop,
-            step,
-            transition,
-            first,
-            second,
-            noise=noise_root(F, loop.noise[:size], step),
-            readout=block_diag(of_state, np.eye(size - N) / step),
-        )
+        self.readout = block_diag(of_state, np.eye(size - N) / step)
 
     @property
     def _arguments(self) -> slice:

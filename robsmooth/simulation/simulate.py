@@ -55,11 +55,6 @@ def simulate(
     start in the stationary state of the statistically linearised loop, forget the difference for a
     while, and are then averaged over time.
 
-    A detector that is steered by an estimate shows its nonlinearity the difference to that, the
-    *reference*: :math:`\mu_i = \psi_i(\nu_i - r_i)` in the system, and
-    :math:`\psi_i(\tilde\nu_i - r_i)` in the copy, with :math:`r_i` a row of the estimator's state.
-    The paper's example has one: its errors are those of `monte_carlo` and `stationary_errors`.
-
     Parameters
     ----------
     smoother : Estimator
@@ -67,12 +62,12 @@ def simulate(
         arrays, or a numba function of a number.
     uncertainties : sequence of k numbers, (r_s, h_s) arrays or functions
         Constants of norm at most one, as in `AugmentedSystem.structured_delta`, or functions
-        ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s, zero where averaging
+        ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s from where averaging
         begins. Left out: zero.
     reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
-        Each nonlinearity's own (`Nonlinearity`); that estimate of every argument :math:`\nu_i`,
-        which must be a combination of w; rows that read any other out of the estimator's state; or
-        no reference, not even where a nonlinearity has one of its own.
+        What is taken off the nonlinearities' arguments, and the copies' (`Nonlinearity`): each
+        one's own reference; that estimate of every argument :math:`\nu_i`, which must be a
+        combination of w; rows that read any other out of the estimator's state; or nothing.
     loop : {"real", "theory"}
         Whether the design's fictitious noise drives the copies, as in the theory.
     runs : int
@@ -127,16 +122,16 @@ def simulate(
     started = time.perf_counter()
     joined = nonlinear_loop(smoother, uncertainties, loop, reference)
     progress = validation.boolean("progress", progress)
-    plan = _plan(smoother, joined, runs, duration, step, seed, TIME_CONSTANTS)
-    m, constraints = plan.plant.system.m, len(plan.plant.M_i)
+    run = _Run(smoother, joined, runs, duration, step, seed, TIME_CONSTANTS)
+    m, constraints = run.plant.system.m, len(run.plant.M_i)
     errors, checks = Moments(2 * (m * m + 1)), np.zeros((3, constraints))
-    path_steps = plan.runs * (plan.before + plan.steps)
+    path_steps = run.runs * (run.before + run.steps)
     with progress_bar(total=path_steps, unit="step", unit_scale=True, shown=progress) as bar:
-        for first in range(0, plan.runs, BLOCK):
-            paths = range(first, min(first + BLOCK, plan.runs))
-            of_errors, of_checks = plan.averages(paths, bar)
+        for first in range(0, run.runs, BLOCK):
+            paths = range(first, min(first + BLOCK, run.runs))
+            of_errors, of_checks = run.averages(paths, bar)
             errors.add(of_errors)
-            checks += of_checks.sum(axis=2) / plan.runs
+            checks += of_checks.sum(axis=2) / run.runs
 
     used, allowed, violated = checks
     result = SimulationResult(
@@ -145,15 +140,15 @@ def simulate(
         constraints=np.divide(used, allowed, out=np.zeros(constraints), where=used > 0.0),
         violated=violated,
         equivalent_delta=joined.delta.copy(),
-        runs=plan.runs,
+        runs=run.runs,
         path_steps=path_steps,
         wall_time=time.perf_counter() - started,
-        duration=plan.steps * plan.step,
-        warm_up=plan.before * plan.step,
-        step=plan.step,
-        seed=plan.seed,
+        duration=run.steps * run.step,
+        warm_up=run.before * run.step,
+        step=run.step,
+        seed=run.seed,
     )
-    _warn(plan.plant, result)
+    _warn(run.plant, result)
     return result
 
 
@@ -198,12 +193,12 @@ def sample_paths(
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
     joined = nonlinear_loop(smoother, uncertainties, loop, reference)
-    plan = _plan(smoother, joined, runs, duration, step, seed, TIME_CONSTANTS / 5, measured=True)
-    parts = list(plan.records(range(plan.runs)))
+    run = _Run(smoother, joined, runs, duration, step, seed, TIME_CONSTANTS / 5, measured=True)
+    parts = list(run.records(range(run.runs)))
     whole = _Records(*(np.concatenate(chunks) for chunks in zip(*parts, strict=True)))
     names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
     series = {name: frozen(np.moveaxis(getattr(whole, name), 2, 0)) for name in names}
-    return SamplePaths(time=whole.time, step=plan.step, delay=smoother.plant.delay, **series)
+    return SamplePaths(time=whole.time, step=run.step, delay=smoother.plant.delay, **series)
 
 
 class _Records(NamedTuple):
@@ -220,20 +215,34 @@ class _Records(NamedTuple):
     reference: NDArray
 
 
-class _Plan(NamedTuple):
-    """What is simulated, and for how many steps: before time zero, from there on, and the lag."""
+class _Run:
+    """A loop, and for how many steps it runs: before time zero, from there on, and in the lag."""
 
-    plant: AugmentedSystem
-    integrator: ExponentialIntegrator
-    before: int
-    steps: int
-    lag: int
-    runs: int
-    seed: int
-
-    @property
-    def step(self) -> float:
-        return self.integrator.step
+    def __init__(
+        self,
+        smoother: Estimator,
+        loop: NonlinearLoop,
+        runs: int,
+        duration: float | None,
+        step: float | None,
+        seed: int,
+        time_constants: float,
+        measured: bool = False,
+    ):
+        self.plant, delay, slowest = smoother.plant, smoother.plant.delay, loop.slowest_rate
+        self.runs = validation.integer("runs", runs, low=1)
+        self.seed = validation.integer("seed", seed, low=0)
+        if duration is None:
+            duration = time_constants / slowest
+        duration = validation.positive("duration", duration)
+        response_time = 1.0 / loop.argument_rate()
+        default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
+        self.step = step = validation.positive("step", default if step is None else step)
+        self.before = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + delay) / step)
+        self.steps, self.lag = steps_in(duration, step), whole_steps(delay, step)
+        if not loop.is_linear:  # else the scheme is exact
+            warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
+        self.integrator = ExponentialIntegrator(loop, step, measured)
 
     def records(self, paths: range, bar=None) -> Iterator[_Records]:
         """Simulate paths; leave out what is before time zero."""
@@ -293,40 +302,6 @@ def _energies(forms: Sequence[Matrix], values: NDArray) -> NDArray[np.float64]:
     """Return quadratic forms of values, (., paths): (forms, paths)."""
     energies = [(values * (form @ values)).sum(axis=0) for form in forms]
     return np.reshape(energies, (len(forms), values.shape[1]))
-
-
-def _plan(
-    smoother: Estimator,
-    loop: NonlinearLoop,
-    runs: int,
-    duration: float | None,
-    step: float | None,
-    seed: int,
-    time_constants: float,
-    measured: bool = False,
-) -> _Plan:
-    """Check the arguments, or fill in defaults; `measured` has y simulated too."""
-    runs = validation.integer("runs", runs, low=1)
-    seed = validation.integer("seed", seed, low=0)
-    delay, slowest = smoother.plant.delay, loop.slowest_rate
-    if duration is None:
-        duration = time_constants / slowest
-    duration = validation.positive("duration", duration)
-    response_time = 1.0 / loop.argument_rate()
-    default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
-    step = validation.positive("step", default if step is None else step)
-    steps, lag = steps_in(duration, step), whole_steps(delay, step)
-    if not loop.is_linear:  # else the scheme is exact
-        warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
-    return _Plan(
-        plant=smoother.plant,
-        integrator=ExponentialIntegrator.of(loop, step, measured),
-        before=math.ceil((WARM_UP_TIME_CONSTANTS / slowest + delay) / step),
-        steps=steps,
-        lag=lag,
-        runs=runs,
-        seed=seed,
-    )
 
 
 def _error(errors: Moments, first: int, m: int) -> SimulatedError:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
 from robsmooth.analysis.lag import LagSweep
-from robsmooth.analysis.worst_dynamic_case import WorstDynamicCase
+from robsmooth.analysis.worst_case import WorstDynamicCase
 from robsmooth.homodyne.comparison import Compared
 from robsmooth.homodyne.study import Study
 from robsmooth.paper.figures.axes import LOOSE, label_rows, label_ticks, plot_curves, stacked
