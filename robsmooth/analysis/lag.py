@@ -51,9 +51,8 @@ class LagSweep:
     ----------
     lags, orders : (L,) and (O,) arrays
         Lags in seconds, and orders of the delay's Pade model.
-    nominal, worst : (O, L) array
-        Without uncertainty; and under the worst constant one, infinity where that makes the loop
-        unstable.
+    nominal, worst : (O, L) arrays
+        Without uncertainty; under the worst constant one, infinity where that is not stable.
     optimal : (L,) array
         The exact optimum for each lag: no linear smoother's nominal error is lower.
     filtering, two_sided : float

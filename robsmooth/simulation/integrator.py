@@ -50,12 +50,7 @@ class ExponentialIntegrator:
         # w, its two estimates, zeta-tilde, the reference in it, and the mean of dy/dt
         of_state = np.vstack([loop.readout, loop.arguments, loop.reference])
         self.readout = block_diag(of_state, np.eye(size - N) / step)
-
-    @property
-    def _arguments(self) -> slice:
-        """Rows of the records that are zeta-tilde."""
-        first = len(self.loop.readout)
-        return slice(first, first + len(self.loop.arguments))
+        self._arguments = slice(len(loop.readout), len(loop.readout) + len(loop.arguments))
 
     def advance(self, time: float, z: NDArray, zeta: NDArray, noise: NDArray) -> NDArray:
         """Return the states (., paths) a step after `time`; `zeta` is zeta-tilde at `time`."""

@@ -13,9 +13,8 @@ With :math:`z = [x; \hat x_p]` and the paper's channels, uncertainties, nonlinea
 
 where :math:`\tilde B_c = [B_y\ B_\mu]`. Below them are the rows of the measurement y, on which
 nothing depends. In :math:`R` are the references, rows of the estimator's state: a nonlinearity acts
-on :math:`\nu_i - r_i`, and its copy on :math:`\tilde\nu_i - r_i`. The homodyne loop of
-`robsmooth.homodyne.loop` is this equation with one reference, :math:`2\alpha\gamma` times the phase
-of the local oscillator.
+on :math:`\nu_i - r_i`, and its copy on :math:`\tilde\nu_i - r_i`. In the homodyne loop there is
+one, :math:`2\alpha\gamma` times the phase of the local oscillator.
 
 :math:`\Delta` holds the constant uncertainties and, for each nonlinearity and each copy, the slope
 that is statistically equivalent to it in the loop (`robsmooth._numerics.linearisation`). What is
@@ -116,7 +115,7 @@ class NonlinearLoop:
         rates = np.max(speeds, axis=0)[moving] / own[moving]
         return float(rates.max(initial=0.0)) or self.slowest_rate
 
-    @cached_property
+    @property
     def is_linear(self) -> bool:
         """Whether all functions are the slopes that stand in for them, where the loop is at all."""
         draws = np.random.default_rng(0).standard_normal((self.order, _DRAWS))
@@ -204,13 +203,10 @@ def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
         each = zip(functions, variances, strict=True)
         return np.array([linearisation.of_function(psi, variance) for psi, variance in each])
 
+    start, unit = np.zeros(len(rows)), loop.lipschitz[columns]
     with suppress(UnstableLoopError):
         found = linearisation.equivalent_slopes(
-            np.zeros(len(rows)),
-            variances,
-            slopes,
-            tolerance=_SLOPE_TOLERANCE,
-            unit=loop.lipschitz[columns],
+            start, variances, slopes, tolerance=_SLOPE_TOLERANCE, unit=unit
         )
         variances(found)
     return loop

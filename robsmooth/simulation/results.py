@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from robsmooth._support import notation
 from robsmooth._support.tables import Table
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Matrix
 from robsmooth.simulation.statistics import MeanSquare
 
 Floats = NDArray[np.float64]
@@ -96,10 +96,6 @@ class SimulationResult:
     warm_up: float
     step: float
     seed: int
-
-    def __post_init__(self):
-        for value in (self.constraints, self.violated, self.equivalent_delta):
-            frozen(value)
 
     def __repr__(self) -> str:
         return (

@@ -4,7 +4,6 @@ import math
 import time
 import warnings
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,11 +103,6 @@ def simulate(
     ValueError, TypeError
         For an argument that is not as described, before anything is simulated.
 
-    See Also
-    --------
-    sample_paths : The first of the paths.
-    error_covariance : The errors of a linear loop, without simulation.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -123,23 +117,24 @@ def simulate(
     joined = nonlinear_loop(smoother, uncertainties, loop, reference)
     progress = validation.boolean("progress", progress)
     run = _Run(smoother, joined, runs, duration, step, seed, TIME_CONSTANTS)
-    m, constraints = run.plant.system.m, len(run.plant.M_i)
-    errors, checks = Moments(2 * (m * m + 1)), np.zeros((3, constraints))
+    m, checks = run.plant.system.m, np.zeros((3, len(run.plant.M_i)))
+    products, traces = Moments((2, m, m)), Moments(2)
     path_steps = run.runs * (run.before + run.steps)
     with progress_bar(total=path_steps, unit="step", unit_scale=True, shown=progress) as bar:
         for first in range(0, run.runs, BLOCK):
             paths = range(first, min(first + BLOCK, run.runs))
             of_errors, of_checks = run.averages(paths, bar)
-            errors.add(of_errors)
+            products.add(of_errors)
+            traces.add(np.einsum("eiip->ep", of_errors))
             checks += of_checks.sum(axis=2) / run.runs
 
     used, allowed, violated = checks
     result = SimulationResult(
-        smoothed=_error(errors, m * m + 1, m),
-        filtered=_error(errors, 0, m),
-        constraints=np.divide(used, allowed, out=np.zeros(constraints), where=used > 0.0),
-        violated=violated,
-        equivalent_delta=joined.delta.copy(),
+        smoothed=_error(products, traces, 1),
+        filtered=_error(products, traces, 0),
+        constraints=frozen(np.divide(used, allowed, out=0.0 * used, where=used > 0.0)),
+        violated=frozen(violated),
+        equivalent_delta=frozen(joined.delta.copy()),
         runs=run.runs,
         path_steps=path_steps,
         wall_time=time.perf_counter() - started,
@@ -195,24 +190,14 @@ def sample_paths(
     joined = nonlinear_loop(smoother, uncertainties, loop, reference)
     run = _Run(smoother, joined, runs, duration, step, seed, TIME_CONSTANTS / 5, measured=True)
     parts = list(run.records(range(run.runs)))
-    whole = _Records(*(np.concatenate(chunks) for chunks in zip(*parts, strict=True)))
     names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
-    series = {name: frozen(np.moveaxis(getattr(whole, name), 2, 0)) for name in names}
-    return SamplePaths(time=whole.time, step=run.step, delay=smoother.plant.delay, **series)
-
-
-class _Records(NamedTuple):
-    """Some consecutive records of all paths, each (steps, rows, paths), from time zero on."""
-
-    time: NDArray  # (steps,), s
-    w: NDArray
-    filtered: NDArray
-    delayed: NDArray
-    smoothed: NDArray
-    zeta: NDArray  # less the reference
-    subtracted: NDArray  # the reference in zeta
-    y: NDArray
-    reference: NDArray
+    series = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    return SamplePaths(
+        time=np.concatenate([part["time"] for part in parts]),
+        step=run.step,
+        delay=smoother.plant.delay,
+        **{name: frozen(np.moveaxis(values, 2, 0)) for name, values in series.items()},
+    )
 
 
 class _Run:
@@ -244,52 +229,49 @@ class _Run:
             warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
         self.integrator = ExponentialIntegrator(loop, step, measured)
 
-    def records(self, paths: range, bar=None) -> Iterator[_Records]:
-        """Simulate paths; leave out what is before time zero."""
+    def records(self, paths: range, bar=None) -> Iterator[dict[str, NDArray]]:
+        """Simulate paths, and yield what is from time zero on, (steps, rows, paths), by its name.
+
+        The reference was subtracted from zeta-tilde to give "zeta".
+        """
         m, g = self.plant.system.m, self.plant.system.g
         arguments = len(self.integrator.loop.arguments)
+        names = ("w", "filtered", "smoothed", "zeta", "subtracted", "y")
         rows = np.cumsum([m, m, m, arguments, arguments])
         of_detectors = slice(arguments - 2 * g, arguments - g)
         past, last = np.zeros((self.lag, m, len(paths))), np.zeros((1, g, len(paths)))
         whole = self.integrator.records(self.seed, paths, self.before, self.steps)
         for first, records in whole:
-            w, filtered, smoothed, zeta, subtracted, y = np.split(records, rows, axis=1)
-            outputs = np.concatenate([past, w])
-            past = outputs[len(w) :]
-            references = np.concatenate([last, subtracted[:, of_detectors]])
-            last = references[-1:]
-            means = (references[1:] + references[:-1]) / 2
-            times = self.step * np.arange(first, first + len(w))
-            parts = (times, w, filtered, outputs[: len(w)], smoothed, zeta, subtracted, y, means)
-            yield _Records(*(part[max(0, 1 - first) :] for part in parts))
+            part = dict(zip(names, np.split(records, rows, axis=1), strict=True))
+            outputs = np.concatenate([past, part["w"]])
+            part["delayed"], past = outputs[: len(records)], outputs[len(records) :]
+            references = np.concatenate([last, part["subtracted"][:, of_detectors]])
+            part["reference"], last = (references[1:] + references[:-1]) / 2, references[-1:]
+            part["time"] = self.step * np.arange(first, first + len(records))
+            yield {name: values[max(0, 1 - first) :] for name, values in part.items()}
             if bar is not None:
                 bar.update(len(records) * len(paths))
 
     def averages(self, paths: range, bar) -> tuple[NDArray, NDArray]:
-        """Simulate paths; return averages over time: (2 (m^2 + 1), paths), (3, k + 3g, paths).
+        """Return averages over time, (2, m, m, paths) and (3, k + 3g, paths).
 
-        The first are the products of the filtered errors and their trace, and of the smoothed
-        errors; the others are what `_constraints` returns.
+        They are of the products of filtered and smoothed errors, and of what `_constraints` has.
         """
         m, samples = self.plant.system.m, 0
         products = np.zeros((2, m, m, len(paths)))
         checks = np.zeros((3, len(self.plant.M_i), len(paths)))
         for part in self.records(paths, bar):
-            errors = (part.w - part.filtered, part.delayed - part.smoothed)
+            errors = part["w"] - part["filtered"], part["delayed"] - part["smoothed"]
             products += [np.einsum("tip,tjp->ijp", error, error) for error in errors]
-            for k in range(0, len(part.time), CHECK_EVERY):
-                checks += self._constraints(part.time[k], part.zeta[k], part.subtracted[k])
+            for k in range(0, len(part["time"]), CHECK_EVERY):
+                checks += self._constraints(*(part[n][k] for n in ("time", "zeta", "subtracted")))
                 samples += 1
-        products /= self.steps
-        traces = np.einsum("eiip->ep", products)[:, None]
-        with_traces = np.concatenate([products.reshape(2, m * m, -1), traces], axis=1)
-        return with_traces.reshape(2 * (m * m + 1), -1), checks / samples
+        return products / self.steps, checks / samples
 
     def _constraints(self, time: float, zeta: NDArray, subtracted: NDArray) -> NDArray:
         """Return xi' M_i xi, zeta' N_i zeta, and whether the former is larger: (3, k + 3g, paths).
 
-        The zeta of the second has the whole arguments, with the reference that was `subtracted`,
-        and that of the third has not.
+        The second is of whole arguments, with the reference that was `subtracted`; the third not.
         """
         loop = self.integrator.loop
         xi = loop.delta @ zeta + loop.remainder(time, zeta)
@@ -304,28 +286,21 @@ def _energies(forms: Sequence[Matrix], values: NDArray) -> NDArray[np.float64]:
     return np.reshape(energies, (len(forms), values.shape[1]))
 
 
-def _error(errors: Moments, first: int, m: int) -> SimulatedError:
-    """Return what m^2 + 1 rows of `averages` from `first` on are the moments of."""
-    found = [errors.mean_square(first + i) for i in range(m * m + 1)]
-    pairs = np.array([(each.mean_square, each.standard_error) for each in found[:-1]]).T
-    covariance, covariance_error = map(frozen, pairs.reshape(2, m, m))
+def _error(products: Moments, traces: Moments, which: int) -> SimulatedError:
+    trace = traces.mean_square(which)
     return SimulatedError(
-        found[-1].mean_square,
-        found[-1].standard_error,
-        covariance=covariance,
-        covariance_error=covariance_error,
+        trace.mean_square,
+        trace.standard_error,
+        covariance=frozen(products.means[which].copy()),
+        covariance_error=frozen(products.standard_errors[which].copy()),
     )
 
 
 def _warn(plant: AugmentedSystem, result: SimulationResult) -> None:
     """Say which constraints do not hold all the time."""
-    i_of = range(plant.system.g)
-    names = [
-        *(f"uncertainties[{s}]" for s in range(plant.system.k)),
-        *(f"nonlinearities[{i}] less its copy" for i in i_of),
-        *(f"nonlinearities[{i}]" for i in i_of),
-        *(f"the copy of nonlinearities[{i}]" for i in i_of),
-    ]
+    names = [f"uncertainties[{s}]" for s in range(plant.system.k)]
+    for name in ("{} less its copy", "{}", "the copy of {}"):
+        names += [name.format(f"nonlinearities[{i}]") for i in range(plant.system.g)]
     found = [
         f"{name} for {violated:.2g} of the time ({used:.3g} in the mean)"
         for name, violated, used in zip(names, result.violated, result.constraints, strict=True)

@@ -71,18 +71,17 @@ class MeanSquare:
 class Moments:
     """Means and variances of values that come in parts, whatever the parts' sizes."""
 
-    def __init__(self, variables: int):
-        self.count = 0
-        self.means = np.zeros(variables)
+    def __init__(self, variables: int | tuple[int, ...]):
+        self.count, self.means = 0, np.zeros(variables)
         self.squares = np.zeros(variables)  # sums of squared deviations from the mean
 
     def add(self, values: Floats) -> None:
         """Add values, (variables, paths)."""
-        added = Moments(len(values))
-        added.count = values.shape[1]
+        added = Moments(0)
+        added.count = values.shape[-1]
         if added.count > 0:
-            added.means = values.mean(axis=1)
-            added.squares = ((values - added.means[:, None]) ** 2).sum(axis=1)
+            added.means = values.mean(axis=-1)
+            added.squares = ((values - added.means[..., None]) ** 2).sum(axis=-1)
         self.merge(added)
 
     def merge(self, other: "Moments") -> None:
@@ -95,19 +94,23 @@ class Moments:
         self.means += shift * (other.count / count)
         self.count = count
 
+    @property
+    def standard_errors(self) -> Floats:
+        """Of the means; not numbers where there are less than two values."""
+        return np.sqrt(self.squares / (self.count - 1 if self.count > 1 else math.nan) / self.count)
+
     def mean_square(self, variable: int, plain: int | None = None) -> MeanSquare:
         """Return that of a variable; `plain` is the same one without control variates."""
-        mean, squares = float(self.means[variable]), float(self.squares[variable])
-        if self.count < 2:
-            return MeanSquare(mean if self.count else math.nan, math.nan)
-        error = math.sqrt(squares / (self.count - 1) / self.count)
-        without = float(self.squares[variable if plain is None else plain])
-        return MeanSquare(mean, error, without / squares if squares > 0 else 1.0)
+        if self.count == 0:
+            return MeanSquare(math.nan, math.nan)
+        squares = self.squares[variable]
+        gain = 1.0 if plain is None or squares == 0 else self.squares[plain] / squares
+        error = self.standard_errors[variable]
+        return MeanSquare(float(self.means[variable]), float(error), float(gain))
 
     def state(self) -> dict:
         """All of it as JSON values, every bit."""
-        sums = {"means": self.means.tolist(), "squares": self.squares.tolist()}
-        return {"count": self.count, **sums}
+        return {**vars(self), "means": self.means.tolist(), "squares": self.squares.tolist()}
 
     @classmethod
     def from_state(cls, state: dict) -> "Moments":
@@ -133,10 +136,8 @@ class Tally:
     """All that is kept of the paths: moments of all and of those that never slipped, and slips."""
 
     def __init__(self, variables: int):
-        self.all = Moments(variables)
-        self.locked = Moments(variables)
-        self.slips = 0
-        self.slipped_paths = 0
+        self.all, self.locked = Moments(variables), Moments(variables)
+        self.slips, self.slipped_paths = 0, 0
 
     def add(self, values: Floats, slips: Floats) -> None:
         """Add paths: the variables (variables, paths) and the slips (paths,)."""
