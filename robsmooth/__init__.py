@@ -42,12 +42,12 @@ if TYPE_CHECKING:  # what `_names` imports where it is first asked for
     from robsmooth.io.designs import save as save
     from robsmooth.io.records import smooth_record as smooth_record
     from robsmooth.paper.verdicts import verdicts as verdicts
-    from robsmooth.simulation.results import InadmissibleWarning as InadmissibleWarning
-    from robsmooth.simulation.results import SamplePaths as SamplePaths
-    from robsmooth.simulation.results import SimulatedError as SimulatedError
-    from robsmooth.simulation.results import SimulationResult as SimulationResult
     from robsmooth.simulation.simulate import sample_paths as sample_paths
     from robsmooth.simulation.simulate import simulate as simulate
+    from robsmooth.simulation.statistics import InadmissibleWarning as InadmissibleWarning
+    from robsmooth.simulation.statistics import SamplePaths as SamplePaths
+    from robsmooth.simulation.statistics import SimulatedError as SimulatedError
+    from robsmooth.simulation.statistics import SimulationResult as SimulationResult
     from robsmooth.systems.augmented import AugmentedSystem as AugmentedSystem
     from robsmooth.systems.augmented import augment as augment
     from robsmooth.systems.channels import Nonlinearity as Nonlinearity

@@ -41,7 +41,7 @@ _HOMES = {
     "robsmooth.io.designs": ("load", "save"),
     "robsmooth.io.records": ("smooth_record",),
     "robsmooth.paper.verdicts": ("verdicts",),
-    "robsmooth.simulation.results": (
+    "robsmooth.simulation.statistics": (
         "InadmissibleWarning",
         "SamplePaths",
         "SimulatedError",

@@ -23,6 +23,7 @@ A design's V is this bound with :math:`\theta = \tau\lambda` and more noise: :ma
 """
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -62,18 +63,17 @@ class AnalysisBound:
         Above the mean square error under every admissible uncertainty, in the squared unit of w;
         infinity where no multipliers give a bound.
     gap : float
-        The share of `mean_square` that no admissible input was shown to reach, to first order: what
-        the worst input leaves of its constraints, weighted by their multipliers.
+        The share of `mean_square` that no admissible input was shown to reach, to first order.
     fraction : float
-        The share of the uncertainty for which there is a bound, by which its outputs would have to
-        be scaled: 1 where there is one for all of it, 0 for a loop that is not stable without it.
+        The share of the uncertainty's outputs for which there is a bound: 0 for a loop that is not
+        stable without them.
     guarantee : float or None
         Twice the bound V of the design, where that is for this error.
     multipliers : (k + 3g,) array
         theta, in the squared unit of w times seconds; infinity for a constraint that allows its
-        input no energy. Empty where there is no bound.
+        input no energy.
     feedback : (r + 2g, N) array
-        The worst input as a feedback of the states X. Empty where there is no bound.
+        The worst input as a feedback of the states X. Both are empty where there is no bound.
 
     Examples
     --------
@@ -164,14 +164,10 @@ def analysis_bound(
     point = problem.at(theta)
     multipliers = np.full(len(smoother.plant.M_i), math.inf)
     multipliers[problem.active] = theta
-    return AnalysisBound(
-        mean_square=point.bound,
-        gap=float(theta @ np.maximum(point.slack, 0.0)) / point.bound,
-        fraction=1.0,
-        guarantee=proven,
-        multipliers=frozen(multipliers),
-        feedback=frozen(problem.free @ point.feedback),
-    )
+    # what the worst input leaves of its constraints, weighted by their multipliers
+    gap = float(theta @ np.maximum(point.slack, 0.0)) / point.bound
+    feedback = frozen(problem.free @ point.feedback)
+    return AnalysisBound(point.bound, gap, 1.0, proven, frozen(multipliers), feedback)
 
 
 def _with_delay_model(loop: OpenLoop, order: int) -> OpenLoop:
@@ -261,11 +257,9 @@ def _continuation(problem: _Problem) -> tuple[float, np.ndarray]:
 def _feasible_multiple(problem: _Problem, theta: np.ndarray, fraction: float) -> np.ndarray | None:
     """Return the smallest of some multiples of theta that give a bound, or None."""
     for multiple in _MULTIPLES:
-        try:
+        with suppress(RiccatiError):
             problem.at(multiple * theta, fraction)
-        except RiccatiError:
-            continue
-        return multiple * theta
+            return multiple * theta
     return None
 
 

@@ -59,11 +59,8 @@ class ClosedLoop:
         T = self._error_coordinates
         found = covariances(T @ self.A @ T, T @ self.B)
         outputs = block_diag(self.estimator.plant.C_p0, self.estimator.C_f) @ T
-        check_certainty(
-            "the covariance of the closed loop",
-            _squared(outputs, found.stationary),
-            _squared(outputs, found.error),
-        )
+        P, error = (_squared(outputs, each) for each in (found.stationary, found.error))
+        check_certainty("the covariance of the closed loop", P, error)
         return _squared(T if rows is None else rows @ T, found.stationary)
 
     def error_covariance(self, output: str) -> Matrix:
@@ -73,12 +70,10 @@ class ClosedLoop:
         truth, estimate = truth @ T, estimate @ T
         found = covariances(T @ self.A @ T, T @ self.B, delay)
         E, error = found.transition, found.error
-        past = truth - estimate @ E
+        past, since = truth - estimate @ E, error - _squared(E, error)
         result = _squared(past, found.stationary) + _squared(estimate, found.grown)
-        since = error - _squared(E, error)
-        check_certainty(
-            "the error covariance", result, _squared(past, error) + _squared(estimate, since)
-        )
+        error = _squared(past, error) + _squared(estimate, since)
+        check_certainty("the error covariance", result, error)
         return result
 
     @property
@@ -170,8 +165,7 @@ def error_covariance(
     loop : {"theory", "real"}
         Whether the design's fictitious noise drives the copies, as in the paper's formula; a real
         loop has no such noise.
-    allow_inadmissible : bool
-        Whether a Delta with norm above one is let through.
+    allow_inadmissible : bool, whether a Delta with norm above one is let through
     reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
         What is taken off the nonlinearities' arguments, as in `simulate`; the paper has none.
     copy_noise : bool, optional
@@ -179,8 +173,7 @@ def error_covariance(
 
     Returns
     -------
-    (m, m) array
-        In the squared unit of w.
+    (m, m) array, in the squared unit of w
 
     Raises
     ------

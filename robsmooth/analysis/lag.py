@@ -49,14 +49,12 @@ class LagSweep:
 
     Attributes
     ----------
-    lags, orders : (L,) and (O,) arrays
-        Lags in seconds, and orders of the delay's Pade model.
+    lags, orders : (L,) and (O,) arrays, as given
     nominal, worst : (O, L) arrays
         Without uncertainty; under the worst constant one, infinity where that is not stable.
     optimal : (L,) array
         The exact optimum for each lag: no linear smoother's nominal error is lower.
-    filtering, two_sided : float
-        The exact optimum for lag zero, and for an infinite one.
+    filtering, two_sided : float, the exact optimum for lag zero and for an infinite one
 
     Examples
     --------
@@ -115,17 +113,14 @@ def lag_sweep(
     Parameters
     ----------
     system : UncertainSystem
-    lags : sequence of float
-        In seconds, not negative.
-    orders : sequence of int
-        Of the delay's Pade model.
+    lags : sequence of float, in seconds, not negative
+    orders : sequence of int, of the delay's Pade model
     design : {"classical", "filtered cost", "smoothed cost"} or callable
         The fixed-lag smoother of the nominal system, which runs copies of the nonlinearities; the
         robust smoother with the least bound on the filtered error, or on the smoothed one, which
         takes a search for each lag and order; or the `Estimator` that a function makes of system,
         lag and order.
-    progress : bool
-        Show a progress bar.
+    progress : bool, whether to show a bar
 
     Returns
     -------
@@ -175,8 +170,7 @@ class LagChoice:
 
     Attributes
     ----------
-    lag, order : float, int
-        In seconds, and of the delay's Pade model.
+    lag, order : float, in seconds, and int, of the delay's Pade model
     error, target : float
         The smoothed mean square error, by the criterion asked for, and what it had to meet, in the
         squared unit of w.
@@ -227,8 +221,7 @@ def best_lag(
     Parameters
     ----------
     system : UncertainSystem
-    order : int
-        Of the delay's Pade model, at least one.
+    order : int, of the delay's Pade model, at least one
     design
         As in `lag_sweep`.
     criterion : {"nominal", "worst"}
@@ -283,8 +276,7 @@ def choose_lag(
         filtered error to that of two-sided smoothing.
     design, criterion
         As in `best_lag`: the error that is to meet the target.
-    max_order : int
-        The highest order to try.
+    max_order : int, the highest order to try
     slack : float
         How much longer than the shortest the lag may be, relatively, for a lower order.
 
@@ -372,9 +364,7 @@ def _family(system: UncertainSystem, design: Design) -> Family:
     )
 
 
-def _error_of_lag(
-    system: UncertainSystem, design: Design, criterion: str
-) -> Callable[[float, int], float]:
+def _error_of_lag(system: UncertainSystem, design: Design, criterion: str) -> Callable[..., float]:
     """Return the smoothed mean square error as a function of lag and order."""
     validation.instance("system", system, UncertainSystem)
     criterion = validation.choice("criterion", criterion, ("nominal", "worst"))
@@ -384,8 +374,8 @@ def _error_of_lag(
         smoother = make(system, lag, order)
         if criterion == "worst":
             return worst_case(smoother, loop="real").mean_square
-        nominal = smoother.plant.structured_delta()
-        return float(np.trace(error_covariance(smoother, nominal, loop="real")))
+        Delta = smoother.plant.structured_delta()
+        return float(np.trace(error_covariance(smoother, Delta, loop="real")))
 
     return error
 

@@ -115,8 +115,7 @@ def worst_case(
         As in `error_covariance`.
     starts : int
         Number of corners of the admissible set to start from, besides its centre.
-    seed : int
-        Of the corners.
+    seed : int, of the corners
 
     Returns
     -------
@@ -152,12 +151,8 @@ def worst_case(
             return np.inf
         return float(np.trace(error_covariance(smoother, Delta, output, loop)))
 
-    return WorstCase(
-        Delta=frozen(Delta[best]),
-        mean_square=mean_square(Delta[best]),
-        nominal=mean_square(np.zeros_like(Delta[best])),
-        guarantee=guarantee(smoother, output),
-    )
+    worst, nominal = mean_square(Delta[best]), mean_square(np.zeros_like(Delta[best]))
+    return WorstCase(frozen(Delta[best]), worst, nominal, guarantee(smoother, output))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,12 +164,9 @@ class WorstDynamicCase:
     mean_square : float
         No linear time-invariant uncertainty has a larger mean square error (in the squared unit of
         w), as far as the search at each frequency found the worst.
-    constant : WorstCase
-        The worst constant uncertainty.
-    frequencies : (F,) array
-        Angular frequencies, rad/s, evenly spaced in their logarithm.
-    Delta : (F, r + 2g, h + 2g) array
-        The worst uncertainty, complex.
+    constant : WorstCase, the worst constant uncertainty
+    frequencies : (F,) array, rad/s, evenly spaced in their logarithm
+    Delta : (F, r + 2g, h + 2g) array, complex, the worst uncertainty
     spectra : (3, F) array
         :math:`\lVert T_e\rVert_F^2` without uncertainty, under the worst constant one and under
         `Delta`, in the squared unit of w times seconds. The integral over positive frequencies,
@@ -230,8 +222,7 @@ def worst_dynamic_case(
     starts : int
         Number of random corners to start from at every frequency, besides the worst constant
         uncertainty and the worst at the neighbouring frequencies.
-    seed : int
-        Of the corners.
+    seed : int, of the corners
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Simulation of any uncertain system in the loop with its estimator, nonlinearities and all.
 
 `loop` joins the two into one equation, `integrator` takes the steps, and `simulate` makes errors,
-sample paths and a check of the theory's constraints of them, in the classes of `results`.
+sample paths and a check of the theory's constraints of them, in the classes of `statistics`.
 
 That of the paper's example, Section IV, has a detector that is steered by an estimate, its
 *reference* (`Nonlinearity`): `monte_carlo` is a faster simulation of it.

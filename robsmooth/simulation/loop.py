@@ -157,14 +157,13 @@ def nonlinear_loop(
     n, measurements, g = system.n, system.l, system.g
     kept = np.r_[:n, plant.n : len(drift)]  # nothing depends on the model of the delay
     measured = np.pad(plant.C2_tilde[:measurements], ((0, 0), (0, len(smoother.A_c))))
-    no_x = np.zeros((len(outputs), n))
     bounds = [c.lipschitz for c in system.nonlinearities]
     joined = NonlinearLoop(
         drift=np.vstack([drift[kept], measured])[:, kept],
         inputs=np.vstack([inputs[kept], plant.D21_tilde[:measurements]]),
         noise=np.vstack([noise[kept], plant.D21_bar[:measurements]]),
         arguments=outputs[:, kept],
-        reference=np.hstack([no_x, reference_outputs(smoother, reference)]),
+        reference=np.pad(reference_outputs(smoother, reference), ((0, 0), (n, 0))),
         readout=block_diag(system.C0, np.vstack([smoother.C_f, smoother.C_a])),
         delta=delta,
         functions=tuple(functions),

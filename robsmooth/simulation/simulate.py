@@ -17,13 +17,13 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import Reference
 from robsmooth.simulation.integrator import ExponentialIntegrator
 from robsmooth.simulation.loop import NonlinearLoop, Uncertainties, nonlinear_loop
-from robsmooth.simulation.results import (
+from robsmooth.simulation.statistics import (
     InadmissibleWarning,
+    Moments,
     SamplePaths,
     SimulatedError,
     SimulationResult,
 )
-from robsmooth.simulation.statistics import Moments
 from robsmooth.systems.augmented import AugmentedSystem
 
 BLOCK = 512  # paths side by side
@@ -69,19 +69,16 @@ def simulate(
         combination of w; rows that read any other out of the estimator's state; or nothing.
     loop : {"real", "theory"}
         Whether the design's fictitious noise drives the copies, as in the theory.
-    runs : int
-        Independent paths.
+    runs : int, independent paths
     duration : float, optional
         Of a path, without the warm-up, s; rounded to whole steps. Default: 100 times the slowest
         time constant of the linearised loop.
     step : float, optional
-        s; must divide the lag into whole steps. Default: the largest such step that is at most a
-        fifth of the loop's response time, that in which the nonlinearities' arguments change or act
-        on each other. `robsmooth.simulation` has the bias that this makes.
+        s; must divide the lag into whole steps. Default: the largest such step up to a fifth of the
+        loop's response time, of which `robsmooth.simulation` tells, and the bias that it makes.
     seed : int
         At least 0. A path depends on it, the path's number and the step alone.
-    progress : bool
-        Show a progress bar.
+    progress : bool, whether to show a bar
 
     Returns
     -------
@@ -291,8 +288,8 @@ def _error(products: Moments, traces: Moments, which: int) -> SimulatedError:
     return SimulatedError(
         trace.mean_square,
         trace.standard_error,
-        covariance=frozen(products.means[which].copy()),
-        covariance_error=frozen(products.standard_errors[which].copy()),
+        covariance=frozen(products.means[which]),
+        covariance_error=frozen(products.standard_errors[which]),
     )
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from robsmooth.paper.figures.axes import plot_curves, stacked
 from robsmooth.paper.figures.style import NOWHERE, TRUTH
-from robsmooth.simulation.results import SamplePaths
+from robsmooth.simulation.statistics import SamplePaths
 
 
 def sample_path(paths: SamplePaths, unit: str, scale: float, quantity: str) -> Figure:

@@ -13,7 +13,7 @@ from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne.parameters import PAPER
 from robsmooth.paper.published import DELAY, ORDER
 from robsmooth.paper.tables import cells
-from robsmooth.simulation.results import SimulationResult
+from robsmooth.simulation.statistics import SimulationResult
 from robsmooth.systems.augmented import augment
 
 
