@@ -170,7 +170,7 @@ def _path(estimator: rs.Estimator) -> Path:
     That of `sample_paths` depends on the lag, which its step divides, and on the order.
     """
     loop = nonlinear_loop(estimator)
-    integrator = ExponentialIntegrator.of(loop, STEP)
+    integrator = ExponentialIntegrator(loop, STEP)
     start, *steps = _normals()[:, : loop.order, None]
     z = loop.stationary_root @ start
     states = []

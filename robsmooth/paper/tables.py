@@ -17,7 +17,7 @@ from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
 from robsmooth.analysis.constraints import AnalysisBound
 from robsmooth.analysis.covariance import delta_sweep, error_covariance
-from robsmooth.analysis.lag_choice import choose_lag
+from robsmooth.analysis.lag import choose_lag
 from robsmooth.analysis.worst_case import WorstCase
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
@@ -27,7 +27,7 @@ from robsmooth.homodyne.comparison import Compared
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.homodyne.study import Study
 from robsmooth.paper import predictions, published
-from robsmooth.simulation.results import SimulationResult
+from robsmooth.simulation.statistics import SimulationResult
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.system import UncertainSystem
 

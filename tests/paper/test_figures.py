@@ -13,7 +13,7 @@ from matplotlib.text import Text
 
 from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne, sample_paths
 from robsmooth.analysis.lag import lag_sweep
-from robsmooth.analysis.worst_dynamic_case import worst_dynamic_case
+from robsmooth.analysis.worst_case import worst_dynamic_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.homodyne.certificate import scalar_bound

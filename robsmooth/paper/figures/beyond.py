@@ -9,10 +9,10 @@ from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
 from robsmooth.analysis.lag import LagSweep
-from robsmooth.analysis.worst_dynamic_case import WorstDynamicCase
+from robsmooth.analysis.worst_case import WorstDynamicCase
 from robsmooth.homodyne.comparison import Compared
 from robsmooth.paper.figures import style
-from robsmooth.simulation.results import SamplePaths
+from robsmooth.simulation.statistics import SamplePaths
 
 
 def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float], limit: float) -> Figure:
