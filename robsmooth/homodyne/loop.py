@@ -153,6 +153,10 @@ class Loop:
         )
         return float(slopes[0]), float(slopes[1])
 
+    def readout(self) -> NDArray[np.float64]:
+        """Rows of the filtered estimate, the smoothed estimate and the oscillator's phase."""
+        return np.vstack([self.filtered, self.smoothed, self.oscillator])
+
     def noise_gains(self) -> NDArray[np.float64]:
         r"""Columns by which dV and dW drive :math:`(\varphi, \hat x)`."""
         gains = np.zeros((1 + self.order, 2))

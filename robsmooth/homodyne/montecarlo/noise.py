@@ -47,7 +47,6 @@ U1 = np.uint32(1)
 U9 = np.uint32(9)
 U11 = np.uint32(11)
 U21 = np.uint32(21)
-U31 = np.uint32(31)
 
 MINUS_TWO_LN_2 = -2 * math.log(2)
 HALF_TURN_M32 = math.pi / 2**32
@@ -56,7 +55,7 @@ SQRT_HALF_BITS_31 = np.int32(SQRT_HALF_BITS + (31 << 23))
 MANTISSA_BITS = np.int32(23)
 MANTISSA = np.int32(2**23 - 1)
 HALF = np.float32(0.5)
-
+TOP_BIT = np.uint32(1 << 31)
 
 SINE_FLOAT32 = (
     -0.166666570964985,
@@ -85,39 +84,6 @@ def fma(typingctx, a, b, c):
         return builder.fma(*(context.cast(builder, value, kind, a) for value, kind in given))
 
     return a(a, b, c), codegen
-
-
-@intrinsic
-def float_bits(typingctx, value):
-    """The bits of a float32 as an int32."""
-
-    def codegen(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.IntType(32))
-
-    return types.int32(types.float32), codegen
-
-
-@intrinsic
-def float_from_bits(typingctx, bits):
-    """The float32 that has these bits."""
-
-    def codegen(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.FloatType())
-
-    return types.float32(types.int32), codegen
-
-
-@intrinsic
-def flip_sign(typingctx, value, bits):
-    """The float32 `value`, negated where the top bit of the uint32 `bits` is set."""
-
-    def codegen(context, builder, signature, arguments):
-        word = ir.IntType(32)
-        top = builder.and_(arguments[1], ir.Constant(word, 1 << 31))
-        flipped = builder.xor(builder.bitcast(arguments[0], word), top)
-        return builder.bitcast(flipped, ir.FloatType())
-
-    return types.float32(types.float32, types.uint32), codegen
 
 
 @intrinsic
@@ -187,9 +153,9 @@ def whole_turns(typingctx, x):
 @njit
 def minus_two_log(v):
     """-2 log(v / 2^31) of a float32 v between 1/2 and 2^31, to a relative 3e-7."""
-    bits = np.int32(float_bits(v) - SQRT_HALF_BITS_31)  # 31 less in the exponent
+    bits = np.int32(np.float32(v).view(np.int32) - SQRT_HALF_BITS_31)  # 31 less in the exponent
     exponent = np.int32(bits >> MANTISSA_BITS)
-    mantissa = float_from_bits(np.int32(np.int32(bits & MANTISSA) + SQRT_HALF_BITS))
+    mantissa = np.int32(np.int32(bits & MANTISSA) + SQRT_HALF_BITS).view(np.float32)
     f = np.float32(1) - mantissa  # in (1 - sqrt(2), 1 - sqrt(1/2)]
     p = fma(f, 0.20695991919743753, 0.32557981860386714)
     p = fma(f, p, 0.3440311727098379)
@@ -198,6 +164,12 @@ def minus_two_log(v):
     p = fma(f, p, 0.6667018213402259)
     p = fma(f, p, 1.000005755167118)
     return fma(np.float32(exponent), MINUS_TWO_LN_2, fma(f * f, p, np.float32(f + f)))
+
+
+@njit
+def flip_sign(value, bits):
+    """A float32, negated where the top bit of the uint32 `bits` is set."""
+    return np.uint32(np.float32(value).view(np.uint32) ^ np.uint32(bits & TOP_BIT)).view(np.float32)
 
 
 @njit
@@ -233,15 +205,7 @@ def mix(z):
 
 @njit
 def seed_paths(seed, first_path, generator):
-    """Start the generators of paths `first_path` to `first_path + BLOCK - 1`.
-
-    Parameters
-    ----------
-    seed : uint64
-    first_path : uint64
-    generator : (WORDS * BLOCK,) array of uint32
-        Written: word w of path i at ``w * BLOCK + i``.
-    """
+    """Start the generators of BLOCK paths: word w of path i, a uint32, at ``w * BLOCK + i``."""
     for i in range(BLOCK):
         path = first_path + np.uint64(i)
         state = mix(mix(seed + GOLDEN) + path * GOLDEN)
@@ -268,16 +232,7 @@ def next_word(s0, s1, s2, s3):
 
 @njit
 def fill_gaussians(generator, steps, noise):
-    """Draw the noise of `steps` steps.
-
-    Parameters
-    ----------
-    generator : (WORDS * BLOCK,) array of uint32
-        Advanced.
-    steps : int
-    noise : array of float32 with at least ``steps * DRAWS * BLOCK`` entries
-        Written: draw d of step k of path i at ``(k * DRAWS + d) * BLOCK + i``.
-    """
+    """Draw the float32 noise: draw d of step k of path i at ``(k * DRAWS + d) * BLOCK + i``."""
     for step in range(steps):
         start = step * DRAWS * BLOCK
         for path in range(BLOCK):
