@@ -43,10 +43,7 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 MIX_2 = np.uint64(0x94D049BB133111EB)
 
-U1 = np.uint32(1)
-U9 = np.uint32(9)
-U11 = np.uint32(11)
-U21 = np.uint32(21)
+U1, U9, U11, U21 = (np.uint32(shift) for shift in (1, 9, 11, 21))
 
 MINUS_TWO_LN_2 = -2 * math.log(2)
 HALF_TURN_M32 = math.pi / 2**32
@@ -101,13 +98,22 @@ def with_item(typingctx, values, index, value):
     return values(values, index, values.dtype), codegen
 
 
+def multiple(builder, x, period, mantissa):
+    r"""Code for the integer nearest to x / period: with that in its lowest bits, and as a float.
+
+    Adding :math:`1.5\cdot 2^m`, with m bits of mantissa, rounds to an integer.
+    """
+    shifter = ir.Constant(x.type, 1.5 * 2**mantissa)
+    shifted = builder.fma(x, ir.Constant(x.type, 1 / period), shifter)
+    return shifted, builder.fsub(shifted, shifter)
+
+
 @intrinsic
 def sine(typingctx, x):
     r"""The sine of a float32 or float64, to 2e-11 or float32 rounding, for ``|x|`` below 1e5.
 
     :math:`\sin x = (-1)^k \sin(x - k\pi)` with :math:`k` the integer nearest to :math:`x/\pi`, and
-    an odd polynomial of degree 9 or 11 on :math:`[-\pi/2, \pi/2]`. Adding :math:`1.5\cdot 2^{52}`
-    (:math:`2^{23}`) rounds to an integer and leaves its parity in the lowest bit of the sum.
+    an odd polynomial of degree 9 or 11 on :math:`[-\pi/2, \pi/2]`.
     """
     coefficients = SINE_FLOAT32 if x == types.float32 else SINE_FLOAT64
     width, mantissa = (32, 23) if x == types.float32 else (64, 52)
@@ -115,17 +121,12 @@ def sine(typingctx, x):
     def codegen(context, builder, signature, arguments):
         (x,) = arguments
         kind, word = x.type, ir.IntType(width)
-
-        def constant(value):
-            return ir.Constant(kind, value)
-
-        shifter = constant(1.5 * 2**mantissa)
-        shifted = builder.fma(x, constant(1 / math.pi), shifter)
-        rest = builder.fma(builder.fsub(shifted, shifter), constant(-math.pi), x)
+        shifted, k = multiple(builder, x, math.pi, mantissa)
+        rest = builder.fma(k, ir.Constant(kind, -math.pi), x)
         square = builder.fmul(rest, rest)
-        tail = constant(coefficients[-1])
+        tail = ir.Constant(kind, coefficients[-1])
         for coefficient in coefficients[-2::-1]:
-            tail = builder.fma(tail, square, constant(coefficient))
+            tail = builder.fma(tail, square, ir.Constant(kind, coefficient))
         result = builder.fma(builder.fmul(rest, square), tail, rest)
         odd = builder.shl(builder.bitcast(shifted, word), ir.Constant(word, width - 1))
         return builder.bitcast(builder.xor(builder.bitcast(result, word), odd), kind)
@@ -136,13 +137,11 @@ def sine(typingctx, x):
 @intrinsic
 def whole_turns(typingctx, x):
     r"""The multiple of :math:`2\pi` nearest to a float32 or float64 below 1e5."""
-    mantissa = 23 if x == types.float32 else 52
 
     def codegen(context, builder, signature, arguments):
-        (x,) = arguments
-        shifter = ir.Constant(x.type, 1.5 * 2**mantissa)
-        shifted = builder.fma(x, ir.Constant(x.type, 1 / (2 * math.pi)), shifter)
-        return builder.fmul(builder.fsub(shifted, shifter), ir.Constant(x.type, 2 * math.pi))
+        mantissa = 23 if x == types.float32 else 52
+        _, k = multiple(builder, arguments[0], 2 * math.pi, mantissa)
+        return builder.fmul(k, ir.Constant(k.type, 2 * math.pi))
 
     return x(x), codegen
 

@@ -21,7 +21,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,60 +89,31 @@ def time_average(warm_up: int, steps: int, delay: int, longest_stride: int) -> S
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
-    """The numbers that a user gives, checked; None is the protocol's default."""
-
-    runs: int | None = None
-    duration: float | None = None  # of a path, without the warm-up, s
-    step: float | None = None  # s
-    seed: int = 0
-    precision: str = "mixed"
-
-    def __post_init__(self) -> None:
-        if self.runs is not None:
-            object.__setattr__(self, "runs", validation.integer("runs", self.runs, low=1))
-        for name in ("duration", "step"):
-            if (value := getattr(self, name)) is not None:
-                object.__setattr__(self, name, validation.positive(name, value))
-        object.__setattr__(self, "seed", validation.integer("seed", self.seed, low=0))
-        if self.seed >= 2**64:
-            raise ValueError(f"seed must be below 2**64, got {self.seed}")
-        validation.choice("precision", self.precision, tuple(PRECISIONS))
-
-    def duration_in(self, loop: Loop, default: float) -> float:
-        """Return the duration, or the default; refuse one that is shorter than the delay."""
-        duration = self.duration or default
-        if duration < loop.delay:
-            raise ValueError(
-                f"duration must be at least the smoother's delay, {loop.delay:g} s, got "
-                f"{duration:g}"
-            )
-        return duration
-
-
-@dataclass(frozen=True, eq=False)
 class Simulation(ABC):
     """What the paths of any protocol depend on, together with their index."""
 
     runs: int  # the last block is simulated whole, but only its first paths are returned
     seed: int
     precision: str
-    step: float  # s, as the next two
-    warm_up: float
-    duration: float  # in whole steps, without the warm-up
+    step: float  # s
+    warm_up: float  # s
+    duration: float  # s, in whole steps, without the warm-up
     steps: int  # of a path
     readout: NDArray[np.float64]  # (3, n): filtered and smoothed estimate, oscillator's phase
+    coefficients: layout.EulerCoefficients | layout.SplittingCoefficients
+    schedule: tuple[int, ...]  # as the kernel takes it
 
     protocol: ClassVar[str]
     scheme: ClassVar[str]
     kernel: ClassVar[ModuleType]
+    default_runs: ClassVar[int]
     silent: ClassVar[float]  # the longest step without a warning, in response times of the loop
     variables: ClassVar[int] = 2  # that are averaged over paths; the last two are the best errors
 
     @classmethod
     @abstractmethod
-    def plan(cls, loop: Loop, request: Request) -> "Simulation":
-        """Fill in what the request leaves to the protocol."""
+    def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
+        """Return a simulation with these runs, seed and precision; fill in the rest."""
 
     @classmethod
     @abstractmethod
@@ -198,7 +169,7 @@ class Simulation(ABC):
         return tally.all.mean_square(best, plain=0), tally.all.mean_square(best + 1, plain=1)
 
     def settings(self) -> dict:
-        """The numbers of a user, all of them filled in, as JSON values."""
+        """The protocol and its numbers, as JSON values."""
         names = ("protocol", "runs", "seed", "precision", "step", "warm_up", "duration")
         return {name: getattr(self, name) for name in names}
 
@@ -207,12 +178,10 @@ class Simulation(ABC):
 class PaperSimulation(Simulation):
     """The published protocol."""
 
-    coefficients: layout.EulerCoefficients
-    schedule: tuple[int, int]  # steps before the delayed phase is recorded, and after
-
     protocol = "paper"
     scheme = "Euler-Maruyama"
     kernel = euler
+    default_runs = 50_000
     silent = SILENT_EULER
 
     @classmethod
@@ -223,11 +192,11 @@ class PaperSimulation(Simulation):
         return dividing_step(loop.delay, longest, duration)
 
     @classmethod
-    def plan(cls, loop: Loop, request: Request) -> "PaperSimulation":
+    def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
         """Fill in the published numbers."""
-        duration = request.duration_in(loop, default=PAPER_DURATION)
+        duration = _at_least_delay(duration or PAPER_DURATION, loop)
         default = cls.default_step(loop, duration)
-        step = request.step or default
+        step = step or default
         delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
         longest = schemes.longest_stable_step(loop)
         if step >= longest:
@@ -237,16 +206,14 @@ class PaperSimulation(Simulation):
                 f"{step:g} s; {default:.8g} s is fine"
             )
         return cls(
-            runs=request.runs or 50_000,
-            seed=request.seed,
-            precision=request.precision,
+            **numbers,
             step=step,
             warm_up=0.0,
             duration=steps * step,
             steps=steps,
             readout=loop.readout(),
             coefficients=schemes.euler_coefficients(loop, step),
-            schedule=(steps - delay, delay),
+            schedule=(steps - delay, delay),  # before the delayed phase is recorded, and after
         )
 
 
@@ -254,13 +221,12 @@ class PaperSimulation(Simulation):
 class ErgodicSimulation(Simulation):
     """The time-averaging protocol."""
 
-    coefficients: layout.SplittingCoefficients
-    schedule: Schedule
     control: NDArray[np.float64]  # (3,), of `control_means`
 
     protocol = "ergodic"
     scheme = "Strang splitting with a linear control variate"
     kernel = splitting
+    default_runs = 1024
     silent = SILENT_SPLITTING
     variables = 4
 
@@ -270,7 +236,7 @@ class ErgodicSimulation(Simulation):
         return dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * response_time(loop), duration)
 
     @classmethod
-    def plan(cls, loop: Loop, request: Request) -> "ErgodicSimulation":
+    def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
         """Fill in numbers by the time constants of the linearised loop, which must be stable."""
         slopes = schemes.control_slopes(loop)
         slowest = loop.rates(*slopes)[0]
@@ -280,16 +246,14 @@ class ErgodicSimulation(Simulation):
                 f"estimator is not stable in it: its slowest mode has the decay rate {slowest:.3g} "
                 "1/s"
             )
-        duration = request.duration_in(loop, max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay))
-        step = request.step or cls.default_step(loop, duration)
+        duration = duration or max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
+        step = step or cls.default_step(loop, _at_least_delay(duration, loop))
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
         stride = int(STEP_OF_TIME_CONSTANT * response_time(loop) / step + MULTIPLE_TOLERANCE)
         steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
         schedule = time_average(warm_up, steps, delay, longest_stride=stride)
         return cls(
-            runs=request.runs or 1024,
-            seed=request.seed,
-            precision=request.precision,
+            **numbers,
             step=step,
             warm_up=warm_up * step,
             duration=(schedule.samples - 1) * schedule.stride * step,
@@ -337,12 +301,37 @@ PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper":
 
 
 @one_thread
-def plan(loop: Loop, protocol: str, **numbers) -> Simulation:
-    """Check the numbers of a `Request`, and say what is to be simulated."""
-    return PROTOCOLS[protocol].plan(loop, Request(**numbers))
+def plan(
+    loop: Loop,
+    protocol: str,
+    runs: int | None = None,
+    duration: float | None = None,
+    step: float | None = None,
+    seed: int = 0,
+    precision: str = "mixed",
+) -> Simulation:
+    """Check the numbers, fill in defaults, and say what is to be simulated."""
+    kind = PROTOCOLS[protocol]
+    runs = kind.default_runs if runs is None else validation.integer("runs", runs, low=1)
+    if duration is not None:
+        duration = validation.positive("duration", duration)
+    if step is not None:
+        step = validation.positive("step", step)
+    seed = validation.integer("seed", seed, low=0)
+    if seed >= 2**64:
+        raise ValueError(f"seed must be below 2**64, got {seed}")
+    validation.choice("precision", precision, tuple(PRECISIONS))
+    return kind.plan(loop, duration, step, runs=runs, seed=seed, precision=precision)
 
 
 def response_time(loop: Loop) -> float:
     """Return the time in which the loop's sines respond to themselves, s; infinity if never."""
     rate = loop.response_rate()
     return 1.0 / rate if rate else math.inf
+
+
+def _at_least_delay(duration: float, loop: Loop) -> float:
+    if duration < loop.delay:
+        delay = f"the smoother's delay, {loop.delay:g} s"
+        raise ValueError(f"duration must be at least {delay}, got {duration:g}")
+    return duration

@@ -9,11 +9,7 @@ from robsmooth.simulation.statistics import MeanSquare
 
 
 class LossOfLockWarning(RuntimeWarning):
-    """Some of the simulated paths slipped: their mean square errors depend on the duration.
-
-    See Also
-    --------
-    MonteCarloResult.in_lock : the errors of the paths that did not.
+    """Some of the paths slipped: their errors depend on the duration; see `in_lock` for the others.
 
     Examples
     --------
@@ -46,10 +42,6 @@ class MonteCarloResult:
         Of a path, in whole steps; before sampling began; of the scheme; s.
     provenance : dict
         Everything else that the numbers depend on, in a JSON form.
-
-    See Also
-    --------
-    monte_carlo : makes it.
 
     Examples
     --------

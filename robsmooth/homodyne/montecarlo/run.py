@@ -23,7 +23,7 @@ from robsmooth._support.checkpoint import Journal, open_journal
 from robsmooth._support.kernels import check_compiler
 from robsmooth._support.progress import progress_bar
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.homodyne.loop import homodyne_loop, numbers_of
 from robsmooth.homodyne.montecarlo.kernels import threads_of_kernels
 from robsmooth.homodyne.montecarlo.noise import BLOCK, GENERATOR
 from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, Simulation, plan
@@ -63,7 +63,7 @@ def monte_carlo(
     r"""Simulate an estimator in the nonlinear adaptive homodyne loop and measure its errors.
 
     The numbers are the same, to the last bit, for any number of threads, on a cluster, and after an
-    interruption; the noise of path i depends on the seed and i alone.
+    interruption; the noise of a path depends on the seed and its index alone.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def monte_carlo(
     seed : int
         At least 0 and below 2^64.
     precision : {"mixed", "single"}
-        Noise is always drawn in single precision; "mixed" keeps the state in double precision.
+        Of the state: double or single. Noise is always drawn in single precision.
     client : distributed.Client, optional
         A Dask cluster to compute on, see `robsmooth.workbench.connect`. Default: this machine.
     checkpoint : path, optional
@@ -122,21 +122,18 @@ def monte_carlo(
     Raises
     ------
     TypeError, ValueError
-        For an argument that is not as described, before anything is simulated; CheckpointError, a
-        ValueError, for a checkpoint that is not of this call; for a step with which the Euler
-        scheme is unstable ("paper").
+        For an argument that is not as described, a step with which the Euler scheme is unstable
+        ("paper"), or a checkpoint of another call (CheckpointError), before anything is simulated.
     UnstableLoopError
         For the ergodic protocol where the linearised loop is not stable.
     RuntimeError
-        Where a path overflows; it names the first such path and its parameters. Where numba's
-        compiler is switched off.
+        Where a path overflows, or numba's compiler is switched off.
     ConnectionError, OSError
         Where the cluster is lost, or the checkpoint cannot be written.
 
     See Also
     --------
-    stationary_errors : the errors in lock without sampling.
-    simulate : the loop of any nonlinear system.
+    stationary_errors, simulate : without sampling; for the loop of any nonlinear system.
 
     References
     ----------
@@ -155,14 +152,12 @@ def monte_carlo(
     validation.choice("protocol", protocol, tuple(PROTOCOLS))
     options = {"oscillator": oscillator, "copy": copy, "nonlinearity": nonlinearity}
     loop = homodyne_loop(parameters, smoother, **options, shot_noise=shot_noise)
-    numbers = {"runs": runs, "duration": duration, "step": step, "seed": seed}
-    simulation = plan(loop, protocol, **numbers, precision=precision)
+    simulation = plan(loop, protocol, runs, duration, step, seed, precision)
     simulation.check_step(loop, stacklevel=2)
     validation.boolean("progress", progress)
     _check_threads(threads, client)
-    names = ("lam", "kappa", "alpha", "beta", "gamma")
     inputs = {
-        "parameters": {name: float(getattr(parameters, name)) for name in names},
+        "parameters": numbers_of(parameters),
         "delay": loop.delay,
         **options,
         "copy": bool(copy),
