@@ -138,8 +138,8 @@ class Loop:
         eigenvalues = np.linalg.eigvals(self.linearised_drift(sine_slope, copy_slope)[1:, 1:])
         return float(-eigenvalues.real.max()), float(np.abs(eigenvalues).max())
 
-    def response_rate(self) -> float:
-        r"""How fast the sines respond to themselves, 1/s.
+    def response_time(self) -> float:
+        r"""The time in which the sines respond to themselves, s; infinity if never.
 
         A kick through one of the gains b moves the argument of a sine, read by r, by
         :math:`r e^{At}b`; the rate is the larger of that and the root of its slope, at time zero.
@@ -148,7 +148,8 @@ class Loop:
         A = self.linearised_drift()[1:, 1:]
         gains, rows = self.gains()[1:], self.arguments()[:, 1:]
         rate = max(np.abs(rows @ gains).max(), math.sqrt(np.abs(rows @ A @ gains).max()))
-        return float(rate) or self.rates()[1]
+        rate = float(rate) or self.rates()[1]
+        return 1.0 / rate if rate else math.inf
 
 
 def check_stationary(eigenvalues: NDArray[np.complexfloating]) -> None:

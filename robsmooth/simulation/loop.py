@@ -118,7 +118,7 @@ class NonlinearLoop:
 
         The largest of the root mean square drift of an argument over its size, and of the gain from
         one argument, through its function, to the drift of another. Without functions the first, of
-        the outputs. It belongs to the stationary loop: the `response_rate` of the homodyne loop,
+        the outputs. It belongs to the stationary loop: the `response_time` of the homodyne loop,
         which belongs to the response to an impulse, is another, if of the same size.
         """
         root, N = self.stationary_root, self.order

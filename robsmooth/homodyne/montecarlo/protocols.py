@@ -24,7 +24,6 @@ from types import ModuleType
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robsmooth._numerics.steps import (
     MULTIPLE_TOLERANCE,
@@ -37,6 +36,7 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.cluster import alone, worker_threads
 from robsmooth._support.errors import UnstableLoopError
+from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop
 from robsmooth.homodyne.montecarlo import euler, layout, schemes, splitting
 from robsmooth.homodyne.montecarlo.kernels import threads_of_kernels
@@ -88,6 +88,13 @@ def time_average(warm_up: int, steps: int, delay: int, longest_stride: int) -> S
     return Schedule(max(warm_up - delay, 0), stride, delay // stride, steps // stride + 1)
 
 
+def check_duration(duration: float, loop: Loop) -> None:
+    """Refuse a duration that is shorter than the delay."""
+    if duration < loop.delay:
+        delay = f"the smoother's delay, {loop.delay:g} s"
+        raise ValueError(f"duration must be at least {delay}, got {duration:g}")
+
+
 @dataclass(frozen=True, eq=False)
 class Simulation(ABC):
     """What the paths of any protocol depend on, together with their index."""
@@ -99,7 +106,7 @@ class Simulation(ABC):
     warm_up: float  # s
     duration: float  # s, in whole steps, without the warm-up
     steps: int  # of a path
-    readout: NDArray[np.float64]  # (3, n): filtered and smoothed estimate, oscillator's phase
+    readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase
     coefficients: layout.EulerCoefficients | layout.SplittingCoefficients
     schedule: tuple[int, ...]  # as the kernel takes it
 
@@ -109,6 +116,7 @@ class Simulation(ABC):
     default_runs: ClassVar[int]
     silent: ClassVar[float]  # the longest step without a warning, in response times of the loop
     variables: ClassVar[int] = 2  # that are averaged over paths; the last two are the best errors
+    weights: ClassVar[Matrix | None] = None  # of controls
 
     @classmethod
     @abstractmethod
@@ -123,17 +131,14 @@ class Simulation(ABC):
     def check_step(self, loop: Loop, stacklevel: int) -> None:
         """Warn where the step is long for the loop; see `warn_of_long_step`."""
         fine = self.default_step(loop, self.duration)
-        warn_of_long_step(self.step, response_time(loop), self.silent, fine, stacklevel + 1)
+        warn_of_long_step(self.step, loop.response_time(), self.silent, fine, stacklevel + 1)
 
     @property
     def blocks(self) -> int:
         """Number of blocks of `BLOCK` paths."""
         return -(-self.runs // BLOCK)
 
-    def prepare(self) -> None:  # noqa: B027 - a protocol may have nothing
-        """Compute once, before this is sent to other machines, what all of them must agree on."""
-
-    def simulate(self, first: int, count: int) -> NDArray[np.float64]:
+    def simulate(self, first: int, count: int) -> Matrix:
         """Simulate blocks `first` to ``first + count - 1``: (count, outputs, BLOCK).
 
         The last output of a path is the number of its cycle slips.
@@ -159,7 +164,7 @@ class Simulation(ABC):
         """What else the kernel is compiled for, besides the order and the precision."""
         return ()
 
-    def reduce(self, outputs: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reduce(self, outputs: Matrix) -> Matrix:
         """Return the variables, (variables, paths), of the outputs without the slips."""
         return outputs
 
@@ -188,13 +193,14 @@ class PaperSimulation(Simulation):
     def default_step(cls, loop: Loop, duration: float) -> float:
         """Return the published step, or a shorter one for a faster loop than the paper's."""
         longest = STABLE_PART * schemes.longest_stable_step(loop)
-        longest = min(PAPER_STEP, SILENT_EULER * response_time(loop), longest)
+        longest = min(PAPER_STEP, SILENT_EULER * loop.response_time(), longest)
         return dividing_step(loop.delay, longest, duration)
 
     @classmethod
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
         """Fill in the published numbers."""
-        duration = _at_least_delay(duration or PAPER_DURATION, loop)
+        duration = duration or PAPER_DURATION
+        check_duration(duration, loop)
         default = cls.default_step(loop, duration)
         step = step or default
         delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
@@ -202,7 +208,7 @@ class PaperSimulation(Simulation):
         if step >= longest:
             raise ValueError(
                 f"step must be below {longest:.4g} s, at which the Euler-Maruyama scheme becomes "
-                f"unstable in this loop of response time {response_time(loop):.4g} s, got "
+                f"unstable in this loop of response time {loop.response_time():.4g} s, got "
                 f"{step:g} s; {default:.8g} s is fine"
             )
         return cls(
@@ -221,7 +227,7 @@ class PaperSimulation(Simulation):
 class ErgodicSimulation(Simulation):
     """The time-averaging protocol."""
 
-    control: NDArray[np.float64]  # (3,), of `control_means`
+    control: Matrix  # (3,), of `control_means`
 
     protocol = "ergodic"
     scheme = "Strang splitting with a linear control variate"
@@ -233,7 +239,7 @@ class ErgodicSimulation(Simulation):
     @classmethod
     def default_step(cls, loop: Loop, duration: float) -> float:
         """Return a fifth of the loop's response time, or a shorter step."""
-        return dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * response_time(loop), duration)
+        return dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * loop.response_time(), duration)
 
     @classmethod
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
@@ -247,9 +253,10 @@ class ErgodicSimulation(Simulation):
                 "1/s"
             )
         duration = duration or max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
-        step = step or cls.default_step(loop, _at_least_delay(duration, loop))
+        check_duration(duration, loop)
+        step = step or cls.default_step(loop, duration)
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
-        stride = int(STEP_OF_TIME_CONSTANT * response_time(loop) / step + MULTIPLE_TOLERANCE)
+        stride = int(STEP_OF_TIME_CONSTANT * loop.response_time() / step + MULTIPLE_TOLERANCE)
         steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
         schedule = time_average(warm_up, steps, delay, longest_stride=stride)
         return cls(
@@ -269,17 +276,14 @@ class ErgodicSimulation(Simulation):
         c = self.coefficients
         return (np.float32(0),) * c.root.shape[1], bool(c.copy.any() and c.copy_gain.any())
 
-    def prepare(self) -> None:
-        """Compute the weights: BLAS has other last bits on another processor."""
-        _ = self.weights
-
     @cached_property
     @one_thread
-    def weights(self) -> NDArray[np.float64]:
+    def weights(self) -> Matrix:
         """Weights of the three controls for the two errors, from a pilot of other paths.
 
         Of a path that has slipped the errors have nothing to do with the control's any more; where
-        hardly any has not, the weights are zero.
+        hardly any has not, the weights are zero. Other machines are sent the weights of this one:
+        their BLAS has other last bits.
         """
         outputs = self.simulate(PILOT_BLOCK, 1)[0]
         in_lock = outputs[:, outputs[splitting.SLIPS] == 0]
@@ -288,7 +292,7 @@ class ErgodicSimulation(Simulation):
             return np.zeros((len(errors), len(controls)))
         return control_weights(errors, controls)
 
-    def reduce(self, outputs: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reduce(self, outputs: Matrix) -> Matrix:
         """Return the errors, and the errors less what chance did to the control."""
         errors = outputs[splitting.ERRORS]
         excess = outputs[splitting.CONTROLS] - self.control[:, None]
@@ -322,16 +326,3 @@ def plan(
         raise ValueError(f"seed must be below 2**64, got {seed}")
     validation.choice("precision", precision, tuple(PRECISIONS))
     return kind.plan(loop, duration, step, runs=runs, seed=seed, precision=precision)
-
-
-def response_time(loop: Loop) -> float:
-    """Return the time in which the loop's sines respond to themselves, s; infinity if never."""
-    rate = loop.response_rate()
-    return 1.0 / rate if rate else math.inf
-
-
-def _at_least_delay(duration: float, loop: Loop) -> float:
-    if duration < loop.delay:
-        delay = f"the smoother's delay, {loop.delay:g} s"
-        raise ValueError(f"duration must be at least {delay}, got {duration:g}")
-    return duration

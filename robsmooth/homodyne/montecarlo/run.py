@@ -225,7 +225,7 @@ def _tally(
     if journal is not None and journal.last is not None:
         tally, first = Tally.from_state(journal.last["tally"]), journal.last["blocks"]
     if first < simulation.blocks:
-        simulation.prepare()
+        _ = simulation.weights  # computed here, for all machines
     group = min(max(STEPS_OF_A_GROUP // (BLOCK * simulation.steps), 1), BLOCKS_OF_A_GROUP)
     simulate = partial(_tallies, simulation, group, parameters)
     calls = _calls(simulation, group, first, client)
