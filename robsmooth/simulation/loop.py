@@ -98,7 +98,7 @@ class NonlinearLoop:
 
         The largest of the root mean square drift of an argument over its size, and of the gain from
         one argument, through its function, to the drift of another. Without functions the first, of
-        the outputs. (The `response_rate` of the homodyne loop is that to an impulse.)
+        the outputs. (The `response_time` of the homodyne loop is that to an impulse.)
         """
         root, N = self.stationary_root, self.order
         size = np.linalg.norm(self.arguments @ root, axis=1)
