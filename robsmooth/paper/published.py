@@ -67,11 +67,9 @@ def read_published(path: Path) -> dict:
                 texts = {f"{name}{index}": text for index, text in each_entry(entry["printed"])}
             else:
                 texts = {f"{key} of {name}": entry[key] for key in entry if key not in required}
-            for name, text in texts.items():
+            for key, text in texts.items():
                 if not (isinstance(text, str) and _NUMBER.fullmatch(text)):
-                    raise ValueError(
-                        f"{path.name}: {name} must be a number in quotes, got {text!r}"
-                    )
+                    raise ValueError(f"{path.name}: {key} must be a number in quotes, got {text!r}")
     return content
 
 
@@ -103,13 +101,8 @@ def printed_multipliers() -> np.ndarray:
 
 
 def each_entry(value: str | list) -> Iterator[tuple[tuple[int, ...], str]]:
-    """Yield index and text of a number or of each entry of a matrix."""
-    if isinstance(value, list):
-        for i, row in enumerate(value):
-            for j, text in enumerate(row):
-                yield (i, j), text
-    else:
-        yield (), value
+    """Return index and text of a number or of each entry of a matrix."""
+    return np.ndenumerate(np.array(value, dtype=object))
 
 
 def last_digit(text: str) -> float:
