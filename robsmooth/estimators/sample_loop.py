@@ -98,9 +98,6 @@ class Model:
         return Steps(*(np.ascontiguousarray(matrix.T)[None] for matrix in matrices))
 
 
-# --- the nonlinearities' functions ---------------------------------------------------------------
-
-
 def running_functions(
     nonlinearities: Sequence[Nonlinearity],
     given: Iterable[Callable[[Any], Any] | None] | None,
@@ -156,9 +153,6 @@ def _compiled(functions: tuple[Callable, ...]) -> Callable:
 @njit
 def _no_copies(arguments, values):
     pass
-
-
-# --- the loop over samples -----------------------------------------------------------------------
 
 
 def sample_loop(functions: tuple[Callable[[Any], Any], ...], compiled: bool) -> Callable:
