@@ -5,7 +5,7 @@ difference stays, the bound may fall all the way, and no design attains its infi
 design all the same, and computed here as such, without a small number: with
 :math:`\lambda(\varepsilon) = \lambda + \varepsilon\rho`, at :math:`\varepsilon = 0`.
 
-Channels whose weight vanishes (`robsmooth.estimators.weights`) have noise without bound:
+Channels whose weight vanishes (`robsmooth.estimators.equations`) have noise without bound:
 
 - In the X equation it is left out. With b the channels' inputs into the state, divided by the
   roots of the weights' rates, the solution :math:`X_0` must satisfy :math:`X_0b = 0`, else the
