@@ -82,10 +82,9 @@ def minimize_bound(
         Made by `augment`.
     cost : {"filtered", "smoothed"}
         The error that the bound is for, as in `design_smoother`.
-    starts : int
-        Number of starting points to descend from, the best of a random sample over decades.
-    seed : int
-        Seed of that sample.
+    starts, seed : int
+        Number of starting points to descend from, the best of a random sample over decades, and
+        the sample's seed.
 
     Returns
     -------
@@ -98,13 +97,7 @@ def minimize_bound(
     Raises
     ------
     InfeasibleDesignError
-        Where no feasible design was found; it says which condition failed in the search, and up to
-        how much of the uncertainty there are designs.
-
-    See Also
-    --------
-    design_smoother : the design at given tau and lambda.
-    best_lag, choose_lag : the delay and the order, too.
+        Where no design was found; it says for which fraction of the uncertainty one was.
 
     Examples
     --------
@@ -123,8 +116,7 @@ def minimize_bound(
         with suppress(InfeasibleDesignError):  # it has no design whatever tau is
             faces.append(Face.of(plant, cost, zero))
     found = _descents(faces, starts, seed) or [_by_less_uncertainty(faces, starts, seed)]
-    best = _reduced(min(found, key=itemgetter(0)), plant, cost)
-    _, face, point = best
+    _, face, point = _reduced(min(found, key=itemgetter(0)), plant, cost)
     tau, multipliers, rates = face.arguments(point)
     if not rates.any():
         rates = 1.0 * singular(plant, multipliers)
@@ -210,7 +202,7 @@ class Face:
         return replace(self, v=self.v.scaled(size))
 
     def point(self, tau: float, multipliers: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Return the point in the box next to a tau in the unit of `v`, multipliers and rates."""
+        """Return the point in the box that is next to these arguments."""
         multipliers = np.where(self.idle, self.natural / 2.0, multipliers)
         values = np.array([tau, *multipliers[self.positive], *rates[self.vanishing]])
         return np.clip(np.log(np.maximum(values, np.finfo(float).tiny)), *self.box)
@@ -279,15 +271,9 @@ class Face:
             return result
 
         constraint = {"type": "ineq", "fun": slack, "jac": slopes}
-        found = minimize(
-            self.objective,
-            point,
-            jac=True,
-            method="SLSQP",
-            bounds=self.box.T,
-            constraints=[constraint] if len(vectors) else [],
-            options=_OPTIONS,
-        )
+        how = {"method": "SLSQP", "options": _OPTIONS, "jac": True, "bounds": self.box.T}
+        constraints = [constraint] if len(vectors) else []
+        found = minimize(self.objective, point, constraints=constraints, **how)
         weights = found.multipliers if len(vectors) else np.zeros(0)
         sizes, directions = np.linalg.eigh(vectors.T * weights @ vectors)
         return np.clip(found.x, *self.box), directions.T[sizes > _ROUNDING * sizes[-1]]
@@ -351,8 +337,8 @@ def _known_faces(plant: AugmentedSystem) -> Iterator[np.ndarray]:
     for one in np.eye(k + g, dtype=bool):
         yield np.concatenate([one, one[k:], one[k:]])
     if g:
-        yield np.arange(k + 3 * g) >= k + g
-        yield (np.arange(k + 3 * g) >= k) & (np.arange(k + 3 * g) < k + g)
+        yield np.repeat([False, True], [k + g, 2 * g])
+        yield np.repeat([False, True, False], [k, g, 2 * g])
 
 
 def _descents(faces: list[Face], starts: int, seed: int) -> list[Found]:

@@ -111,7 +111,7 @@ class DiscreteSmoother:
         self.l, self.m, self.g = system.l, system.m, system.g
         self._model = Model.of(estimator)
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
-        self._sizes = sizes_of(self._model.n, self.l, self.m, len(self._model.running))
+        self._sizes = sizes_of(len(self._model.A), self.l, self.m, len(self._model.running))
         running = running_functions(system.nonlinearities, functions, self._model.running)
         compiled = all(takes_numbers(function) for function in running)
         self.compiled: bool = compiled and not numba.config.DISABLE_JIT
@@ -122,10 +122,9 @@ class DiscreteSmoother:
         self.reset()
 
     def __repr__(self) -> str:
-        model = self._model
-        how = "compiled" if self.compiled else "not compiled"
+        model, how = self._model, "compiled" if self.compiled else "not compiled"
         return (
-            f"DiscreteSmoother(dt={self.dt:g} s, delay={self.delay:g} s, {model.n} states, "
+            f"DiscreteSmoother(dt={self.dt:g} s, delay={self.delay:g} s, {len(model.A)} states, "
             f"{self.l} measurements, {self.m} outputs, {len(model.running)} copies, {how}, "
             f"{self.samples} samples taken)"
         )
@@ -182,11 +181,11 @@ class DiscreteSmoother:
         """
         samples = validation.integer("samples", samples, low=0)
         if state is None:
-            self._state = np.zeros(self._model.n)
+            self._state = np.zeros(len(self._model.A))
         else:
             state = validation.array("state", state, ndim=1)
-            if state.size != self._model.n:
-                raise ValueError(f"state must have {self._model.n} entries, got {state.size}")
+            if state.size != len(self._model.A):
+                raise ValueError(f"state must have {len(self._model.A)} entries, got {state.size}")
             self._state = state.copy()
         self.samples: int = samples
 

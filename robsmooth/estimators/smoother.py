@@ -12,8 +12,7 @@ from robsmooth.estimators.conditions import (
     ASSUMPTION_X,
     ASSUMPTION_Y,
     certified_solution,
-    check_multiplier_level,
-    check_nonsingular,
+    check_multipliers,
     check_plant,
     check_stable,
     singular,
@@ -159,14 +158,10 @@ def design_equations(
     check_plant(plant, cost)
     tau = validation.positive("tau", tau)
     multipliers = weights("multipliers", plant, multipliers)
-    if limit:
-        ones = singular(plant, multipliers).astype(float)
-        rates = ones if rates is None else weights("rates", plant, rates)
-        rates = np.where(multipliers == 0.0, rates, 0.0)
-    else:
-        check_nonsingular(plant, multipliers)
-        rates = np.zeros_like(multipliers)
-    check_multiplier_level(plant, multipliers)
+    zeros = 1.0 * singular(plant, multipliers)
+    rates = zeros if rates is None else weights("rates", plant, rates)
+    rates = np.where(multipliers == 0.0, rates, 0.0)
+    check_multipliers(plant, multipliers, limit)
     if singular(plant, multipliers + rates).any():
         raise ValueError(
             "rates must be positive for enough of the vanishing multipliers to make M positive, "
@@ -182,13 +177,11 @@ def solve_design(plant: AugmentedSystem, equations: DesignEquations, cost: str) 
     Y = certified_solution(ASSUMPTION_Y, equations.solve_Y)
     X = certified_solution(ASSUMPTION_X, equations.solve_X)
     A_c, B_c, C_c, bound, radius = equations.gains(X.X, Y.X)
+    C_f = C_c[: plant.system.m] if cost == "filtered" else plant.C_p0
+    matrices = {"A_c": A_c, "B_c": B_c, "C_c": C_c, "C_a": plant.C_a, "C_f": C_f}
     return RobustSmoother(
         plant=plant,
-        A_c=A_c,
-        B_c=B_c,
-        C_c=C_c,
-        C_a=plant.C_a,
-        C_f=C_c[: plant.system.m] if cost == "filtered" else plant.C_p0,
+        **matrices,
         tau=equations.tau,
         multipliers=equations.multipliers,
         cost=cost,
