@@ -70,22 +70,6 @@ class DiscreteSmoother:
     The state is kept between calls: a record in pieces gives the same rows, to the last bit, as in
     one. A call that fails leaves the state as it was.
 
-    Parameters
-    ----------
-    estimator : Estimator
-        Any design of this package.
-    dt : float
-        Length of a sample's interval, s.
-    functions : sequence of g callables, optional
-        The nonlinearities' functions, instead of those of the plant; None keeps the plant's.
-
-    Raises
-    ------
-    ValueError, TypeError
-        For a dt that is not positive, or a copy without a function.
-    ArithmeticError
-        For an unstable estimator, where dt is too long for it.
-
     Attributes
     ----------
     dt : float
@@ -100,10 +84,6 @@ class DiscreteSmoother:
         for every sample, which is slower by a factor of a hundred and more.
     samples : int
         Taken since the start or the last `reset`.
-
-    See Also
-    --------
-    smooth_record : smooths a record from file to file.
 
     Examples
     --------
@@ -128,12 +108,10 @@ class DiscreteSmoother:
         self.dt: float = validation.positive("dt", dt)
         self.delay: float = estimator.plant.delay
         system = estimator.plant.system
-        self.l: int = system.l
-        self.m: int = system.m
-        self.g: int = system.g
+        self.l, self.m, self.g = system.l, system.m, system.g
         self._model = Model.of(estimator)
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
-        self._sizes = sizes_of(self._model.n, self.l, self.m, len(self._model.running))
+        self._sizes = sizes_of(len(self._model.A), self.l, self.m, len(self._model.running))
         running = running_functions(system.nonlinearities, functions, self._model.running)
         compiled = all(takes_numbers(function) for function in running)
         self.compiled: bool = compiled and not numba.config.DISABLE_JIT
@@ -144,15 +122,12 @@ class DiscreteSmoother:
         self.reset()
 
     def __repr__(self) -> str:
-        model = self._model
-        how = "compiled" if self.compiled else "not compiled"
+        model, how = self._model, "compiled" if self.compiled else "not compiled"
         return (
-            f"DiscreteSmoother(dt={self.dt:g} s, delay={self.delay:g} s, {model.n} states, "
+            f"DiscreteSmoother(dt={self.dt:g} s, delay={self.delay:g} s, {len(model.A)} states, "
             f"{self.l} measurements, {self.m} outputs, {len(model.running)} copies, {how}, "
             f"{self.samples} samples taken)"
         )
-
-    # --- what it knows ---------------------------------------------------------------------------
 
     @property
     def lag(self) -> float:
@@ -186,16 +161,13 @@ class DiscreteSmoother:
         Returns
         -------
         (rows,) array
-            In seconds from the start or the last `reset`; below zero for smoothed estimates of
-            what was before.
+            In seconds from the start or the last `reset`, which is zero.
         """
         rows = validation.integer("rows", rows, low=0)
         if rows > self.samples:
             raise ValueError(f"rows must be at most the {self.samples} samples taken, got {rows}")
         delay = self.delay if validation.choice("output", output, OUTPUTS) == "smoothed" else 0.0
         return np.arange(self.samples - rows + 1, self.samples + 1) * self.dt - delay
-
-    # --- what it does ----------------------------------------------------------------------------
 
     def reset(self, state: ArrayLike | None = None, samples: int = 0) -> None:
         """Begin a new record.
@@ -209,11 +181,11 @@ class DiscreteSmoother:
         """
         samples = validation.integer("samples", samples, low=0)
         if state is None:
-            self._state = np.zeros(self._model.n)
+            self._state = np.zeros(len(self._model.A))
         else:
             state = validation.array("state", state, ndim=1)
-            if state.size != self._model.n:
-                raise ValueError(f"state must have {self._model.n} entries, got {state.size}")
+            if state.size != len(self._model.A):
+                raise ValueError(f"state must have {len(self._model.A)} entries, got {state.size}")
             self._state = state.copy()
         self.samples: int = samples
 
@@ -222,10 +194,8 @@ class DiscreteSmoother:
 
         Parameters
         ----------
-        y : (l,) array
-            The mean of dy/dt over the next interval; NaN where it is missing.
-        reference : (g,) array, optional
-            As in `run`.
+        y, reference : (l,) and (g,) arrays
+            A row of those of `run`.
 
         Returns
         -------
@@ -265,8 +235,6 @@ class DiscreteSmoother:
 
         Raises
         ------
-        ValueError, TypeError
-            For a record of the wrong shape or with an infinity.
         ArithmeticError
             Where the state leaves the range of floats.
         """
@@ -280,8 +248,6 @@ class DiscreteSmoother:
         self._state = state
         self.samples += len(y)
         return result
-
-    # --- helpers ---------------------------------------------------------------------------------
 
     def _reference(self, given: ArrayLike | None, rows: int) -> NDArray[np.float64]:
         """Return the reference of the copies that run."""
@@ -314,9 +280,6 @@ class DiscreteSmoother:
                 steps = Steps(*map(np.concatenate, zip(self._steps, steps, strict=True)))
             self._patterns[key], self._steps = len(self._patterns), steps
         return self._patterns[key]
-
-
-# --- checks --------------------------------------------------------------------------------------
 
 
 def _checked(name: str, given: ArrayLike, columns: int) -> NDArray[np.float64]:

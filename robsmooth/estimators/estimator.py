@@ -48,16 +48,10 @@ class Estimator:
         The read-out of the filtered estimate of w now; w-hat for every design but one whose cost
         is on the smoothed error.
 
-    See Also
-    --------
-    minimize_bound, baselines : robust and classical designs.
-    error_covariance, simulate : the errors of any of them.
-
     Examples
     --------
     >>> import robsmooth as rs
-    >>> smoother = rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
-    >>> smoother
+    >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
     Estimator(3 states, delay=3.1e-06 s, order=2, 1 measurements, 1 outputs, 1 copies)
     """
 
@@ -79,9 +73,7 @@ class Estimator:
         return poles[np.lexsort((poles.imag, -poles.real))]
 
     def to_statespace(
-        self,
-        slopes: ArrayLike | None = None,
-        outputs: str | Iterable[str] | None = None,
+        self, slopes: ArrayLike | None = None, outputs: str | Iterable[str] | None = None
     ) -> "control.StateSpace":
         """Return the estimator as a python-control object.
 
@@ -100,10 +92,6 @@ class Estimator:
         Returns
         -------
         control.StateSpace
-
-        See Also
-        --------
-        UncertainSystem.to_statespace : the system, to be joined with it.
 
         Examples
         --------
@@ -144,14 +132,8 @@ class Estimator:
 
         Raises
         ------
-        ValueError, TypeError
-            For a dt that is not positive, or a copy without a function.
         ArithmeticError
             Where the estimator is unstable, and dt too long for it.
-
-        See Also
-        --------
-        smooth_record : smooths a record from file to file.
 
         Examples
         --------
@@ -177,15 +159,12 @@ class Estimator:
     def _sheet(self, what: str, rows: Sequence[tuple]) -> str:
         """Return a table of what is particular to a design, then of what all have."""
         plant = self.plant
-        matrices = {
-            "$A_c$ (1/s)": self.A_c,
-            r"$\tilde B_c$": self.B_c,
-            r"$\tilde C_c$": self.C_c,
-            "$C_a$": self.C_a,
-        }
         shared = [
             ("poles (1/s)", f"${notation.poles(self.poles)}$"),
-            *((name, f"${notation.matrix(value)}$") for name, value in matrices.items()),
+            ("$A_c$ (1/s)", f"${notation.matrix(self.A_c)}$"),
+            (r"$\tilde B_c$", f"${notation.matrix(self.B_c)}$"),
+            (r"$\tilde C_c$", f"${notation.matrix(self.C_c)}$"),
+            ("$C_a$", f"${notation.matrix(self.C_a)}$"),
         ]
         caption = (
             f"{what}: delay ${notation.number(plant.delay)}$ s, delay model of order {plant.order}."

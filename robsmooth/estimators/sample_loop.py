@@ -25,10 +25,7 @@ _Vectorized = type(numba.vectorize(lambda value: value))
 
 
 class Steps(NamedTuple):
-    """The matrices of a step, for each pattern of missing channels.
-
-    They are transposed: what belongs to one state, measurement or copy lies side by side.
-    """
+    """The transposed matrices of a step, for each pattern of missing channels."""
 
     transition: NDArray[np.float64]  # (patterns, n, n), phi_0
     measurement: NDArray[np.float64]  # (patterns, l, n), phi_1 h B_y
@@ -37,24 +34,17 @@ class Steps(NamedTuple):
 
 
 class Record(NamedTuple):
-    """The samples of a record, with zeros for what is missing.
-
-    Segment s goes from sample ``starts[s]`` to ``starts[s + 1]``, with the matrices of
-    ``patterns[s]``.
-    """
+    """The samples of a record, with zeros for what is missing."""
 
     y: NDArray[np.float64]  # (N, l)
     reference: NDArray[np.float64]  # (N, copies)
-    starts: NDArray[np.intp]
-    patterns: NDArray[np.intp]
+    starts: NDArray[np.intp]  # segment s has the samples from starts[s] to starts[s + 1] ...
+    patterns: NDArray[np.intp]  # ... and the matrices of patterns[s]
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """The estimator with the copies that it runs.
-
-    A copy whose argument or whose gain is zero is not run.
-    """
+    """The estimator with the copies that it runs: those with an argument and a gain."""
 
     A: Matrix
     B_y: Matrix
@@ -72,20 +62,8 @@ class Model:
         C_nu = estimator.C_c[system.m :]
         running = [i for i in range(system.g) if B_mu[:, i].any() and C_nu[i].any()]
         _, _, D = system.stacked(system.nonlinearities)
-        return cls(
-            A=estimator.A_c,
-            B_y=B_y,
-            B_mu=B_mu[:, running],
-            C_nu=np.ascontiguousarray(C_nu[running]),
-            C_2=estimator.plant.C2_tilde[: system.l],
-            D=D[:, running],
-            running=running,
-        )
-
-    @property
-    def n(self) -> int:
-        """Number of states."""
-        return len(self.A)
+        C_2, C_nu = estimator.plant.C2_tilde[: system.l], np.ascontiguousarray(C_nu[running])
+        return cls(estimator.A_c, B_y, B_mu[:, running], C_nu, C_2, D[:, running], running)
 
     @one_thread
     def steps(self, dt: float, missing: NDArray[np.bool_]) -> Steps:
@@ -96,9 +74,6 @@ class Model:
         copies = slice(len(missing), None)
         matrices = (transition, held[:, : len(missing)], held[:, copies], ramp[:, copies])
         return Steps(*(np.ascontiguousarray(matrix.T)[None] for matrix in matrices))
-
-
-# --- the nonlinearities' functions ---------------------------------------------------------------
 
 
 def running_functions(
@@ -156,9 +131,6 @@ def _compiled(functions: tuple[Callable, ...]) -> Callable:
 @njit
 def _no_copies(arguments, values):
     pass
-
-
-# --- the loop over samples -----------------------------------------------------------------------
 
 
 def sample_loop(functions: tuple[Callable[[Any], Any], ...], compiled: bool) -> Callable:
