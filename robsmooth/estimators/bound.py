@@ -4,19 +4,16 @@ SciPy's SLSQP minimises :math:`\log V`, with the gradient of `robsmooth.estimato
 under the constraint :math:`J'M(\lambda)J \le I`. What is known of the minimiser says where it is
 sought:
 
-- :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`, so that the least bound lies on the boundary of
-  the constraint, and the step onto it is exact.
-- Some multipliers are zero there, on a *face*. Where :math:`M(\lambda)` is positive, the bound is
-  attained. Where it is singular, the least bound is an infimum that no design attains: the search
-  is for the limit itself (`robsmooth.estimators.limit`), and its answer is a design next to it. So
-  it is in the paper's example, for both costs: the multipliers of the nonlinearity and of its copy
-  vanish, and the others are the largest that are allowed, :math:`\lambda = (1, \tfrac12, 0, 0)`.
-  Where the copy is of no use, the multiplier of the difference vanishes, and where a measurement
-  is, that of its uncertainty. These faces are tried, and then those of the multipliers that are
-  small where a search ends.
-- V has more than one local minimum: to ignore the measurement may be one. So there are several
-  starts. Where none is feasible, the uncertainty is made small until one is, and brought back along
-  the way.
+- :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`: the least bound lies on the boundary of the
+  constraint, and the step onto it is exact.
+- Some multipliers are zero there, on a *face*. Where :math:`M(\lambda)` is singular, the least
+  bound is an infimum that no design attains: the search is for the limit
+  (`robsmooth.estimators.limit`), and its answer is a design next to it. So it is in the paper's
+  example, for both costs, at :math:`\lambda = (1, \tfrac12, 0, 0)`. Where a copy is of no use, the
+  multiplier of the difference vanishes, and where a measurement is, that of its uncertainty. These
+  faces are tried, and then those of the multipliers that are small where a search ends.
+- V has more than one local minimum, so that there are several starts. Where none is feasible, the
+  uncertainty is made small until one is, and brought back along the way.
 
 The constraint has a kink where eigenvalues are equal, as they often are at the minimum. It says
 :math:`u'J'M(\lambda)Ju \le |u|^2` for every u. SLSQP is given that for some u, and after each pass

@@ -20,9 +20,8 @@ channels' way into the estimation error,
       - \Lambda_X^{-1}B'(XP_XX + \tfrac12 Z)B\Lambda_X^{-1},
 
 of which the diagonals count. In a limit (`robsmooth.estimators.limit`) the term of x is added, with
-the multiplier of its equation. Time, states and measurements are brought to units of order one; the
-equations are solved fast and not certified: the design that a search ends with is, by
-`design_smoother`.
+the multiplier of its equation. Everything is in units of order one. The equations are solved fast
+and not certified: the design that a search ends with is, by `design_smoother`.
 """
 
 from dataclasses import dataclass, replace
@@ -33,12 +32,7 @@ from scipy.linalg.lapack import dtrsyl
 
 from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support.validation import Matrix
-from robsmooth.estimators.conditions import (
-    ASSUMPTION_X,
-    ASSUMPTION_Y,
-    check_nonnegative,
-    refusal,
-)
+from robsmooth.estimators.conditions import ASSUMPTION_X, ASSUMPTION_Y, check_nonnegative, refusal
 from robsmooth.estimators.equations import DesignEquations
 from robsmooth.estimators.problem import DesignProblem
 from robsmooth.systems.augmented import AugmentedSystem
@@ -128,11 +122,8 @@ class BoundFunction:
         H = B_Y - K @ D
         gradient_Y = self._per_weight(Y / 2 + Y @ P_Y @ Y, H * equations.noise_Y, P_Y - Z / 2)
         gradient_X = self._per_weight(P_X, B * equations.noise_X, X @ P_X @ X + on_noise)
-        gradient = [
-            weights.gradient(gradient_Y, gradient_X),
-            weights.gradient(np.zeros_like(gradient_x), gradient_x),
-        ]
-        return v, np.array(gradient)
+        in_rates = weights.gradient(np.zeros_like(gradient_x), gradient_x)
+        return v, np.array([weights.gradient(gradient_Y, gradient_X), in_rates])
 
     def _per_weight(self, on_outputs: Matrix, B: Matrix, on_inputs: Matrix) -> np.ndarray:
         """Return diag(C1 F C1') - diag(B' G B), of the F and G given, summed by constraint."""

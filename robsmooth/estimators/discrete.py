@@ -46,12 +46,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
 from robsmooth.estimators.sample_loop import (
-    Model,
     Record,
     Steps,
+    running_copies,
     running_functions,
     sample_loop,
     sizes_of,
+    steps_of,
     takes_numbers,
 )
 
@@ -107,32 +108,28 @@ class DiscreteSmoother:
     ) -> None:
         self.dt: float = validation.positive("dt", dt)
         self.delay: float = estimator.plant.delay
+        self.lag: float = self.delay
         system = estimator.plant.system
         self.l, self.m, self.g = system.l, system.m, system.g
-        self._model = Model.of(estimator)
+        self._estimator, self._running = estimator, running_copies(estimator)
+        self._C_nu = np.ascontiguousarray(estimator.C_c[system.m :][self._running])
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
-        self._sizes = sizes_of(len(self._model.A), self.l, self.m, len(self._model.running))
-        running = running_functions(system.nonlinearities, functions, self._model.running)
-        compiled = all(takes_numbers(function) for function in running)
-        self.compiled: bool = compiled and not numba.config.DISABLE_JIT
-        self._advance = sample_loop(running, self.compiled)
+        self._sizes = sizes_of(len(estimator.A_c), self.l, self.m, len(self._running))
+        run = running_functions(system.nonlinearities, functions, self._running)
+        self.compiled: bool = all(map(takes_numbers, run)) and not numba.config.DISABLE_JIT
+        self._advance = sample_loop(run, self.compiled)
         self._patterns: dict[bytes, int] = {}  # of missing channels, to a row of the steps
         self._steps: Steps | None = None
         self._pattern(np.zeros(self.l, dtype=bool))
         self.reset()
 
     def __repr__(self) -> str:
-        model, how = self._model, "compiled" if self.compiled else "not compiled"
+        how = "compiled" if self.compiled else "not compiled"
         return (
-            f"DiscreteSmoother(dt={self.dt:g} s, delay={self.delay:g} s, {len(model.A)} states, "
-            f"{self.l} measurements, {self.m} outputs, {len(model.running)} copies, {how}, "
-            f"{self.samples} samples taken)"
+            f"DiscreteSmoother(dt={self.dt:g} s, delay={self.delay:g} s, "
+            f"{len(self._state)} states, {self.l} measurements, {self.m} outputs, "
+            f"{len(self._running)} copies, {how}, {self.samples} samples taken)"
         )
-
-    @property
-    def lag(self) -> float:
-        """The same as `delay`."""
-        return self.delay
 
     @property
     def state(self) -> NDArray[np.float64]:
@@ -180,13 +177,11 @@ class DiscreteSmoother:
             Those before, where a record is gone on with.
         """
         samples = validation.integer("samples", samples, low=0)
-        if state is None:
-            self._state = np.zeros(len(self._model.A))
-        else:
-            state = validation.array("state", state, ndim=1)
-            if state.size != len(self._model.A):
-                raise ValueError(f"state must have {len(self._model.A)} entries, got {state.size}")
-            self._state = state.copy()
+        states = len(self._estimator.A_c)
+        state = validation.array("state", np.zeros(states) if state is None else state, ndim=1)
+        if state.size != states:
+            raise ValueError(f"state must have {states} entries, got {state.size}")
+        self._state = state.copy()
         self.samples: int = samples
 
     def step(self, y: ArrayLike, *, reference: ArrayLike | None = None) -> NDArray[np.float64]:
@@ -242,7 +237,7 @@ class DiscreteSmoother:
         y = _checked("y", y, self.l)
         record = self._record(y, self._reference(reference, len(y)))
         state, result = self._state.copy(), np.empty((len(y), len(readout)))
-        self._advance(self._sizes, self._steps, self._model.C_nu, readout, record, state, result)
+        self._advance(self._sizes, self._steps, self._C_nu, readout, record, state, result)
         if not np.isfinite(state).all():
             raise ArithmeticError("the estimator's state left the range of floating-point numbers")
         self._state = state
@@ -251,14 +246,13 @@ class DiscreteSmoother:
 
     def _reference(self, given: ArrayLike | None, rows: int) -> NDArray[np.float64]:
         """Return the reference of the copies that run."""
-        running = self._model.running
         if given is None:
-            return np.zeros((rows, len(running)))
+            return np.zeros((rows, len(self._running)))
         reference = _checked("reference", given, self.g)
         if len(reference) != rows:
             raise ValueError(f"reference must have {rows} rows, as y, got {len(reference)}")
         _refuse("reference must be finite", reference, ~np.isfinite(reference))
-        return np.ascontiguousarray(reference[:, running])
+        return np.ascontiguousarray(reference[:, self._running])
 
     def _record(self, y: NDArray[np.float64], reference: NDArray[np.float64]) -> Record:
         """Return the samples, in segments with the same measurements missing."""
@@ -275,7 +269,7 @@ class DiscreteSmoother:
         """Return the index of the matrices for these missing channels; make them where needed."""
         key = missing.tobytes()
         if key not in self._patterns:
-            steps = self._model.steps(self.dt, missing)
+            steps = steps_of(self._estimator, self._running, self.dt, missing)
             if self._steps is not None:
                 steps = Steps(*map(np.concatenate, zip(self._steps, steps, strict=True)))
             self._patterns[key], self._steps = len(self._patterns), steps

@@ -103,13 +103,14 @@ class Estimator:
         system = self.plant.system
         gain, copies = np.hsplit(self.B_c, [system.l])
         A, nu = self.A_c, self.C_c[system.m :]
-        inputs = {"y": gain, "mu_copy": copies}
-        if slopes is not None:
+        inputs = {"y": gain}
+        if slopes is None:
+            inputs["mu_copy"] = copies
+        else:
             slopes = validation.array("slopes", slopes, ndim=1)
             if slopes.size != system.g:
                 raise ValueError(f"slopes must have {system.g} entries, got {slopes.size}")
             A = A + copies * slopes @ nu
-            inputs = {"y": gain}
         read_outs = {"smoothed": self.C_a, "filtered": self.C_f, "nu_copy": nu}
         return state_space(A, inputs, chosen("outputs", outputs, read_outs), {})
 

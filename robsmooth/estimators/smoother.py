@@ -80,9 +80,8 @@ class RobustSmoother(Estimator):
     def __repr__(self) -> str:
         return (
             f"RobustSmoother(bound={self.bound:.4g}, cost={self.cost!r}, tau={self.tau:.4g}, "
-            f"multipliers={notation.array(self.multipliers)}, "
-            f"delay={self.plant.delay:g} s, order={self.plant.order}, "
-            f"spectral_radius/tau={self.spectral_radius / self.tau:.3g})"
+            f"multipliers={notation.array(self.multipliers)}, delay={self.plant.delay:g} s, "
+            f"order={self.plant.order}, spectral_radius/tau={self.spectral_radius / self.tau:.3g})"
         )
 
     def _repr_html_(self) -> str:
