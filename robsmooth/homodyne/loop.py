@@ -24,12 +24,9 @@ With :math:`u`, :math:`\tilde\nu` and the estimates linear in :math:`\hat x` thi
              + b_s\bigl[\sin(\varphi - r\hat x)\,dt + \nu\,dW\bigr],
     \qquad \nu = \frac{\sqrt s}{2\alpha},
 
-which is what is simulated: the options of the loop differ in :math:`G`, :math:`r`, :math:`c` and
-:math:`b_c` only.
-
-It is the loop of any nonlinear system (`robsmooth.estimators.loop`) with the reference
-:math:`2\alpha\gamma u`, and written with sines: :math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) -
-(\beta/\gamma)v`, of which the second part is linear.
+which is what is simulated. It is the loop of any nonlinear system (`robsmooth.estimators.loop`)
+with the reference :math:`2\alpha\gamma u`, and written with sines: :math:`\psi(v) =
+2\alpha\sin(v/2\alpha\gamma) - (\beta/\gamma)v`, of which the second part is linear.
 """
 
 import math
@@ -131,10 +128,7 @@ class Loop:
         return gains
 
     def rates(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> tuple[float, float]:
-        """Slowest decay rate and largest eigenvalue magnitude of the linearised estimator, 1/s.
-
-        The slowest decay rate is negative where the estimator is unstable in the loop.
-        """
+        """Slowest decay rate, negative if unstable, and largest rate of the estimator, 1/s."""
         eigenvalues = np.linalg.eigvals(self.linearised_drift(sine_slope, copy_slope)[1:, 1:])
         return float(-eigenvalues.real.max()), float(np.abs(eigenvalues).max())
 
@@ -176,12 +170,12 @@ def homodyne_loop(
     validation.choice("nonlinearity", nonlinearity, NONLINEARITIES)
     copy = validation.boolean("copy", copy)
     shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
-    system = homodyne_system(**numbers, shot_noise=shot_noise)
+    system = homodyne_system(numbers, shot_noise)
     estimator = _estimator(smoother, system, copy)
 
     u = estimator.C_f if oscillator == "filtered" else estimator.C_a
-    alpha, beta = numbers["alpha"], numbers["beta"]
-    scale = 2 * alpha * numbers["gamma"]
+    _, _, alpha, beta, gamma = numbers.values()
+    scale = 2 * alpha * gamma
     # "literal" takes sin(phi) - beta phi at its word: the nonlinearity is not of the difference.
     reference = scale * u if nonlinearity == "difference" else None
     drift, noise, inputs, outputs = matrices(estimator, loop="real", reference=reference)
@@ -206,7 +200,7 @@ def homodyne_loop(
 
 
 def numbers_of(parameters) -> dict[str, float]:
-    """Return the five numbers of what is given as parameters, checked."""
+    """Return the five numbers of what is given as parameters, checked, in the order of Table I."""
     numbers = {}
     for name in ("lam", "kappa", "alpha", "beta", "gamma"):
         if not hasattr(parameters, name):

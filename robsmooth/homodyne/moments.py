@@ -198,9 +198,6 @@ def stationary_errors(
     return result
 
 
-# --- the degree -----------------------------------------------------------------------------------
-
-
 def _unknowns(dimension: int, degree: int) -> int:
     """Number of polynomials of even degree, the constant left out."""
     return sum(math.comb(k + dimension - 1, k) for k in range(2, degree + 1, 2))
@@ -240,9 +237,6 @@ def _relative_truncation(result: StationaryErrors) -> float:
     if not np.isfinite(truncation).all():
         return math.inf
     return float(max(np.divide(truncation, errors, out=np.zeros(2), where=truncation > 0)))
-
-
-# --- one degree -----------------------------------------------------------------------------------
 
 
 def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:

@@ -70,7 +70,7 @@ class HomodyneParameters:
         (:math:`\Delta_1 = 0`); one nonlinearity, `channel` of :math:`\nu = 2\alpha\gamma\phi` less
         the filtered estimate of it, with Lipschitz constant 1 as far as `lipschitz_range` goes.
         """
-        return homodyne_system(**vars(self), function=self.channel)
+        return homodyne_system(vars(self), function=self.channel)
 
     def table(self) -> Table:
         """Return Table I."""
@@ -148,16 +148,10 @@ class HomodyneParameters:
 
 
 def homodyne_system(
-    lam: float,
-    kappa: float,
-    alpha: float,
-    beta: float,
-    gamma: float,
-    *,
-    shot_noise: float = 1.0,
-    function: Callable | None = None,
+    numbers: dict[str, float], shot_noise: float = 1.0, function: Callable | None = None
 ) -> UncertainSystem:
     """Return the system of `HomodyneParameters`, or one without decay or without process noise."""
+    lam, kappa, alpha, beta, gamma = numbers.values()
     drive = math.sqrt(kappa)
     gain = 1.0 / (2.0 * alpha * beta)
     C = [[2.0 * alpha * gamma]]

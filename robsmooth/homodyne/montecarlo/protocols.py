@@ -1,10 +1,4 @@
-r"""The two protocols: what is simulated, and what is made of it.
-
-Both errors of a path are
-
-.. math::
-
-    e_f = \varphi(t) - \hat w(t),\qquad e_s = \varphi(t - \delta) - C_a\hat x(t) .
+"""The two protocols: what is simulated, and what is made of it.
 
 The *paper* protocol is the published simulation: Euler-Maruyama from zero, squared errors at the
 end of each path. The *ergodic* one starts in the stationary state of the linearised loop, lets the

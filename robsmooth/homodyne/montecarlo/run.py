@@ -60,7 +60,7 @@ def monte_carlo(
     shot_noise: float = 1.0,
     threads: int | None = None,
 ) -> MonteCarloResult:
-    r"""Simulate an estimator in the nonlinear adaptive homodyne loop and measure its errors.
+    r"""Simulate an estimator in the homodyne loop of Section IV and measure its errors.
 
     The numbers are the same, to the last bit, for any number of threads, on a cluster, and after an
     interruption; the noise of a path depends on the seed and its index alone.
@@ -114,30 +114,24 @@ def monte_carlo(
 
     Warns
     -----
-    LossOfLockWarning
-        Where a path slipped.
-    LongStepWarning
-        Where the step is above 1/40 ("paper") or 1/4 ("ergodic") of the loop's response time.
+    LossOfLockWarning, LongStepWarning
+        Where a path slipped, or the step is above 1/40 ("paper") or 1/4 ("ergodic") of the loop's
+        response time.
 
     Raises
     ------
     TypeError, ValueError
         For an argument that is not as described, a step with which the Euler scheme is unstable
         ("paper"), or a checkpoint of another call (CheckpointError), before anything is simulated.
-    UnstableLoopError
-        For the ergodic protocol where the linearised loop is not stable.
-    RuntimeError
-        Where a path overflows, or numba's compiler is switched off.
+    UnstableLoopError, RuntimeError
+        Where the linearised loop is not stable ("ergodic"); where a path overflows, or numba's
+        compiler is switched off.
     ConnectionError, OSError
         Where the cluster is lost, or the checkpoint cannot be written.
 
     See Also
     --------
     stationary_errors, simulate : without sampling; for the loop of any nonlinear system.
-
-    References
-    ----------
-    Section IV; the module `robsmooth.homodyne.loop` has the equations.
 
     Examples
     --------

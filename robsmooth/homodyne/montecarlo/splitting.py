@@ -189,10 +189,8 @@ def simulate_block(
     gaussians = np.empty(CHUNK * m * BLOCK, np.float32)
     history = np.zeros((lag + 1, BLOCK), state.dtype)  # the phase at the last samples, a ring
 
-    for i in range(state.size):
-        state[i] = 0
-    for i in range(result.size):
-        result[i] = 0
+    state[:] = 0
+    result[:] = 0
     seed_paths(seed, first_path, generator)
     fill_gaussians(generator, m // DRAWS, gaussians)
     for i in range(1 + n):
