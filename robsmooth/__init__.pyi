@@ -8,17 +8,17 @@ from robsmooth.analysis.constraints import AnalysisBound as AnalysisBound
 from robsmooth.analysis.constraints import analysis_bound as analysis_bound
 from robsmooth.analysis.covariance import delta_sweep as delta_sweep
 from robsmooth.analysis.covariance import error_covariance as error_covariance
-from robsmooth.analysis.lag import LagSweep as LagSweep
-from robsmooth.analysis.lag import lag_sweep as lag_sweep
 from robsmooth.analysis.lag import LagChoice as LagChoice
+from robsmooth.analysis.lag import LagSweep as LagSweep
 from robsmooth.analysis.lag import best_lag as best_lag
 from robsmooth.analysis.lag import choose_lag as choose_lag
+from robsmooth.analysis.lag import lag_sweep as lag_sweep
 from robsmooth.analysis.statistical_linearisation import (
     statistical_linearisation as statistical_linearisation,
 )
 from robsmooth.analysis.worst_case import WorstCase as WorstCase
-from robsmooth.analysis.worst_case import worst_case as worst_case
 from robsmooth.analysis.worst_case import WorstDynamicCase as WorstDynamicCase
+from robsmooth.analysis.worst_case import worst_case as worst_case
 from robsmooth.analysis.worst_case import worst_dynamic_case as worst_dynamic_case
 from robsmooth.estimators import baselines as baselines
 from robsmooth.estimators.bound import minimize_bound as minimize_bound
@@ -39,12 +39,12 @@ from robsmooth.io.designs import load as load
 from robsmooth.io.designs import save as save
 from robsmooth.io.records import smooth_record as smooth_record
 from robsmooth.paper.verdicts import verdicts as verdicts
+from robsmooth.simulation.simulate import sample_paths as sample_paths
+from robsmooth.simulation.simulate import simulate as simulate
 from robsmooth.simulation.statistics import InadmissibleWarning as InadmissibleWarning
 from robsmooth.simulation.statistics import SamplePaths as SamplePaths
 from robsmooth.simulation.statistics import SimulatedError as SimulatedError
 from robsmooth.simulation.statistics import SimulationResult as SimulationResult
-from robsmooth.simulation.simulate import sample_paths as sample_paths
-from robsmooth.simulation.simulate import simulate as simulate
 from robsmooth.systems.augmented import AugmentedSystem as AugmentedSystem
 from robsmooth.systems.augmented import augment as augment
 from robsmooth.systems.channels import Nonlinearity as Nonlinearity
