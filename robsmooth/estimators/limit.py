@@ -58,13 +58,9 @@ def limiting_smoother(
 
     Parameters
     ----------
-    plant, tau
-        As in `design_smoother`.
-    multipliers : (k + 3g,) sequence
-        lambda, with zeros for those that vanish. Where M(lambda) is positive all the same, the
-        design is that of `design_smoother`.
-    cost
-        As in `design_smoother`.
+    plant, tau, multipliers, cost
+        As in `design_smoother`; the multipliers that vanish are zero. Where M(lambda) is positive
+        all the same, the design is that of `design_smoother`.
     rates : (k + 3g,) sequence, optional
         :math:`\rho \ge 0`, how fast the zeros are approached, relative to each other; only those of
         vanishing multipliers count. By default one for all that make M(lambda) singular. Rates
