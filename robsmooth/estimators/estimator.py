@@ -35,18 +35,15 @@ class Estimator:
     Attributes
     ----------
     plant : AugmentedSystem
-        What it is for: the system and the delay.
     A_c : (n_c, n_c) array
         Its drift, 1/s; n_c is the plant's order for all designs of this package.
     B_c : (n_c, l + g) array
         Its gains: columns for y, then for the copies' outputs mu-tilde.
     C_c : (m + g, n_c) array
         Its outputs: rows of w-hat, then of the copies' arguments nu-tilde.
-    C_a : (m, n_c) array
-        The read-out of the smoothed estimate of w one delay back.
-    C_f : (m, n_c) array
-        The read-out of the filtered estimate of w now; w-hat for every design but one whose cost
-        is on the smoothed error.
+    C_a, C_f : (m, n_c) arrays
+        The read-outs of the smoothed estimate of w one delay back, and of the filtered one of w
+        now, which is w-hat for every design but one whose cost is on the smoothed error.
 
     Examples
     --------

@@ -6,8 +6,7 @@ r"""The loop of plant and estimator with its uncertainty taken out.
     \qquad e(t) = C_w X(t - \delta) - C_s X(t),
 
 with :math:`X = [x_p; \hat x]` as in (eqclosed): :math:`\tilde\xi = \Delta\tilde\zeta` closes
-it. What is asked of the loop under every admissible :math:`\Delta`, and not under one, starts here;
-so do the simulations of the nonlinear loop.
+it.
 
 A *reference* `r` is what a detector takes off the arguments of the nonlinearities, and the copies
 off theirs (`robsmooth.Nonlinearity`): :math:`\tilde\zeta = C_\zeta X - r`, with `r` read out of
