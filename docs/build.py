@@ -16,7 +16,7 @@ from sphinx.cmd.build import build_main
 
 from docs import citation, results
 from robsmooth.workbench.parameters import SET_BY_PIPELINE, PipelineError
-from robsmooth.workbench.runner import Places, plan
+from robsmooth.workbench.runner import Request, Task, plan
 
 SOURCE = Path(__file__).resolve().parent / "source"
 DOCUMENTS = ("README.md", "environment.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE")
@@ -46,27 +46,24 @@ def build(root: Path, profile: str, folder: Path | None = None) -> Path | None:
     PipelineError
         Where a notebook has not been executed to its end.
     """
-    places = Places.of(root, profile, build=folder)
-    executed = [
-        _executed(places.work / "notebooks" / f"{task.name}.ipynb", profile)
-        for task in plan(root, (), profile, {})
-    ]
-    with tempfile.TemporaryDirectory(dir=places.work, prefix="site.") as work:
+    run = Request(root, profile=profile, build=folder)
+    executed = [_executed(task) for task in plan(run)]
+    with tempfile.TemporaryDirectory(dir=run.work, prefix="site.") as work:
         source, html = Path(work) / "source", Path(work) / "html"
-        stage(root, source, places, executed, profile)
+        stage(run, source, executed)
         options = ["-q", "-W", "--keep-going", "-d", f"{work}/doctrees", *_options(profile)]
         if build_main([*options, str(source), str(html)]):
             return None
-        site = places.work / "site"
+        site = run.work / "site"
         if site.exists():
             site.rename(Path(work) / "earlier")  # and removed with the rest
         html.rename(site)
     return site
 
 
-def _executed(path: Path, profile: str) -> Path:
+def _executed(task: Task) -> Path:
     """Return the path of an executed notebook, after seeing that it ran to its end."""
-    wanted = f"run `make figures PROFILE={profile}` first"
+    path, wanted = task.executed, f"run `make figures PROFILE={task.run.profile}` first"
     if not path.is_file():
         raise PipelineError(f"{path.name} has not been executed with this profile; {wanted}")
     about = nbformat.read(path, as_version=4).metadata.get("papermill", {})
@@ -82,20 +79,21 @@ def _options(profile: str) -> list[str]:
     return ["-D", f"html_theme_options.announcement={words}"]
 
 
-def stage(root: Path, source: Path, places: Places, executed: list[Path], profile: str) -> None:
+def stage(run: Request, source: Path, executed: list[Path]) -> None:
     """Lay out the sources for Sphinx in the folder `source`."""
+    root, figures = run.root, run.results / "figures"
     shutil.copytree(SOURCE, source, ignore=shutil.ignore_patterns("__pycache__"))
     mathjax = Path(find_spec("sphinx-mathjax-offline").origin).parent / "static/mathjax"
     _copy([mathjax / "tex-svg-full.js"], source / "_static/mathjax")
     _copy([root / name for name in DOCUMENTS], source)
     _copy((root / "benchmarks").glob("*.*"), source / "benchmarks", (*RESULTS, ".md"))
-    _copy([root / "data/published.toml", *places.data.glob("*.json")], source / "data")
-    _copy(places.figures.iterdir(), source / "figures", RESULTS)
-    _copy([places.figures / "reproduction.md"], source / "figures")
+    _copy([root / "data/published.toml", *(run.results / "data").glob("*.json")], source / "data")
+    _copy(figures.iterdir(), source / "figures", RESULTS)
+    _copy([figures / "reproduction.md"], source / "figures")
     (source / "notebooks").mkdir()
     for path in executed:
         nbformat.write(shown(path), source / "notebooks" / path.name)
-    runs = results.runs(root, places.figures, source / "notebooks", profile)
+    runs = results.runs(root, figures, source / "notebooks", run.profile)
     for name, text in (
         ("results", results.index(runs)),
         ("tables", results.tables(runs)),

@@ -1,106 +1,58 @@
-"""The public names: where each is defined, and what else they may be looked for by.
+"""The public names: each is imported when it is first asked for, and may be looked for by others.
 
-`import robsmooth` imports none of them; each is imported when it is first asked for. The package's
-face has the same names once more, for type checkers.
+`__init__.pyi` lists them, each with the module that defines it.
 """
 
+import ast
+import pkgutil
 from importlib import import_module
 
-# Names by the module that defines them; a module that is itself public stands alone.
 _HOMES = {
-    "robsmooth._support.errors": ("InfeasibleDesignError", "UnstableLoopError"),
-    "robsmooth._numerics.steps": ("LongStepWarning",),
-    "robsmooth.analysis.constraints": ("AnalysisBound", "analysis_bound"),
-    "robsmooth.analysis.covariance": (
-        "delta_sweep",
-        "error_covariance",
-    ),
-    "robsmooth.analysis.lag": ("LagSweep", "lag_sweep"),
-    "robsmooth.analysis.lag_choice": ("LagChoice", "best_lag", "choose_lag"),
-    "robsmooth.analysis.statistical_linearisation": ("statistical_linearisation",),
-    "robsmooth.analysis.worst_case": ("WorstCase", "worst_case"),
-    "robsmooth.analysis.worst_dynamic_case": ("WorstDynamicCase", "worst_dynamic_case"),
-    "robsmooth.estimators.baselines": (),
-    "robsmooth.estimators.bound": ("minimize_bound",),
-    "robsmooth.estimators.discrete": ("DiscreteSmoother",),
-    "robsmooth.estimators.estimator": ("Estimator",),
-    "robsmooth.estimators.limit": ("limiting_smoother",),
-    "robsmooth.estimators.smoother": ("RobustSmoother", "design_smoother"),
-    "robsmooth.homodyne": (),
-    "robsmooth.homodyne.moments": ("StationaryErrors", "stationary_errors"),
-    "robsmooth.homodyne.montecarlo": (
-        "LossOfLockWarning",
-        "MeanSquare",
-        "MonteCarloResult",
-        "monte_carlo",
-    ),
-    "robsmooth.homodyne.study": ("Study", "parameter_study"),
-    "robsmooth.io.designs": ("load", "save"),
-    "robsmooth.io.records": ("smooth_record",),
-    "robsmooth.paper.verdicts": ("verdicts",),
-    "robsmooth.simulation.results": (
-        "InadmissibleWarning",
-        "SamplePaths",
-        "SimulatedError",
-        "SimulationResult",
-    ),
-    "robsmooth.simulation.simulate": ("sample_paths", "simulate"),
-    "robsmooth.systems.augmented": ("AugmentedSystem", "augment"),
-    "robsmooth.systems.channels": ("Nonlinearity", "Uncertainty"),
-    "robsmooth.systems.system": ("UncertainSystem",),
+    alias.name: node.module
+    for node in ast.parse(pkgutil.get_data("robsmooth", "__init__.pyi")).body
+    if isinstance(node, ast.ImportFrom)
+    for alias in node.names
 }
-# From a name to its module, and whether it is the module.
-_PLACES = {
-    name or module.rpartition(".")[2]: (module, name)
-    for module, names in _HOMES.items()
-    for name in names or ("",)
-}
-PUBLIC = sorted(_PLACES)
+PUBLIC = sorted(_HOMES)
 
-# What python-control, FilterPy, MATLAB, textbooks and the rest of this package call it, in small
-# letters and without underscores.
-_ELSEWHERE = {
-    "kalman": "baselines.kalman_bucy",
-    "kalmanbucy": "baselines.kalman_bucy",
-    "kalmanfilter": "baselines.kalman_bucy",
-    "lqe": "baselines.kalman_bucy",
-    "fixedlagsmoother": "baselines.fixed_lag_smoother",
-    "linearrobustfilter": "baselines.linear_robust_filter",
-    "robustfilter": "baselines.linear_robust_filter",
-    "ngcf": "baselines.ngcf",
-    "optimalfixedlagerror": "baselines.optimal_fixed_lag_error",
-    "optimaltwosidederror": "baselines.optimal_two_sided_error",
-    "homodyneparameters": "homodyne.HomodyneParameters",
-    "hinfsyn": "minimize_bound",
-    "pade": "augment",
-    "ss": "UncertainSystem.from_plant",
-    "uss": "UncertainSystem",
-    "fromplant": "UncertainSystem.from_plant",
-    "fromstatespace": "UncertainSystem.from_statespace",
-    "c2d": "Estimator.discretize",
-    "discretize": "Estimator.discretize",
-    "tostatespace": "Estimator.to_statespace",
-    "structureddelta": "AugmentedSystem.structured_delta",
-    "covariance": "error_covariance",
-    "lsim": "simulate",
-    "sim": "simulate",
-    "mussv": "worst_case",
-    "wcgain": "worst_case",
+# What python-control, FilterPy, MATLAB and textbooks call it, in small letters and without
+# underscores.
+_OTHERS = {
+    "augment": "pade",
+    "baselines.fixed_lag_smoother": "",
+    "baselines.kalman_bucy": "kalman kalmanfilter lqe",
+    "baselines.linear_robust_filter": "robustfilter",
+    "baselines.ngcf": "",
+    "baselines.optimal_fixed_lag_error": "",
+    "baselines.optimal_two_sided_error": "",
+    "error_covariance": "covariance",
+    "homodyne.HomodyneParameters": "",
+    "minimize_bound": "hinfsyn",
+    "simulate": "lsim sim",
+    "worst_case": "mussv wcgain",
+    "AugmentedSystem.structured_delta": "",
+    "Estimator.discretize": "c2d",
+    "Estimator.to_statespace": "",
+    "UncertainSystem": "uss",
+    "UncertainSystem.from_plant": "ss",
+    "UncertainSystem.from_statespace": "",
 }
+
+
+def _key(name: str) -> str:
+    return name.lower().replace("_", "")
+
+
+_ELSEWHERE = {other: here for here, others in _OTHERS.items() for other in others.split()}
+_ELSEWHERE |= {_key(here.partition(".")[2]): here for here in _OTHERS if "." in here}
 
 
 def find(name: str) -> object:
-    """Return a public name's object, imported if need be.
-
-    Raises
-    ------
-    AttributeError
-        For another name; it says what is nearest to it.
-    """
-    if name in _PLACES:
-        module, attribute = _PLACES[name]
-        found = import_module(module)
-        return getattr(found, attribute) if attribute else found
+    """A public name's object, imported if need be; an AttributeError says what is nearest."""
+    if name in _HOMES:
+        home = import_module(_HOMES[name])
+        # what its home does not hold is a module of it
+        return vars(home).get(name) or import_module(f"{_HOMES[name]}.{name}")
     if name == "__version__":
         return _version()
     raise AttributeError(f"module 'robsmooth' has no attribute {name!r}{_hint(name)}")
@@ -109,12 +61,11 @@ def find(name: str) -> object:
 def _hint(name: str) -> str:
     import difflib
 
+    key, spelled = _key(name), {_key(public): public for public in PUBLIC}
     if name.startswith("_"):
         return ""
-    key = name.lower().replace("_", "")
     if key in _ELSEWHERE:
         return f"; here it is robsmooth.{_ELSEWHERE[key]}"
-    spelled = {public.lower().replace("_", ""): public for public in PUBLIC}
     near = difflib.get_close_matches(key, [*spelled, *_ELSEWHERE], n=1)
     return f"; did you mean robsmooth.{(spelled | _ELSEWHERE)[near[0]]}?" if near else ""
 

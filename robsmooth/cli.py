@@ -5,7 +5,9 @@ import ast
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import robsmooth
 from robsmooth._support.extras import MissingExtraError
 from robsmooth._support.progress import progress_bar
 from robsmooth.workbench.parameters import PipelineError
-from robsmooth.workbench.runner import PROFILES, NotebookResult, Places, run_notebooks
+from robsmooth.workbench.runner import PROFILES, NotebookResult, Request, plan, run_notebooks
 
 INTERRUPTED = 130
 
@@ -38,61 +40,45 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def figures(options: argparse.Namespace) -> int:
     """Run the notebooks, and write the report of the reproduction."""
-    root, build = _project(), options.build
-    parameters = dict(options.set)
-    places = Places.of(root, options.profile, bool(parameters), build)
-    with progress_bar(unit="notebook", leave=False) as bar:
-
-        def started(count: int) -> None:
-            bar.total = count
-            bar.refresh()
-
-        def finished(result: NotebookResult) -> None:
+    given = vars(options) | {"root": _project(), "parameters": dict(options.set)}
+    run = Request(**{each.name: given[each.name] for each in fields(Request)})
+    tasks, results = plan(run), []
+    with (
+        progress_bar(total=len(tasks), unit="notebook", leave=False) as bar,
+        closing(run_notebooks(run, tasks)) as running,
+    ):
+        for result in running:
+            results.append(result)
             bar.update()
             bar.write(_line(result))
-
-        results = run_notebooks(
-            root,
-            only=options.only,
-            profile=options.profile,
-            parameters=parameters,
-            jobs=options.jobs,
-            force=options.force,
-            time_limit=options.time_limit,
-            build=build,
-            scheduler=options.dask,
-            started=started,
-            finished=finished,
-        )
     failed = [result for result in results if result.failure]
     if failed:
         print(_summary(failed, len(results)), file=sys.stderr)
-    changed = any(result.status == "done" for result in results)
-    if not parameters and len(failed) < len(results):
-        write_report(root, places, changed)
+    if not run.parameters and len(failed) < len(results):
+        write_report(run, changed=any(result.status == "done" for result in results))
     if failed:
         return 1
-    print(f"figures and tables are in {_short(places.figures)}")
+    print(f"figures and tables are in {_short(run.results / 'figures')}")
     return 0
 
 
-def write_report(root: Path, places: Places, changed: bool) -> None:
+def write_report(run: Request, changed: bool) -> None:
     """Write the report of the reproduction, where a result changed or it is not as it was written.
 
     The README shows its scorecard at the paper's scale.
     """
     from robsmooth.paper import report
 
-    if not changed and report.is_fresh(places.figures, places.data):
+    places = run.results / "figures", run.results / "data"
+    if not changed and report.is_fresh(*places):
         return
-
-    if not (places.data / "monte_carlo.json").exists():
+    if not (run.results / "data/monte_carlo.json").exists():
         # a part of the notebooks was run, in a new place
         print("no report yet: it needs the results of 04_nonlinear_monte_carlo")
         return
-    verdicts = report.write(places.figures, places.data)
-    if places.figures == root / "figures":
-        report.write_scorecard(root / "README.md", verdicts)
+    verdicts = report.write(*places)
+    if run.results == run.root:
+        report.write_scorecard(run.root / "README.md", verdicts)
 
 
 def verdicts(options: argparse.Namespace) -> int:
@@ -122,7 +108,7 @@ def site(options: argparse.Namespace) -> int:
         raise PipelineError("Sphinx is not installed; `make report` makes an environment with it")
     command = [sys.executable, "-m", "docs", "--profile", options.profile]
     if options.build:
-        command += ["--build", str(options.build.resolve())]
+        command += ["--build", str(options.build)]
     return subprocess.run(command, cwd=project).returncode
 
 
@@ -132,70 +118,51 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=version)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    command = commands.add_parser("figures", help="run the notebooks that are not fresh")
-    command.set_defaults(command=figures)
-    command.add_argument(
-        "--profile",
-        choices=PROFILES,
-        default="paper",
-        help="scale of the run (default: %(default)s); quick writes to build/quick",
-    )
-    command.add_argument(
-        "--only",
-        metavar="NAME[,NAME]",
-        type=lambda text: [name for name in text.split(",") if name],
-        default=[],
-        help="notebooks to run, each by its name or a part that fits one only (default: all)",
-    )
-    command.add_argument(
-        "--set",
-        metavar="NAME=VALUE",
-        type=_setting,
-        action="append",
-        default=[],
-        help="give a parameter a value of your own; the results go to build/custom",
-    )
-    command.add_argument(
-        "--jobs", type=int, default=2, help="notebooks at a time (default: %(default)s)"
-    )
-    command.add_argument(
-        "--time-limit",
-        type=float,
-        default=1800.0,
-        metavar="SECONDS",
-        help="for a notebook; a cell may take half as long (default: %(default)g)",
-    )
-    command.add_argument("--force", action="store_true", help="run the fresh ones, too")
-    command.add_argument(
-        "--dask",
-        default="",
-        metavar="ADDRESS",
-        help="compute on the cluster of the Dask scheduler at tcp://host:port",
-    )
-    command.add_argument("--build", type=Path, help="folder to work in (default: build)")
+    add = _command(commands, figures, "run the notebooks that are not fresh").add_argument
+    words = "scale of the run (default: %(default)s); quick writes to build/quick"
+    add("--profile", choices=PROFILES, default=Request.profile, help=words)
+    words = "notebooks to run, each by its name or a part that fits one only (default: all)"
+    add("--only", metavar="NAME[,NAME]", type=_names, default=Request.only, help=words)
+    words = "give a parameter a value of your own; the results go to build/custom"
+    add("--set", metavar="NAME=VALUE", type=_setting, action="append", default=[], help=words)
+    words = "notebooks at a time (default: %(default)s)"
+    add("--jobs", type=int, default=Request.jobs, help=words)
+    words = "for a notebook; a cell may take half as long (default: %(default)g)"
+    add("--time-limit", metavar="SECONDS", type=float, default=Request.time_limit, help=words)
+    add("--force", action="store_true", help="run the fresh ones, too")
+    words = "compute on the cluster of the Dask scheduler at tcp://host:port"
+    add("--dask", metavar="ADDRESS", default=Request.dask, help=words)
+    add("--build", metavar="FOLDER", type=_folder, help="folder to work in (default: build)")
 
-    command = commands.add_parser("verdicts", help="every printed number with its verdict")
-    command.set_defaults(command=verdicts)
+    _command(commands, verdicts, "every printed number with its verdict")
 
-    command = commands.add_parser(
-        "report", help="build the offline site from what `figures` has left"
-    )
-    command.set_defaults(command=site)
-    command.add_argument(
-        "--profile", choices=PROFILES, default="paper", help="whose results (default: %(default)s)"
-    )
-    command.add_argument("--build", type=Path, help="folder that the run worked in")
+    words = "build the offline site from what `figures` has left"
+    add = _command(commands, site, words, name="report").add_argument
+    words = "whose results (default: %(default)s)"
+    add("--profile", choices=PROFILES, default=Request.profile, help=words)
+    add("--build", metavar="FOLDER", type=_folder, help="folder that the run worked in")
 
-    command = commands.add_parser("bench", help="measure the speed of the simulation")
-    command.set_defaults(command=bench)
-    command.add_argument("--quick", action="store_true", help="in seconds; ratios mean little")
-    command.add_argument(
-        "--write", action="store_true", help="write benchmarks/results.* and the README's block"
-    )
-    command.add_argument(
-        "--peers", default="", metavar="NAME[,NAME]", help="parts of their names (default: all)"
-    )
+    add = _command(commands, bench, "measure the speed of the simulation").add_argument
+    add("--quick", action="store_true", help="in seconds; ratios mean little")
+    words = "write benchmarks/results.* and the README's block"
+    add("--write", action="store_true", help=words)
+    words = "parts of their names (default: all)"
+    add("--peers", metavar="NAME[,NAME]", default="", help=words)
     return parser
+
+
+def _command(commands, function: Callable, words: str, name: str = "") -> argparse.ArgumentParser:
+    command = commands.add_parser(name or function.__name__, help=words)
+    command.set_defaults(command=function)
+    return command
+
+
+def _names(text: str) -> list[str]:
+    return [name for name in text.split(",") if name]
+
+
+def _folder(text: str) -> Path:
+    return Path(text).resolve()  # the notebooks and docs/ are run elsewhere
 
 
 def _setting(text: str) -> tuple[str, object]:
@@ -220,26 +187,23 @@ def _project() -> Path:
 
 
 def _project_above() -> Path | None:
-    here = Path.cwd()
-    for folder in (here, *here.parents):
-        if (folder / "notebooks" / "profiles.toml").is_file():
-            return folder
-    return None
+    folders = (Path.cwd(), *Path.cwd().parents)
+    return next((each for each in folders if (each / "notebooks/profiles.toml").is_file()), None)
 
 
 def _line(result: NotebookResult) -> str:
-    if result.status == "done":
-        return f"{result.name}: done in {result.seconds:.1f} s, {len(result.files)} files"
-    if result.status == "failed":
-        return f"{result.name}: FAILED after {result.seconds:.1f} s"
-    return f"{result.name}: fresh"
+    name, seconds = result.task.name, f"{result.seconds:.1f} s"
+    if result.failure:
+        return f"{name}: FAILED after {seconds}"
+    done = f"done in {seconds}, {len(result.files)} files"
+    return f"{name}: {done if result.status == 'done' else 'fresh'}"
 
 
 def _summary(failed: Sequence[NotebookResult], count: int) -> str:
     parts = [f"\n{len(failed)} of {count} notebooks failed; their earlier results are untouched."]
-    for result in failed:
-        parts.append(f"\n{'-' * 80}\n{result.name}, {result.failure}")
-        parts.append(f"executed copy: {_short(result.executed)}")
+    for result in sorted(failed, key=lambda result: result.task.name):
+        parts.append(f"\n{'-' * 80}\n{result.task.name}, {result.failure}")
+        parts.append(f"executed copy: {_short(result.task.executed)}")
     return "\n".join(parts)
 
 

@@ -40,19 +40,6 @@ class HermiteBasis:
     In graded order, the degree-one polynomials as their variables. With the tails :math:`s_k =
     \alpha_k + \dots + \alpha_d` the position of :math:`h_\alpha` is :math:`\sum_k\binom{s_k + d -
     k}{d - k + 1}`.
-
-    Parameters
-    ----------
-    dimension, degree : int
-
-    Attributes
-    ----------
-    even, odd : arrays of int
-        Positions of the polynomials of even and odd degree.
-    lowering : (d K, K) sparse array
-        The derivatives a_1 ... a_d one above the other.
-    coordinates : list of (K, K) sparse arrays
-        Multiplications with xi_1 ... xi_d.
     """
 
     def __init__(self, dimension: int, degree: int):
@@ -68,11 +55,12 @@ class HermiteBasis:
         self.indices = indices[np.argsort(self._positions(indices))]
 
         self.degrees = self.indices.sum(axis=1)
+        # the positions of the polynomials of even and of odd degree
         self.even, self.odd = (np.flatnonzero(self.degrees % 2 == k) for k in (0, 1))
         self.identity = sparse.eye_array(len(indices))
         lowering = [self._lowering(axis) for axis in range(dimension)]
-        self.lowering = sparse.vstack(lowering, format="csr")
-        self.coordinates = [a + a.T for a in lowering]
+        self.lowering = sparse.vstack(lowering, format="csr")  # a_1 ... a_d, one above the other
+        self.coordinates = [a + a.T for a in lowering]  # multiplications with xi_1 ... xi_d
 
     def _positions(self, indices: NDArray[np.int_]) -> NDArray[np.int_]:
         tails = np.cumsum(indices[:, ::-1], axis=1)[:, ::-1]

@@ -2,12 +2,9 @@ r"""Statistical linearisation: in the loop, a nonlinearity is as good as a slope
 
 For a Gaussian argument v, the slope :math:`s = E[\psi(v)v]/E[v^2]` leaves least of
 :math:`\psi(v) - sv`. It depends on the variance of v, which in turn is that of the stationary
-linear loop that the slopes make: both are found together, by iteration.
-
-References
-----------
-A. Gelb and W. E. Vander Velde, "Multiple-Input Describing Functions and Nonlinear System Design",
-McGraw-Hill, 1968, Chapter 7.
+linear loop that the slopes make: both are found together, by iteration. See A. Gelb and W. E.
+Vander Velde, "Multiple-Input Describing Functions and Nonlinear System Design", McGraw-Hill, 1968,
+Chapter 7.
 """
 
 import math
@@ -34,33 +31,11 @@ def equivalent_slopes(
     largest: float = math.inf,
     iterations: int = 200,
 ) -> Vector:
-    """Return the slopes s = slopes(variances(s)), iterated from `start`.
+    """Return the slopes s = slopes(variances(s)), iterated from `start` until they settle.
 
-    Parameters
-    ----------
-    start : (N,) array
-    variances : callable
-        From the slopes to the stationary variances of the nonlinearities' arguments.
-    slopes : callable
-        From the variances to the slopes.
-    tolerance : float
-        The largest change of the last iteration, in the `unit` of the slopes, as far as rounding
-        lets it shrink.
-    unit : float or (N,) array
-    largest : float
-        The variance above which the loop is known to have no stationary state.
-    iterations : int
-        At most. They converge slowly where the loop is about to lose its stationary state.
-
-    Returns
-    -------
-    (N,) array
-
-    Raises
-    ------
-    UnstableLoopError
-        Where there are no such slopes, or the iteration does not settle; and what `variances`
-        raises.
+    They have when they change by less than the tolerance, in their unit, or by rounding. They do so
+    slowly where the loop is about to lose its stationary state. An UnstableLoopError says that they
+    do not, or that a variance is above the largest of a loop with a stationary state.
     """
     found, change, part, size = start, np.zeros(len(start)), 1.0, math.inf
     for _ in range(iterations):

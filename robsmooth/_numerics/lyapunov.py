@@ -8,9 +8,10 @@ matrix `E` after a time `t` give those after twice the time,
     W(2t) = W(t) + E(t)\,W(t)\,E(t)', \qquad R(2t) = [R(t)\;\; E(t)R(t)], \qquad E(2t) = E(t)^2,
 
 and `W` tends to the stationary covariance, which solves :math:`AP + PA' + BB' = 0`. A short first
-step, by Taylor's series, starts it; QR factorisations keep the roots small. This is Smith's squared
-method with an exact transition matrix. Three things make it fit for systems whose variances and
-time constants lie decades apart, and for spans of any length:
+step, by Taylor's series, starts it; QR factorisations keep the roots small. This is R. A. Smith's
+squared method (SIAM J. Appl. Math. 16(1), 1968) with an exact transition matrix. Three things make
+it fit for systems whose variances and time constants lie decades apart, and for spans of any
+length:
 
 - Roots are computed, of covariances that cannot be negative. So no digit depends on the units of
   the states, and a small variance keeps its digits beside a large one.
@@ -24,7 +25,6 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dgebal
@@ -44,82 +44,38 @@ _SETTLED = 1e-12  # the share of a variance that the last increment may be: the 
 
 @dataclass(frozen=True, eq=False)
 class Covariances:
-    """Of the state of dx = A x dt + B dW.
+    """Of the state of dx = A x dt + B dW; all are (..., n, n)."""
 
-    Attributes
-    ----------
-    stationary : (..., n, n) array
-        P, the limit of W.
-    grown : (..., n, n) array
-        W, the covariance a span of time after the state was known.
-    transition : (..., n, n) array
-        E, how the state itself goes over into that after the span.
-    error : (..., n, n) array
-        Estimated error of P: what one step of refinement would change.
-    """
-
-    stationary: Matrix
-    grown: Matrix
-    transition: Matrix
-    error: Matrix
+    stationary: Matrix  # P, the limit of W
+    grown: Matrix  # W, a span of time after the state was known
+    transition: Matrix  # E, how the state itself goes over into that after the span
+    error: Matrix  # estimated, of P: what one step of refinement would change
 
 
 def covariances(A: Matrix, B: Matrix, span: float = 0.0) -> Covariances:
-    """Return the stationary covariance of dx = A x dt + B dW, and its build-up over a span of time.
+    """Return P of a stable A (..., n, n) and B (..., n, q) or (n, q), and W and E after a span, s.
 
-    Parameters
-    ----------
-    A : (..., n, n) array
-        Drifts, 1/s, asymptotically stable.
-    B : (..., n, q) array
-        Gains of the noise; those of all drifts where there is only one.
-    span : float
-        In seconds, at least zero, the same for all.
-
-    Returns
-    -------
-    Covariances
-
-    Raises
-    ------
-    UnstableLoopError
-        Where W or E does not settle: the system is not stable, or to rounding it is not.
-
-    References
-    ----------
-    R. A. Smith, "Matrix equation XA + BX = C", SIAM J. Appl. Math. 16(1), 1968.
+    UnstableLoopError says that W or E does not settle: to rounding, the system is not stable.
     """
-    found = _settled(A, B, span)
-    P = _squared(found.root)
-    error = _refinement(A, _squared(B), P, found.first, found.transitions)
-    return Covariances(P, _squared(found.grown), found.transition, error)
+    root, grown, transition, first, transitions = _settled(A, B, span)
+    P = _squared(root)
+    # what one step of refinement would add to P: the solution for its residual
+    half = A @ P
+    error = _growth(first * A, (half + half.mT + _squared(B)) * first)
+    for E in transitions:
+        error = error + E @ error @ E.mT
+    return Covariances(P, _squared(grown), transition, error)
 
 
 def stationary_root(A: Matrix, B: Matrix) -> Matrix:
-    """Return the root of the stationary covariance, as `noise_root` has it, of a stable system.
-
-    Raises
-    ------
-    UnstableLoopError
-        As in `covariances`.
-    """
-    return _with_signs(_settled(A, B, 0.0).root)
+    """Return the root of `covariances`' P, in the form that `noise_root` has."""
+    return _with_signs(_settled(A, B, 0.0)[0])
 
 
 def noise_root(A: Matrix, B: Matrix, span: float) -> Matrix:
-    r"""Return the root of :math:`W = \int_0^t e^{As}BB'e^{A's}\,ds`, the noise over a span of time.
+    r"""Return R with :math:`RR' = W = \int_0^t e^{As}BB'e^{A's}\,ds` for a span t > 0 and any A.
 
-    Parameters
-    ----------
-    A, B
-        As for `covariances`, but that A need not be stable.
-    span : float
-        t, in seconds, above zero.
-
-    Returns
-    -------
-    (..., n, n) array
-        R with W = R R', lower triangular and with no negative entry on its diagonal.
+    R is lower triangular and has no negative entry on its diagonal.
     """
     first, doublings = _first_step(A, span)
     steps = itertools.islice(_doubled(A, B, first), max(doublings, 0), None)
@@ -127,14 +83,8 @@ def noise_root(A: Matrix, B: Matrix, span: float) -> Matrix:
 
 
 def check_certainty(what: str, P: Matrix, error: Matrix) -> None:
-    """Refuse a covariance with variances of which the estimated error is too large a part.
-
-    Raises
-    ------
-    ArithmeticError
-        Where it is more than `ERROR_TOLERANCE`.
-    """
-    variances, errors = _diagonal(P), np.abs(_diagonal(error))
+    """Refuse, by an ArithmeticError, variances of which the estimated error is too large a part."""
+    variances, errors = np.linalg.diagonal(P), np.abs(np.linalg.diagonal(error))
     lost = ~(errors <= ERROR_TOLERANCE * variances)
     if lost.any():
         raise ArithmeticError(
@@ -154,18 +104,13 @@ def square_root(P: Matrix) -> Matrix:
 # --- the doubling ---------------------------------------------------------------------------------
 
 
-class _Settled(NamedTuple):
-    """What the doubling has led to, and the transitions on the way."""
+def _settled(
+    A: Matrix, B: Matrix, span: float
+) -> tuple[Matrix, Matrix, Matrix, float, list[Matrix]]:
+    """Double until nothing changes, and the span is reached.
 
-    root: Matrix  # of P
-    grown: Matrix  # a root of W after the span
-    transition: Matrix
-    first: float  # step
-    transitions: list[Matrix]
-
-
-def _settled(A: Matrix, B: Matrix, span: float) -> _Settled:
-    """Double until nothing changes, and the span is reached."""
+    Return the root of P, that of W and E after the span, the first step and the E of all.
+    """
     first, doublings = _first_step(A, span)
     grown, transition = np.zeros_like(A), np.broadcast_to(np.eye(A.shape[-1]), A.shape)
     transitions = []
@@ -176,7 +121,7 @@ def _settled(A: Matrix, B: Matrix, span: float) -> _Settled:
             if span > 0.0 and count == max(doublings, 0):
                 grown, transition = R, E
             if count >= doublings and _has_settled(R, moved, E):
-                return _Settled(_compressed(R, moved), grown, transition, first, transitions)
+                return _compressed(R, moved), grown, transition, first, transitions
     raise UnstableLoopError(
         "the stationary covariance does not exist: to rounding, the system is not stable"
     )
@@ -185,21 +130,17 @@ def _settled(A: Matrix, B: Matrix, span: float) -> _Settled:
 def _first_step(A: Matrix, span: float) -> tuple[float, int]:
     """Return the first step, and how often it is doubled to give the span.
 
-    That may be negative: the span is the first step, and shorter than need be.
+    That may be negative: the span is the first step, and shorter than need be. The step is for the
+    largest of all A, in units of the states in which that is small.
     """
-    speed = _norm(A) or 1.0
+    speed = 1.0
+    if A.size:
+        largest = np.abs(A).max(axis=tuple(range(A.ndim - 2)))
+        speed = float(np.linalg.norm(dgebal(largest, scale=1)[0], 1)) or 1.0
     if span > 0.0:
         doublings = math.ceil(math.log2(span * speed / _FIRST_STEP))
         return span * 2.0 ** -max(doublings, 0), doublings
     return 2.0 ** math.floor(math.log2(_FIRST_STEP / speed)), 0
-
-
-def _norm(A: Matrix) -> float:
-    """Return a norm of the largest of all A, in units of the states in which it is small."""
-    if not A.size:
-        return 0.0
-    largest = np.abs(A).max(axis=tuple(range(A.ndim - 2)))
-    return float(np.linalg.norm(dgebal(largest, scale=1)[0], 1))
 
 
 def _doubled(A: Matrix, B: Matrix, first: float) -> Iterator[tuple[Matrix, Matrix, Matrix]]:
@@ -230,52 +171,35 @@ def _after(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]:
     return F, _compressed(*parts)
 
 
+def _growth(A: Matrix, Q: Matrix) -> Matrix:
+    """Return W after a unit of time, in which little happens, roughly."""
+    term, W = Q, Q
+    for order in range(2, _ROUGH_TERMS + 1):
+        half = A @ term / order
+        term = half + half.mT
+        W = W + term
+    return W
+
+
 def _compressed(*parts: Matrix) -> Matrix:
     """Return a lower triangular R, (..., n, n), with R R' the sum of the parts' own."""
-    stacked = np.concatenate(parts, axis=-1)
-    R = _transposed(np.linalg.qr(_transposed(stacked), mode="r"))
+    R = np.linalg.qr(np.concatenate(parts, axis=-1).mT, mode="r").mT
     missing = R.shape[-2] - R.shape[-1]
     return np.pad(R, [(0, 0)] * (R.ndim - 1) + [(0, missing)]) if missing else R
 
 
 def _with_signs(R: Matrix) -> Matrix:
     """Return the root of the same covariance that has no negative entry on its diagonal."""
-    return R * np.where(_diagonal(R) < 0.0, -1.0, 1.0)[..., None, :]
+    return R * np.where(np.linalg.diagonal(R) < 0.0, -1.0, 1.0)[..., None, :]
 
 
 def _has_settled(R: Matrix, moved: Matrix, E: Matrix) -> bool:
-    forgotten = (np.abs(_diagonal(E)) <= _FORGOTTEN).all()  # also by what no noise drives
+    # also what no noise drives
+    forgotten = (np.abs(np.linalg.diagonal(E)) <= _FORGOTTEN).all()
     variances, increments = ((root**2).sum(axis=-1) for root in (R, moved))
     return forgotten and (increments <= _SETTLED * variances).all()
 
 
-def _refinement(A: Matrix, Q: Matrix, P: Matrix, first: float, transitions: list[Matrix]) -> Matrix:
-    """Return what one step of refinement would add to P: the solution for its residual."""
-    half = A @ P
-    change = _growth(A * first, (half + _transposed(half) + Q) * first)
-    for E in transitions:
-        change = change + E @ change @ _transposed(E)
-    return change
-
-
-def _growth(A: Matrix, Q: Matrix) -> Matrix:
-    """Return W after a unit of time, in which little happens, roughly."""
-    term, W = Q, Q
-    for order in range(2, _ROUGH_TERMS + 1):
-        half = A @ term / order
-        term = half + _transposed(half)
-        W = W + term
-    return W
-
-
 def _squared(root: Matrix) -> Matrix:
-    W = root @ _transposed(root)
-    return (W + _transposed(W)) / 2
-
-
-def _diagonal(P: Matrix) -> np.ndarray:
-    return P.diagonal(axis1=-2, axis2=-1)
-
-
-def _transposed(matrix: Matrix) -> Matrix:
-    return matrix.swapaxes(-1, -2)
+    W = root @ root.mT
+    return (W + W.mT) / 2

@@ -73,32 +73,15 @@ class RiccatiSolution:
 
 @one_thread
 def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
-    """Return the stabilising solution of A'X + XA + Q - XSX = 0, certified.
-
-    Parameters
-    ----------
-    A, Q, S : (n, n) arrays
-        `Q` and `S` symmetric, of any sign.
-
-    Returns
-    -------
-    RiccatiSolution
-
-    Raises
-    ------
-    RiccatiError
-        Where none is found that passes the certificate.
-    """
+    """Return the stabilising solution; a RiccatiError says that none passes the certificate."""
     Q, S = (Q + Q.T) / 2, (S + S.T) / 2
     decay = -np.linalg.eigvals(A).real.max()
-    scales = _units(A, Q, S, decay)  # before the states are balanced, and again after
-    A, Q, S = _rescaled(A, Q, S, *scales)
+    (A, Q, S), first = _rescaled(A, Q, S, decay)  # before the states are balanced, and again after
     states = _balancing_units(A, Q, S)
     products = np.outer(states, states)
     A, Q, S = A / states[:, None] * states, Q * products, S / products
-    again = _units(A, Q, S, decay * scales[0])
-    A, Q, S = _rescaled(A, Q, S, *again)
-    time, unit = scales * again
+    (A, Q, S), again = _rescaled(A, Q, S, decay * first[0])
+    time, unit = first * again
 
     starts, failure = (_pencil, _nothing), None
     if np.sqrt(np.abs(Q).max()) * np.sqrt(np.abs(S).max()) <= _NEARLY_LINEAR * decay * time:
@@ -114,27 +97,20 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     raise RiccatiError(f"no stabilising solution found: {failure}")
 
 
-def _units(A: Matrix, Q: Matrix, S: Matrix, decay: float) -> np.ndarray:
-    """Return the units of time and of X, powers of two because these scale without rounding."""
+def _rescaled(A: Matrix, Q: Matrix, S: Matrix, decay: float) -> tuple[tuple, np.ndarray]:
+    """Return the data in units of time and of X, powers of two because these scale exactly."""
     size = np.abs(Q).max()
     speed = np.sqrt(size) * np.sqrt(np.abs(S).max())
     rate = speed + max(decay, 0.0)
-    time, unit = 1.0 / (np.abs(A).max() + speed or 1.0), size / rate if size and rate else 1.0
-    return np.exp2(np.rint(np.log2([time, unit])))
-
-
-def _rescaled(
-    A: Matrix, Q: Matrix, S: Matrix, time: float, unit: float
-) -> tuple[Matrix, Matrix, Matrix]:
-    return A * time, Q * (time / unit), S * (time * unit)
+    units = 1.0 / (np.abs(A).max() + speed or 1.0), size / rate if size and rate else 1.0
+    time, unit = units = np.exp2(np.rint(np.log2(units)))
+    return (A * time, Q * (time / unit), S * (time * unit)), units
 
 
 def _balancing_units(A: Matrix, Q: Matrix, S: Matrix) -> np.ndarray:
     """Return the units of the states in which the rows of the Hamiltonian match its columns."""
-    n = len(A)
-    sizes = np.abs(np.block([[A, S], [Q, A.T]]))
-    both = dgebal(sizes, scale=1)[3]
-    return np.exp2(np.rint(np.log2(both[:n] / both[n:]) / 2.0))
+    one, other = np.split(dgebal(np.abs(np.block([[A, S], [Q, A.T]])), scale=1)[3], 2)
+    return np.exp2(np.rint(np.log2(one / other) / 2.0))
 
 
 def _nothing(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:

@@ -3,45 +3,15 @@
 import math
 import warnings
 
+from robsmooth._support.errors import LongStepWarning
+
 MULTIPLE_TOLERANCE = 1e-6  # how far delay / step may be from a whole number
-
-
-class LongStepWarning(RuntimeWarning):
-    """The step is long for the loop: the results of the simulation depend on it.
-
-    See Also
-    --------
-    robsmooth.monte_carlo, robsmooth.simulate : give it, and say which steps are fine.
-
-    Examples
-    --------
-    >>> import warnings
-    >>> import robsmooth as rs
-    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
-    >>> with warnings.catch_warnings(record=True) as given:
-    ...     warnings.simplefilter("always")
-    ...     result = rs.monte_carlo(rs.homodyne.PAPER, kalman, runs=64, step=2e-6)
-    >>> given[0].category.__name__
-    'LongStepWarning'
-    """
 
 
 def warn_of_long_step(
     step: float, response_time: float, longest: float, fine: float, stacklevel: int
 ) -> None:
-    """Warn where a step is more than `longest` response times.
-
-    Parameters
-    ----------
-    step, response_time : float
-        s.
-    longest : float
-        In response times.
-    fine : float
-        A step to suggest, s.
-    stacklevel : int
-        As that of `warnings.warn`, were it called instead.
-    """
+    """Warn where a step (s) is more than `longest` response times (s); `fine` is one to suggest."""
     ratio = step / response_time
     if ratio > longest * (1 + MULTIPLE_TOLERANCE):
         warnings.warn(

@@ -17,7 +17,6 @@ where the server grants locks (NFS 4, or NFS 3 with lockd). In a folder that is 
 import hashlib
 import json
 import os
-import re
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -26,8 +25,8 @@ from pathlib import Path
 from robsmooth._support import files
 
 APPLICATION = int.from_bytes(b"rsmo", "big")  # says in an SQLite database whose it is
-FIRST_FORMAT = re.compile(rb'[0-9a-f]{16} \{"format": 1, ')  # lines of text, before SQLite
 LONGEST_SHOWN = 40  # characters of a value in a message
+ANEW = "give another path, or delete the file to start anew"
 
 
 class CheckpointError(ValueError):
@@ -40,17 +39,8 @@ def open_journal(
 ) -> "Iterator[Journal | None]":
     """Open a computation's journal, or make it with its folders; with no path, give None.
 
-    Parameters
-    ----------
-    path : path-like, optional
-        A file that is not this computation's journal is refused, never overwritten.
-    identity : mapping of str to JSON values
-        Everything that the records depend on: a journal with another identity is refused.
-
-    Raises
-    ------
-    CheckpointError
-        Where the file cannot be used.
+    The identity is all that the records depend on. A file that is not the journal of this identity
+    is refused as a CheckpointError, never overwritten.
     """
     if path is None:
         yield None
@@ -75,22 +65,13 @@ def open_journal(
             if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_NOTADB:
                 raise _not_a_checkpoint(path) from None
             reason = getattr(error, "strerror", None) or error
-            raise CheckpointError(
-                f"the checkpoint {path} cannot be opened: {reason}; give another path, or delete "
-                "the file to start anew"
-            ) from None
+            message = f"the checkpoint {path} cannot be opened: {reason}; {ANEW}"
+            raise CheckpointError(message) from None
         yield journal
 
 
 class Journal:
-    """The records of one computation, in a file that nothing else opens meanwhile.
-
-    Attributes
-    ----------
-    path : Path
-    last : dict or None
-        The last record that was there on opening.
-    """
+    """The records of one computation, in a file that nothing else opens meanwhile."""
 
     def __init__(self, path: Path, database: sqlite3.Connection, identity: dict):
         self.path = path
@@ -100,16 +81,21 @@ class Journal:
         is_new = path.stat().st_size == 0
         if not is_new and self._value("PRAGMA application_id") != APPLICATION:
             raise _not_a_checkpoint(path)
-        self._database.execute("PRAGMA journal_mode = DELETE")
-        self._database.execute("PRAGMA synchronous = FULL")
-        self._database.execute("PRAGMA fullfsync = ON")  # on macOS, past the cache of the disk
+        database.execute("PRAGMA journal_mode = DELETE")
+        database.execute("PRAGMA synchronous = FULL")
+        database.execute("PRAGMA fullfsync = ON")  # on macOS, past the cache of the disk
         if is_new:
-            self._create(identity)
+            database.execute("BEGIN")
+            database.execute(f"PRAGMA application_id = {APPLICATION}")
+            columns = "number INTEGER PRIMARY KEY, checksum TEXT, text TEXT"
+            database.execute(f"CREATE TABLE record ({columns})")
+            self._insert(0, identity)
+            database.execute("COMMIT")
         if self._value("PRAGMA quick_check(1)") != "ok":
             raise sqlite3.DatabaseError("database disk image is malformed")
         _check_identity(path, self._read(0), identity)
         self._found = self._value("SELECT max(number) FROM record")  # records on opening
-        self.last: dict | None = self._read(self._found) if self._found else None
+        self.last = self._read(self._found) if self._found else None  # that was there on opening
 
     def records(self) -> Iterator[dict]:
         """Yield the records that were there on opening, in order, each read as it is asked for."""
@@ -117,32 +103,20 @@ class Journal:
             yield self._read(number)
 
     def append(self, record: Mapping[str, object]) -> None:
-        """Add a record of JSON values; it is on the disk on return. Floats keep every bit.
+        """Add a record of JSON values; it is on the disk on return, or an OSError says why not.
 
-        Raises
-        ------
-        OSError
-            Where it cannot be written, as on a full disk. The records before it are kept.
+        Floats keep every bit.
         """
-        text = _text(dict(record))
         try:
-            self._insert(self._value("SELECT max(number) + 1 FROM record"), text)
+            self._insert(self._value("SELECT max(number) + 1 FROM record"), dict(record))
         except sqlite3.Error as error:
             raise OSError(
                 f"the checkpoint {self.path} takes no more, as where the disk is full: {error}; "
                 "what it held before is kept, and the same run resumes from it once that is mended"
             ) from None
 
-    def _create(self, identity: dict) -> None:
-        self._database.execute("BEGIN")
-        self._database.execute(f"PRAGMA application_id = {APPLICATION}")
-        self._database.execute(
-            "CREATE TABLE record (number INTEGER PRIMARY KEY, checksum TEXT, text TEXT)"
-        )
-        self._insert(0, _text(identity))
-        self._database.execute("COMMIT")
-
-    def _insert(self, number: int, text: str) -> None:
+    def _insert(self, number: int, record: dict) -> None:
+        text = _text(record)
         row = (number, _checksum(number, text), text)
         self._database.execute("INSERT INTO record VALUES (?, ?, ?)", row)
 
@@ -151,8 +125,7 @@ class Journal:
         checksum, text = self._database.execute(query, (number,)).fetchone() or (None, None)
         if checksum != _checksum(number, text):
             raise CheckpointError(
-                f"record {number} of the checkpoint {self.path} is damaged: give another path, or "
-                "delete the file to start anew"
+                f"record {number} of the checkpoint {self.path} is damaged: {ANEW}"
             )
         return json.loads(text)
 
@@ -163,28 +136,20 @@ class Journal:
 
 def _check_identity(path: Path, there: dict, here: dict) -> None:
     there, here = _texts(there), _texts(here)
-    differences = "; ".join(
+    differences = [
         f"{name} is {_short(there.get(name))} there and {_short(here.get(name))} here"
         for name in sorted(there | here)
         if there.get(name) != here.get(name)
-    )
+    ]
     if differences:
         raise CheckpointError(
-            f"the checkpoint {path} is of another computation: {differences}; give another path, "
-            "or delete the file to start anew"
+            f"the checkpoint {path} is of another computation: {'; '.join(differences)}; {ANEW}"
         )
 
 
 def _not_a_checkpoint(path: Path) -> CheckpointError:
-    if path.is_file():
-        with open(path, "rb") as file:
-            start = file.read(64)
-        if FIRST_FORMAT.match(start):
-            return CheckpointError(
-                f"the checkpoint {path} is of an older version of robsmooth: give another path, "
-                "or delete the file"
-            )
-    return CheckpointError(f"{path} is not a checkpoint of robsmooth: give another path")
+    this = "a checkpoint of this version of robsmooth"
+    return CheckpointError(f"{path} is not {this}: give another path")
 
 
 def _text(value: object) -> str:
@@ -199,15 +164,12 @@ def _texts(identity: Mapping, prefix: str = "") -> dict[str, str]:
     """The items of a mapping as JSON, those of the mappings in it under dotted names."""
     texts = {}
     for name, value in identity.items():
-        if isinstance(value, Mapping) and value:
-            texts |= _texts(value, f"{prefix}{name}.")
-        else:
-            texts[prefix + name] = _text(value)
+        inner = isinstance(value, Mapping) and value
+        texts |= _texts(value, f"{prefix}{name}.") if inner else {prefix + name: _text(value)}
     return texts
 
 
 def _short(text: str | None) -> str:
     """A text for a message: both ends of a long one."""
-    if text is None:
-        return "absent"
+    text = "absent" if text is None else text
     return text if len(text) <= LONGEST_SHOWN else f"{text[:16]}...{text[-8:]}"

@@ -3,7 +3,6 @@
 When a worker ends, Dask computes its calls again on another, so a function must give the same
 result wherever it runs. To that end a worker computes only with the same software as here. Dask's
 own comparison of versions comes to a warning, and knows nothing of the sources of this package.
-
 Dask is an optional dependency: nothing here imports it before a cluster is asked for.
 """
 
@@ -36,7 +35,8 @@ CALLS_PER_THREAD = 2  # sent ahead: one that is computed and one that waits for 
 CALLS_AHEAD = 2  # and some more, while results are on their way
 LOOK_EVERY = 1.0  # s, how often the cluster is looked at
 ANSWER_TIME = 30.0  # s, for the scheduler to answer
-ADDRESS = re.compile(r"(tcp|tls)://([^\s/:@\[\]]+|\[[\w:.%]+\]):(\d+)")
+JOIN_TIME = 30.0  # s, for a worker to join where there is none
+ADDRESS = re.compile(r"(?:tcp|tls)://(?:[^\s/:@\[\]]+|\[[\w:.%]+\]):(\d+)")
 PACKAGES = ("numpy", "numba", "scipy")  # what results depend on to the last bit
 LOGGERS = ("distributed", "distributed.client", "tornado.application")
 
@@ -44,57 +44,27 @@ _ALONE = threading.RLock()
 
 
 def in_order(
-    function: Callable,
-    calls: Iterable[tuple],
-    client: "Client | None" = None,
-    *,
-    timeout: float = 30.0,
+    function: Callable, calls: Iterable[tuple], client: "Client | None" = None
 ) -> Iterator[Any]:
-    """Yield ``function(*call)`` for each call, in the order of the calls.
+    """Yield ``function(*call)`` for each call, in the order of the calls, or raise as it does.
 
-    Closing the iterator early, as an error or Ctrl-C in the loop over it does, drops the calls that
-    are on their way.
-
-    Parameters
-    ----------
-    function : callable
-        Sent along with each call: it should pickle to less than about 100 kB.
-    calls : iterable of tuple
-        Arguments; taken as they are needed, a few calls ahead of the results.
-    client : distributed.Client, optional
-        The cluster that computes. Default: computed here, one after another.
-    timeout : float
-        How long the cluster may be without a worker, s.
-
-    Raises
-    ------
-    ConnectionError
-        Where there is no worker, or the scheduler is lost.
-    RuntimeError
-        For a worker with other software, or where a call ended several workers.
-    Exception
-        Whatever the function raises, as itself.
+    The function is sent with each call: it should pickle to less than about 100 kB. Calls are taken
+    as they are needed. Closing the iterator early, as an error or Ctrl-C in the loop over it does,
+    drops the calls that are on their way. ConnectionError says that there is no worker or no
+    scheduler, RuntimeError that a worker has other software or that a call ended several workers.
     """
     _check_client(client)
     if client is None:
         return (function(*call) for call in calls)
-    return _on_cluster(function, calls, client, timeout)
+    return _on_cluster(function, calls, client)
 
 
-def workers(client: "Client | None", *, timeout: float = 30.0) -> int:
-    """Number of threads that the workers have for calls; 1 for None, where calls come one by one.
-
-    Waits up to `timeout` seconds for the first worker.
-
-    Raises
-    ------
-    ConnectionError
-        Where no worker joins in time, or the scheduler is lost.
-    """
+def workers(client: "Client | None") -> int:
+    """Number of threads that the workers have for calls, 1 for None; waits for the first worker."""
     _check_client(client)
     if client is None:
         return 1
-    deadline = time.monotonic() + timeout
+    deadline = time.monotonic() + JOIN_TIME
     while True:
         try:
             threads = sum(client.nthreads(callback_timeout=ANSWER_TIME).values())
@@ -105,10 +75,10 @@ def workers(client: "Client | None", *, timeout: float = 30.0) -> int:
         if time.monotonic() >= deadline:
             address = client.scheduler.address
             raise ConnectionError(
-                f"no worker has joined the scheduler at {address} for {timeout:g} s: start some "
+                f"no worker has joined the scheduler at {address} for {JOIN_TIME:g} s: start some "
                 f"there, as with `dask worker {address}`"
             )
-        time.sleep(min(0.1, timeout))
+        time.sleep(0.1)
 
 
 @contextmanager
@@ -116,32 +86,14 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
     """Connect to the scheduler at an address; with the empty address, give None.
 
     What Dask logs on the side is silenced meanwhile: what matters comes as an exception.
-
-    Parameters
-    ----------
-    address : str
-        "", or as in ``tcp://host:port``.
-    timeout : float
-        s.
-
-    Raises
-    ------
-    ValueError
-        For an address of another form.
-    ImportError
-        Where Dask is not installed.
-    ConnectionError
-        Where no scheduler answers in time.
     """
     if address == "":
         yield None
         return
     parts = isinstance(address, str) and ADDRESS.fullmatch(address)
-    if not parts or not 0 < int(parts[3]) < 2**16:
-        raise ValueError(
-            "the address of a scheduler must be tcp://host:port or tls://host:port, got "
-            f"{address!r}"
-        )
+    if not parts or not 0 < int(parts[1]) < 2**16:
+        known = "tcp://host:port or tls://host:port"
+        raise ValueError(f"the address of a scheduler must be {known}, got {address!r}")
     with extra("cluster", "a cluster"):
         from distributed import Client
     with ExitStack() as stack:
@@ -152,8 +104,6 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
             kind = _kind_of_server(address, timeout)
             if kind == "Scheduler":
                 client = Client(address, timeout=timeout, set_as_default=False)
-        except Warning:  # an error where warnings are errors
-            raise
         except Exception as error:
             reason = "is it running?" if isinstance(error, OSError) else str(error)
             raise ConnectionError(
@@ -167,21 +117,16 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
 def alone() -> AbstractContextManager:
     """Keep other threads of this process out of a block.
 
-    numba's thread pool, where it is of the kind "workqueue", ends the process when two threads
-    enter it at once, as the threads of a worker may.
+    numba's thread pool "workqueue" ends the process when two threads of a worker enter it at once.
     """
     return _ALONE
 
 
 def worker_threads() -> int | None:
     """Number of threads that this process has as a worker of a cluster; None where it is none."""
-    distributed = sys.modules.get("distributed")
-    if distributed is None:
-        return None
-    try:
-        return distributed.get_worker().state.nthreads
-    except ValueError:
-        return None
+    with suppress(AttributeError, ValueError):  # Dask is not imported, or this is no worker
+        return sys.modules.get("distributed").get_worker().state.nthreads
+    return None
 
 
 @cache
@@ -214,9 +159,6 @@ def _sources(folder: "Traversable", prefix: str = "") -> Iterator[tuple[str, byt
 _SOURCES = _digest_sources(files("robsmooth"))
 
 
-# --- on a worker ----------------------------------------------------------------------------------
-
-
 class _Call:
     """A call that is computed by unpickling it.
 
@@ -232,33 +174,26 @@ class _Call:
 
 
 def _compute(wanted: dict[str, str], function: bytes, arguments: bytes) -> Any:
-    _check_software(wanted)
+    """Do a call on a worker, after a check that its software is that of the client."""
+    here = software()
+    differences = ", ".join(
+        f"{name} {here.get(name, 'absent')[:12]} and not {wanted.get(name, 'absent')[:12]}"
+        for name in sorted(here | wanted)
+        if here.get(name) != wanted.get(name)
+    )
+    if differences:
+        raise RuntimeError(
+            f"a worker has other software than the client: {differences}; the results would "
+            "differ: start the workers in the same environment, and anew after each change of it"
+        )
     return _loads(function)(*pickle.loads(arguments))
 
 
 _loads = lru_cache(maxsize=1)(pickle.loads)  # a function comes with each of its calls
 
 
-def _check_software(wanted: dict[str, str]) -> None:
-    here = software()
-    if here != wanted:
-        differences = ", ".join(
-            f"{name} {here.get(name, 'absent')[:12]} and not {wanted.get(name, 'absent')[:12]}"
-            for name in sorted(here | wanted)
-            if here.get(name) != wanted.get(name)
-        )
-        raise RuntimeError(
-            f"a worker has other software than the client: {differences}; the results would "
-            "differ: start the workers in the same environment, and anew after each change of it"
-        )
-
-
-# --- on the client --------------------------------------------------------------------------------
-
-
-def _on_cluster(
-    function: Callable, calls: Iterable[tuple], client: "Client", timeout: float
-) -> Iterator[Any]:
+def _on_cluster(function: Callable, calls: Iterable[tuple], client: "Client") -> Iterator[Any]:
+    """Do as `in_order`, with few calls on their way: as many as keep all threads at work."""
     import cloudpickle
 
     shipped, calls = cloudpickle.dumps(function), enumerate(calls)
@@ -267,7 +202,7 @@ def _on_cluster(
     try:
         while True:
             if time.monotonic() >= look_at:
-                threads = workers(client, timeout=timeout)
+                threads = workers(client)
                 look_at = time.monotonic() + LOOK_EVERY
             room = CALLS_PER_THREAD * threads + CALLS_AHEAD - len(pending)
             for index, call in islice(calls, max(room, 0)):

@@ -1,4 +1,4 @@
-"""The errors that a user may want to catch."""
+"""The errors and the warning that a user may want to catch."""
 
 from typing import Self
 
@@ -12,14 +12,35 @@ class InfeasibleDesignError(ValueError):
         The condition that fails, as the paper names it, e.g. ``"Assumption 3.2"``.
     """
 
-    def __init__(self, condition: str, detail: str) -> None:
-        super().__init__(f"{condition} fails: {detail}")
+    def __init__(self, condition: str, detail: str, verb: str = "fails") -> None:
+        super().__init__(f"{condition} {verb}: {detail}")
         self.condition = condition
         self.detail = detail
+        self.verb = verb
 
-    def __reduce__(self) -> tuple[type[Self], tuple[str, str]]:
-        return type(self), (self.condition, self.detail)
+    def __reduce__(self) -> tuple[type[Self], tuple[str, str, str]]:
+        return type(self), (self.condition, self.detail, self.verb)
 
 
 class UnstableLoopError(ValueError):
     """A closed loop without a stationary covariance: it is not asymptotically stable."""
+
+
+class LongStepWarning(RuntimeWarning):
+    """The step is long for the loop: the results of the simulation depend on it.
+
+    See Also
+    --------
+    robsmooth.monte_carlo, robsmooth.simulate : give it, and say which steps are fine.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import robsmooth as rs
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> with warnings.catch_warnings(record=True) as given:
+    ...     warnings.simplefilter("always")
+    ...     result = rs.monte_carlo(rs.homodyne.PAPER, kalman, runs=64, step=2e-6)
+    >>> given[0].category.__name__
+    'LongStepWarning'
+    """

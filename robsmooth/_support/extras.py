@@ -11,20 +11,7 @@ class MissingExtraError(ImportError):
 
 @contextmanager
 def extra(name: str, part: str) -> Iterator[None]:
-    """Say which extra to install, where an import in the block finds no package.
-
-    Parameters
-    ----------
-    name : str
-        Of the extra in pyproject.toml.
-    part : str
-        What needs it, as the message begins.
-
-    Raises
-    ------
-    MissingExtraError
-        For a package that is missing.
-    """
+    """Say which extra `part` needs, where an import in the block finds no package."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -12,10 +12,9 @@ from pathlib import Path
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a path to write to; on success what was written there replaces `path`.
+    """Give a path beside `path` to write to; on success what was written there replaces `path`.
 
-    The temporary path is in the same folder, which is made where it is missing, and has the same
-    suffix. Whatever ends the block early, `path` is left as it was and the temporary is removed.
+    Whatever ends the block early, `path` is left as it was and the temporary is removed.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -28,25 +27,14 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise
 
 
-def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write `data` to `path`, whole or not at all."""
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(data)
-
-
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write `text` to `path` as UTF-8 with its line ends as they are, whole or not at all."""
-    write_bytes(path, text.encode())
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(text.encode())
 
 
 def write_json(path: str | os.PathLike[str], value: object) -> None:
-    """Write `value` to `path` as readable JSON, NumPy's scalars and arrays included.
-
-    Raises
-    ------
-    ValueError
-        Where a number is not finite: JSON has no word for it.
-    """
+    """Write `value` as readable JSON, NumPy's scalars and arrays included; numbers are finite."""
     text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False, default=_builtin)
     write_text(path, text + "\n")
 
@@ -63,23 +51,10 @@ def exclusive_lock(path: str | os.PathLike) -> Iterator[sqlite3.Connection]:
     """Open the SQLite database at a path, and keep everything else from opening it meanwhile.
 
     An empty or missing file is an empty database, and stays one until something is written to it.
-    SQLite has this lock on every system. The system takes it back when the process ends, however
-    it ends. Nothing else in the process may open the file meanwhile: on POSIX systems to close it
-    again gives up the lock.
-
-    Yields
-    ------
-    sqlite3.Connection
-        In autocommit mode.
-
-    Raises
-    ------
-    BlockingIOError
-        Where something else has the lock, in this process or another.
-    OSError
-        Where the file cannot be opened or locked.
-    sqlite3.DatabaseError
-        For a file with other content.
+    SQLite has this lock on every system, which takes it back when the process ends, however it
+    ends. Nothing else in the process may open the file meanwhile: on POSIX systems to close it
+    again gives up the lock. BlockingIOError where something else has it, OSError where the file
+    cannot be opened, sqlite3.DatabaseError for other content.
     """
     path = Path(path).absolute()  # ":memory:" is the name of a file, too
     try:

@@ -12,9 +12,8 @@ F = TypeVar("F", bound=Callable[..., object])
 def kept(**options: bool) -> Callable[[F], F]:
     """Return `numba.njit` with these options, which keeps what it compiles where it can.
 
-    numba keeps it beside the sources, or else in the home; what is kept is loaded for the same file
-    and types of arguments, a default that is left out included. Where it finds no folder that it
-    may write to, as in many a container, each process compiles anew, and a warning says so once.
+    numba keeps it beside the sources, or else in the home, and loads it for the same file and types
+    of arguments, a default that is left out included.
     """
 
     def decorate(function: F) -> F:
@@ -34,13 +33,7 @@ def kept(**options: bool) -> Callable[[F], F]:
 
 
 def check_compiler(what: str) -> None:
-    """Check that numba compiles.
-
-    Raises
-    ------
-    RuntimeError
-        Where NUMBA_DISABLE_JIT switches its compiler off.
-    """
+    """Check that NUMBA_DISABLE_JIT does not switch numba's compiler off."""
     if numba.config.DISABLE_JIT:
         raise RuntimeError(
             f"{what} needs numba's compiler, which NUMBA_DISABLE_JIT switches off: unset it"

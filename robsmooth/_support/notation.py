@@ -48,9 +48,8 @@ def estimate(mean: float, error: float) -> str:
 
 def vector(values: Iterable[float]) -> str:
     r"""Return numbers as LaTeX, in parentheses."""
-    values = list(values)
-    entries = [r"\dots" if i is None else number(values[i]) for i in _shown_entries(len(values))]
-    return f"({', '.join(entries)})"
+    entries = ", ".join(_elided(map(number, values), r"\dots"))
+    return f"({entries})"
 
 
 def matrix(value: ArrayLike) -> str:
@@ -64,14 +63,13 @@ def matrix(value: ArrayLike) -> str:
     if value.shape == (1, 1):
         return number(value[0, 0])
 
-    def entry(i: int | None, j: int | None) -> str:
-        if i is None:
-            return r"\vdots" if j is not None else r"\ddots"
-        return r"\cdots" if j is None else number(value[i, j])
-
-    rows, columns = map(_shown_entries, value.shape)
-    lines = r" \\ ".join(" & ".join(entry(i, j) for j in columns) for i in rows)
-    return rf"\begin{{bmatrix}}{lines}\end{{bmatrix}}"
+    dots = " & ".join(_elided([r"\vdots"] * value.shape[1], r"\ddots"))
+    lines = [
+        dots if row is None else " & ".join(_elided(map(number, row), r"\cdots"))
+        for row in _elided(value, None)
+    ]
+    body = r" \\ ".join(lines)
+    return rf"\begin{{bmatrix}}{body}\end{{bmatrix}}"
 
 
 def product(factor: ArrayLike, symbol: str) -> str:
@@ -98,28 +96,20 @@ def poles(values: Iterable[complex]) -> str:
             texts.append(number(pole.real))
         elif pole.imag > 0.0:
             texts.append(rf"{number(pole.real)} \pm {number(pole.imag)}\,i")
-    return r",\ ".join(r"\dots" if i is None else texts[i] for i in _shown_entries(len(texts)))
+    return r",\ ".join(_elided(texts, r"\dots"))
 
 
 def array(value: ArrayLike) -> str:
     """Return an array as text: its entries, or where a matrix has many, its shape."""
     value = np.asarray(value)
-    if value.ndim == 1:
-        entries = ["..." if i is None else f"{value[i]:.5g}" for i in _shown_entries(len(value))]
-        return f"[{', '.join(entries)}]"
-    if value.size > LIMIT:
+    if value.ndim == 0:
+        return f"{value:.5g}"
+    if value.ndim > 1 and value.size > LIMIT:
         return f"<{' x '.join(map(str, value.shape))}>"
-    return _nested(value.tolist())
+    return f"[{', '.join(_elided(map(array, value), '...'))}]"
 
 
-def _nested(entries: list | float) -> str:
-    if isinstance(entries, list):
-        return f"[{', '.join(map(_nested, entries))}]"
-    return f"{entries:.5g}"
-
-
-def _shown_entries(size: int) -> list[int | None]:
-    """Return which of the entries are shown; None stands for those that are not."""
-    if size <= LIMIT:
-        return list(range(size))
-    return [*range(LIMIT - 2), None, size - 1]
+def _elided(entries: Iterable, dots: str | None) -> list:
+    """Return entries with dots for the middle ones of many."""
+    entries = list(entries)
+    return entries if len(entries) <= LIMIT else [*entries[: LIMIT - 2], dots, entries[-1]]

@@ -14,28 +14,15 @@ from tqdm import tqdm
 
 
 def progress_bar(iterable: Iterable | None = None, *, shown: bool = True, **settings) -> tqdm:
-    """Return a progress bar, which does nothing where it is not to be shown.
-
-    Parameters
-    ----------
-    iterable : iterable, optional
-        To go through; without one, ``.update(count)`` says how far it is.
-    shown : bool
-        Whether to show it, where somebody may watch.
-    **settings
-        Those of `tqdm.tqdm`, such as total and unit.
-
-    Returns
-    -------
-    tqdm.tqdm
-    """
-    in_notebook = _in_notebook()
-    disabled = _is_set("CI") or _is_set("TQDM_DISABLE")
-    shown = shown and not disabled and (in_notebook or _in_terminal())
+    """Return a bar with settings of `tqdm.tqdm`, which does nothing where it is not to be shown."""
+    ipython = sys.modules.get("IPython")
+    in_notebook = ipython is not None and hasattr(ipython.get_ipython(), "kernel")
+    shown = shown and not (_is_set("CI") or _is_set("TQDM_DISABLE"))
     if shown and in_notebook and find_spec("ipywidgets") is not None:
         from tqdm.notebook import tqdm as notebook_bar
 
         return notebook_bar(iterable, disable=False, **settings)
+    shown = shown and (in_notebook or _in_terminal())
     return tqdm(iterable, disable=not shown, **settings)
 
 
@@ -45,10 +32,3 @@ def _is_set(name: str) -> bool:
 
 def _in_terminal() -> bool:
     return sys.stderr.isatty()
-
-
-def _in_notebook() -> bool:
-    """Tell whether this is a Jupyter kernel."""
-    ipython = sys.modules.get("IPython")
-    shell = ipython.get_ipython() if ipython else None
-    return hasattr(shell, "kernel")

@@ -18,24 +18,12 @@ _NUMBER = re.compile(r"[-+−]?(\d[\d.,]*(e[-+]?\d+)?|inf|nan)(\s?[%±µ].*)?")
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a caption. Text cells may hold mathematics between dollar signs.
-
-    Attributes
-    ----------
-    columns : sequence of str
-        Column headers.
-    rows : sequence of sequences
-        Cells: words, numbers, or None for an empty one.
-    caption : str
-        What the table shows; empty for none.
-    digits : int
-        Significant digits of the numbers in print; CSV has twelve.
-    """
+    """A table with a caption. Text cells may hold mathematics between dollar signs."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    caption: str
-    digits: int = 4
+    caption: str  # empty for none
+    digits: int = 4  # significant ones, of numbers in print; CSV has twelve
 
     @classmethod
     def of_records(
@@ -55,16 +43,14 @@ class Table:
         body = "\n".join(f"| {line} |" for line in lines)
         return f"{body}\n\n*{self.caption}*\n" if self.caption else f"{body}\n"
 
-    def html(self) -> str:
-        """Return the table for HTML, in a box that scrolls it where it is wider than the page.
+    __repr__ = markdown
 
-        MathJax typesets its mathematics.
-        """
-        rows = self._printed_rows()
+    def html(self) -> str:
+        """Return the table for HTML with MathJax, in a box that scrolls it where it is too wide."""
+        columns = list(zip(*self._printed_rows(), strict=True)) or [()] * len(self.columns)
         styles = [
-            f'style="text-align: {"right" if _numeric(column) else "left"}"'
-            for column in zip(*rows, strict=True)
-        ] or [""] * len(self.columns)
+            f'style="text-align: {"right" if _numeric(column) else "left"}"' for column in columns
+        ]
         header = "".join(
             f'<th scope="col" {style}>{_html(name)}</th>'
             for name, style in zip(self.columns, styles, strict=True)
@@ -81,17 +67,20 @@ class Table:
             f"<thead>\n<tr>{header}</tr>\n</thead>\n<tbody>\n{body}\n</tbody>\n</table>\n</div>\n"
         )
 
+    _repr_html_ = html
+
     def latex(self) -> str:
         """Return a LaTeX table, to be used with the booktabs package."""
         header, *rows = (
             " & ".join(_latex(cell) for cell in row) + r" \\"
             for row in [self.columns, *self._printed_rows()]
         )
+        caption = rf"\caption{{{_latex(self.caption)}}}" + "\n" if self.caption else ""
+        alignment = "l" * len(self.columns)
         lines = (
             r"\begin{table}",
             r"\centering",
-            *([rf"\caption{{{_latex(self.caption)}}}"] if self.caption else []),
-            rf"\begin{{tabular}}{{{'l' * len(self.columns)}}}",
+            rf"{caption}\begin{{tabular}}{{{alignment}}}",
             r"\toprule",
             header,
             r"\midrule",
@@ -115,15 +104,6 @@ class Table:
         """Write the table as `name`.md, .csv and .tex."""
         for suffix, text in (("md", self.markdown()), ("csv", self.csv()), ("tex", self.latex())):
             files.write_text(Path(directory) / f"{name}.{suffix}", text)
-
-    def _repr_markdown_(self) -> str:
-        return self.markdown()
-
-    def _repr_html_(self) -> str:
-        return self.html()
-
-    def __repr__(self) -> str:
-        return self.markdown()
 
     def _html_cell(self, cell: Cell, style: str) -> str:
         text = _html(self._text(cell))
@@ -156,8 +136,7 @@ def _numeric(column: Sequence[str]) -> bool:
 def _html(text: str) -> str:
     r"""Escape what HTML would misread, and put mathematics between \( and \)."""
     parts = _split_at_mathematics(html.escape(text))
-    for inside in range(1, len(parts), 2):
-        parts[inside] = rf"\({parts[inside]}\)"
+    parts[1::2] = [rf"\({formula}\)" for formula in parts[1::2]]
     return "".join(parts)
 
 
@@ -168,8 +147,7 @@ _LATEX |= {"<": "$<$", ">": "$>$", "^": r"\textasciicircum{}", "~": r"\textascii
 def _latex(text: str) -> str:
     """Escape what LaTeX would misread, outside of mathematics."""
     parts = _split_at_mathematics(text)
-    for outside in range(0, len(parts), 2):
-        parts[outside] = "".join(_LATEX.get(letter, letter) for letter in parts[outside])
+    parts[::2] = [words.translate(str.maketrans(_LATEX)) for words in parts[::2]]
     return "$".join(parts)
 
 

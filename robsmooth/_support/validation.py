@@ -10,10 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 Matrix = NDArray[np.float64]
 
 
-def _shape_text(shape: Sequence[int | None]) -> str:
-    return "(" + ", ".join("any" if size is None else str(size) for size in shape) + ")"
-
-
 def array(name: str, value: ArrayLike, ndim: int) -> NDArray[np.float64]:
     """Return `value` as a read-only float array of `ndim` dimensions, finite and real."""
     try:
@@ -39,7 +35,8 @@ def matrix(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Matrix:
     result = array(name, value, ndim=2)
     for wanted, size in zip(shape, result.shape, strict=True):
         if wanted is not None and wanted != size:
-            raise ValueError(f"{name} must have shape {_shape_text(shape)}, got {result.shape}")
+            sizes = ", ".join("any" if size is None else str(size) for size in shape)
+            raise ValueError(f"{name} must have shape ({sizes}), got {result.shape}")
     return result
 
 
@@ -61,10 +58,10 @@ def real(
         result = float(value)
     except OverflowError:  # an integer beyond the floats
         result = math.inf if value > 0 else -math.inf
-    inside = (low < result if low_open else low <= result) and (
-        result < high if high_open else result <= high
+    outside = (result <= low if low_open else result < low) or (
+        result >= high if high_open else result > high
     )
-    if not math.isfinite(result) or not inside:
+    if not math.isfinite(result) or outside:
         left = "(" if low_open or math.isinf(low) else "["
         right = ")" if high_open or math.isinf(high) else "]"
         raise ValueError(
@@ -77,6 +74,12 @@ def frozen(value: Matrix) -> Matrix:
     """Return the array, read-only from now on."""
     value.flags.writeable = False
     return value
+
+
+def set_fields(frozen: object, **values: object) -> None:
+    """Set the fields of a frozen dataclass, as only its constructor may."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
 
 
 def positive(name: str, value: float) -> float:
@@ -103,10 +106,9 @@ def boolean(name: str, value: bool) -> bool:
 def instance(name: str, value: object, kind: type, hint: str = "") -> None:
     """Check that `value` is a `kind`; the hint says how to come by one."""
     if not isinstance(value, kind):
-        article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise TypeError(
-            f"{name} must be {article} {kind.__name__}, got {type(value).__name__}{hint}"
-        )
+        kind, given = kind.__name__, type(value).__name__
+        article = "an" if kind[0] in "AEIOU" else "a"
+        raise TypeError(f"{name} must be {article} {kind}, got {given}{hint}")
 
 
 def choice(name: str, value: str, allowed: Sequence[str]) -> str:

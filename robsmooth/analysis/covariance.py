@@ -1,9 +1,9 @@
 r"""Closed loop and stationary error covariance (Section III-A).
 
-With the uncertainty :math:`\tilde\xi = \Delta\tilde\zeta`, the plant and the estimator form
-:math:`dX = \mathbf A X\,dt + \mathbf B\,dW`; its stationary covariance :math:`\mathbf P` solves
-:math:`\mathbf{AP} + \mathbf{PA}' + \mathbf{BB}' = 0`, and the smoothed error is (eqCo), with the
-transposes that the paper leaves out,
+With the uncertainty :math:`\tilde\xi = \Delta\tilde\zeta`, the plant and the estimator form the
+loop :math:`dX = \mathbf A X\,dt + \mathbf B\,dW` of (eqclosed). Its stationary covariance
+:math:`\mathbf P` solves :math:`\mathbf{AP} + \mathbf{PA}' + \mathbf{BB}' = 0`, and the smoothed
+error is (eqCo), with the transposes that the paper leaves out,
 
 .. math::
 
@@ -23,9 +23,6 @@ cannot be negative,
 what the state one lag back contributes, and the noise since then (`robsmooth._numerics.lyapunov`
 finds `W` without the subtraction). The state is :math:`[x_p;\; x_p - \hat x_p]`, so that a small
 error is small from the start.
-
-The paper drives the copies with the fictitious noise of the design: that is ``loop="theory"``. A
-real loop has no such noise: ``loop="real"`` leaves it out.
 """
 
 from collections.abc import Iterable
@@ -51,41 +48,41 @@ _NORM_ERROR = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """The loop dX = A X dt + B dW of plant and estimator, X = [x_p; x_hat], asymptotically stable.
+    """The loop dX = A X dt + B dW of plant and estimator, X = [x_p; x_hat], or one for each A."""
 
-    Attributes
-    ----------
-    A : (N, N) array
-        Drift, 1/s.
-    B : (N, q + g) array
-        Noise intensity.
-    estimator : Estimator
-    """
-
-    A: Matrix
-    B: Matrix
+    A: Matrix  # (..., N, N), 1/s
+    B: Matrix  # (N, q + g)
     estimator: Estimator
 
-    def covariance(self) -> Matrix:
-        """Return the stationary covariance P of X."""
-        return self.covariance_of(np.eye(len(self.A)))
-
-    def covariance_of(self, rows: Matrix) -> Matrix:
-        """Return the stationary covariance of `rows` times X."""
-        T = _error_coordinates(self.estimator)
-        B = T @ self.B
-        found = covariances(T @ self.A @ T, B)
+    def covariance(self, rows: Matrix | None = None) -> Matrix:
+        """Return the stationary covariance of X, or of `rows` times X."""
+        T = self._error_coordinates
+        found = covariances(T @ self.A @ T, T @ self.B)
         outputs = block_diag(self.estimator.plant.C_p0, self.estimator.C_f) @ T
-        check_certainty(
-            "the covariance of the closed loop",
-            _squared(outputs, found.stationary),
-            _squared(outputs, found.error),
-        )
-        return _squared(rows @ T, found.stationary)
+        P, error = (_squared(outputs, each) for each in (found.stationary, found.error))
+        check_certainty("the covariance of the closed loop", P, error)
+        return _squared(T if rows is None else rows @ T, found.stationary)
 
     def error_covariance(self, output: str) -> Matrix:
-        """Return the (m, m) stationary covariance of one of the errors of `open_loop`."""
-        return _error_covariance(self.estimator, self.A, self.B, output)
+        """Return the (..., m, m) stationary covariance of one of the errors of `open_loop`."""
+        T = self._error_coordinates
+        truth, estimate, delay = error_rows(self.estimator, output)
+        truth, estimate = truth @ T, estimate @ T
+        found = covariances(T @ self.A @ T, T @ self.B, delay)
+        E, error = found.transition, found.error
+        past, since = truth - estimate @ E, error - _squared(E, error)
+        result = _squared(past, found.stationary) + _squared(estimate, found.grown)
+        error = _squared(past, error) + _squared(estimate, since)
+        check_certainty("the error covariance", result, error)
+        return result
+
+    @property
+    def _error_coordinates(self) -> Matrix:
+        """T = inv(T) with T [x_p; x_hat] = [x_p; x_p - x_hat]."""
+        n, n_c = self.estimator.plant.n, len(self.estimator.A_c)
+        if n != n_c:
+            return np.eye(n + n_c)  # of an estimator of another order there is no such error
+        return np.kron([[1.0, 0.0], [1.0, -1.0]], np.eye(n))
 
 
 def closed_loop(
@@ -95,60 +92,21 @@ def closed_loop(
     allow_inadmissible: bool = False,
     reference: Reference = None,
 ) -> ClosedLoop:
-    r"""Close the loop of an estimator and its plant under a constant uncertainty.
-
-    Parameters
-    ----------
-    estimator : Estimator
-        Any design of this package.
-    Delta : (r + 2g, h + 2g) array
-        :math:`\tilde\xi = \Delta\tilde\zeta`, of norm at most one with the outputs of the
-        nonlinearities weighted by their Lipschitz constants. That is necessary to be
-        admissible, not sufficient: the bound of a design is for the block-diagonal ones with the
-        same slope for a nonlinearity and its copy, which `AugmentedSystem.structured_delta` makes.
-    loop : {"theory", "real"}
-        Whether the design's fictitious noise drives the copies, as in the paper's formula.
-    allow_inadmissible : bool
-        Whether a Delta with norm above one is let through.
-    reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
-        What is taken off the nonlinearities' arguments, as in `simulate`; the theory's loop has
-        none.
-
-    Returns
-    -------
-    ClosedLoop
-
-    Raises
-    ------
-    UnstableLoopError
-        Where the closed loop is not asymptotically stable.
-    ValueError, TypeError
-        For a Delta of the wrong shape or with norm above one.
-
-    References
-    ----------
-    Section III-A, equation (eqclosed).
-    """
+    """Close the loop under a constant uncertainty; see `error_covariance` for the arguments."""
     validation.instance("smoother", estimator, Estimator)
     plant = estimator.plant
     shape = plant.B1_tilde.shape[1], plant.C1_tilde.shape[0]
     Delta = validation.matrix("Delta", Delta, shape)
     if not allow_inadmissible:
-        _check_norm(_norm(plant, Delta))
-    A, B = _closed(estimator, Delta, loop, reference)
-    _check_stability(A)
-    return ClosedLoop(A, B, estimator)
+        _check_norm(plant, Delta)
+    return _closed(estimator, Delta, loop, reference)
 
 
-def _norm(plant: AugmentedSystem, Delta: Matrix) -> float:
-    """Return the norm of Delta, in which the nonlinearities' Lipschitz constants are units."""
+def _check_norm(plant: AugmentedSystem, Delta: Matrix) -> None:
+    """Refuse a norm above one, in which the nonlinearities' Lipschitz constants are units."""
     constants = [c.lipschitz for c in plant.system.nonlinearities]
-    ones = [1.0] * (Delta.shape[1] - 2 * len(constants))
-    weights = np.array([*ones, *constants, *constants])
-    return float(np.linalg.norm(Delta / weights, 2)) if Delta.size else 0.0
-
-
-def _check_norm(norm: float) -> None:
+    weights = np.array([1.0] * (Delta.shape[1] - 2 * len(constants)) + 2 * constants)
+    norm = float(np.linalg.norm(Delta / weights, 2)) if Delta.size else 0.0
     if norm > 1.0 + _NORM_ERROR:
         raise ValueError(
             f"Delta must have norm at most 1 to be admissible, got {norm:.6g} (columns of "
@@ -157,51 +115,27 @@ def _check_norm(norm: float) -> None:
         )
 
 
-def _check_stability(A: Matrix) -> None:
-    """Refuse a loop that is clearly unstable; what rounding hides, its covariance will tell."""
+def _closed(
+    estimator: Estimator, Delta: Matrix, loop: str, reference: Reference = None
+) -> ClosedLoop:
+    """Close the loop for one Delta or (N, ., .) of them; refuse what is clearly not stable.
+
+    What rounding hides, the covariance will tell.
+    """
+    A, B, inputs, outputs = matrices(estimator, loop, reference)
+    A = A + inputs @ Delta @ outputs
     abscissa = np.linalg.eigvals(A).real.max()
     if not abscissa < _EIGENVALUE_ERROR * np.abs(A).max():
         raise UnstableLoopError(
             f"the closed loop is not stable: it has an eigenvalue with real part {abscissa:.4g} 1/s"
         )
-
-
-def _closed(
-    estimator: Estimator, Delta: Matrix, loop: str, reference: Reference = None
-) -> tuple[Matrix, Matrix]:
-    """Return A and B of (eqclosed), for one Delta or (N, ., .) of them."""
-    A, B, inputs, outputs = matrices(estimator, loop, reference)
-    return A + inputs @ Delta @ outputs, B
-
-
-def _error_coordinates(estimator: Estimator) -> Matrix:
-    """Return T = inv(T) with T [x_p; x_hat] = [x_p; x_p - x_hat]."""
-    n, n_c = estimator.plant.n, len(estimator.A_c)
-    if n != n_c:
-        return np.eye(n + n_c)  # of an estimator of another order there is no such error
-    return np.kron([[1.0, 0.0], [1.0, -1.0]], np.eye(n))
-
-
-def _error_covariance(estimator: Estimator, A: Matrix, B: Matrix, output: str) -> Matrix:
-    """Return the (..., m, m) error covariance of one loop, or of many with drifts A."""
-    T = _error_coordinates(estimator)
-    truth, estimate, delay = error_rows(estimator, output)
-    truth, estimate = truth @ T, estimate @ T
-    found = covariances(T @ A @ T, T @ B, delay)
-    E, error = found.transition, found.error
-    past = truth - estimate @ E
-    result = _squared(past, found.stationary) + _squared(estimate, found.grown)
-    since = error - _squared(E, error)
-    check_certainty(
-        "the error covariance", result, _squared(past, error) + _squared(estimate, since)
-    )
-    return result
+    return ClosedLoop(A, B, estimator)
 
 
 def _squared(C: Matrix, P: Matrix) -> Matrix:
     """Return C P C', symmetric."""
-    result = C @ P @ C.swapaxes(-1, -2)
-    return (result + result.swapaxes(-1, -2)) / 2
+    result = C @ P @ C.mT
+    return (result + result.mT) / 2
 
 
 def error_covariance(
@@ -214,31 +148,32 @@ def error_covariance(
     *,
     copy_noise: bool | None = None,
 ) -> Matrix:
-    r"""Return the stationary error covariance under a constant uncertainty.
+    r"""Return the (m, m) stationary error covariance (eqCo) under a constant uncertainty.
 
     Parameters
     ----------
     smoother : Estimator
         Any design of this package.
     Delta : (r + 2g, h + 2g) array
-        :math:`\tilde\xi = \Delta\tilde\zeta`, of norm at most one, as in `closed_loop`.
+        :math:`\tilde\xi = \Delta\tilde\zeta`, of norm at most one with the outputs of the
+        nonlinearities weighted by their Lipschitz constants. That is necessary to be admissible,
+        not sufficient: a bound is for those that `AugmentedSystem.structured_delta` makes.
     output : {"smoothed", "filtered", "guaranteed"}
         The error of the smoothed estimate one lag back, of the filtered one now, or that which the
-        bound of a `RobustSmoother` is for, as in `worst_case`.
+        bound of a `RobustSmoother` is for: the filtered one where its cost is, and else the error
+        of w-hat against the output of the delay model.
     loop : {"theory", "real"}
-        Whether the design's fictitious noise drives the copies, as in the paper's formula.
-    allow_inadmissible : bool
-        Whether a Delta with norm above one is let through.
+        Whether the design's fictitious noise drives the copies, as in the paper's formula; a real
+        loop has no such noise.
+    allow_inadmissible : bool, whether a Delta with norm above one is let through
     reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
-        What is taken off the nonlinearities' arguments, as in `simulate`. The paper's formula has
-        no reference.
+        What is taken off the nonlinearities' arguments, as in `simulate`; the paper has none.
     copy_noise : bool, optional
         Another way to say `loop`, also in its place: True for "theory", False for "real".
 
     Returns
     -------
-    (m, m) array
-        In the squared unit of w.
+    (m, m) array, in the squared unit of w
 
     Raises
     ------
@@ -249,25 +184,12 @@ def error_covariance(
     ValueError, TypeError
         For a Delta of the wrong shape or with norm above one, or an unknown output.
 
-    See Also
-    --------
-    delta_sweep : The same for many slopes of the nonlinearities.
-    worst_case : The constant uncertainty with the largest error.
-    analysis_bound : A bound for every admissible uncertainty.
-
-    References
-    ----------
-    Section III-A, equation (eqCo).
-
     Examples
     --------
     >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
-    >>> Delta = plant.structured_delta([], [-0.5])
-    >>> rs.error_covariance(smoother, Delta).round(4)
-    array([[0.0976]])
-    >>> rs.error_covariance(smoother, Delta, loop="real").round(4)
+    >>> rs.error_covariance(smoother, plant.structured_delta([], [-0.5]), loop="real").round(4)
     array([[0.0609]])
     """
     validation.choice("output", output, OUTPUTS)
@@ -304,30 +226,23 @@ def delta_sweep(
     UnstableLoopError, ArithmeticError, ValueError, TypeError
         As `error_covariance`, where it would at any of them.
 
-    See Also
-    --------
-    error_covariance : The same for any one uncertainty.
-    worst_case : The constant uncertainty with the largest error.
-
     Examples
     --------
     >>> import robsmooth as rs
-    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-    >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
-    >>> rs.delta_sweep(smoother, [-1.0, 0.0, 1.0], "filtered")[:, 0, 0].round(4)
-    array([0.2053, 0.1248, 0.0897])
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> rs.delta_sweep(kalman, [-1.0, 0.0, 1.0], "filtered")[:, 0, 0].round(4)
+    array([0.4475, 0.0844, 0.3813])
     """
     validation.instance("smoother", smoother, Estimator)
     slopes = validation.array("nonlinearities", nonlinearities, ndim=1)
     validation.choice("output", output, OUTPUTS)
     plant = smoother.plant
     pattern = plant.structured_delta((), [1.0] * plant.system.g)
-    _check_norm(_norm(plant, pattern) * np.abs(slopes).max(initial=0.0))
+    _check_norm(plant, np.abs(slopes).max(initial=0.0) * pattern)
     result = np.empty((slopes.size, plant.system.m, plant.system.m))
     chunk = max(_BATCH // (plant.n + len(smoother.A_c)) ** 2, 1)
     for start in range(0, slopes.size, chunk):
         some = slice(start, start + chunk)
-        A, B = _closed(smoother, slopes[some, None, None] * pattern, loop)
-        _check_stability(A)
-        result[some] = _error_covariance(smoother, A, B, output)
+        closed = _closed(smoother, slopes[some, None, None] * pattern, loop)
+        result[some] = closed.error_covariance(output)
     return result

@@ -1,4 +1,4 @@
-"""Lag and order: what waiting longer and a better model of the delay gain.
+"""Lag and order: what waiting longer and a better model of the delay gain, and which to choose.
 
 With an exact delay, waiting longer never hurts: the exact optimum falls from the filtered error at
 lag zero to that of two-sided smoothing. With a delay model of finite order there is a best lag. Too
@@ -15,12 +15,15 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq, minimize_scalar
 
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
+from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
+from robsmooth.analysis.covariance import error_covariance
 from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
@@ -30,57 +33,44 @@ from robsmooth.systems.augmented import augment
 from robsmooth.systems.system import UncertainSystem
 
 Family = Callable[[UncertainSystem, float, int], Estimator]
+Design = str | Family
+Floats = NDArray[np.float64]
+Error = Callable[[float], float]  # of a lag
 
-DESIGNS = ("classical", "filtered cost", "smoothed cost")
+_LEAST_GAIN = 1e-6  # of that from filtering to two-sided smoothing: a longer lag gains no more
+_SHORTEST_LAG = 1e-3  # of the longest: lags are tried from here
+_LAG_RATIO = 1.5  # between lags that are tried
+_LAG_TOLERANCE = 1e-4  # of the best lag's logarithm; the error's is of the order of its square
 
 
 @dataclass(frozen=True, eq=False)
 class LagSweep:
-    """Smoothed errors against lag and order.
-
-    All are mean squares, traces of the covariances, in the squared unit of w.
+    """What `lag_sweep` finds: smoothed mean square errors, in the squared unit of w.
 
     Attributes
     ----------
-    lags : (L,) array
-        In seconds.
-    orders : (O,) array
-        Of the delay's Pade model.
-    nominal : (O, L) array
-        Without uncertainty.
-    worst : (O, L) array
-        Under the worst constant uncertainty; infinity where that makes the loop unstable.
+    lags, orders : (L,) and (O,) arrays, as given
+    nominal, worst : (O, L) arrays
+        Without uncertainty; under the worst constant one, infinity where that is not stable.
     optimal : (L,) array
         The exact optimum for each lag: no linear smoother's nominal error is lower.
-    filtering, two_sided : float
-        The exact optimum for lag zero, and for an infinite one.
-
-    See Also
-    --------
-    lag_sweep : Makes it.
+    filtering, two_sided : float, the exact optimum for lag zero and for an infinite one
 
     Examples
     --------
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
-    >>> sweep = rs.lag_sweep(system, lags=[0.1, 0.3], orders=[2])
+    >>> sweep = rs.lag_sweep(rs.homodyne.PAPER.uncertain_system(), lags=[1e-6, 2e-6], orders=[2])
     >>> sweep.gain.round(2)
-    array([[0.86, 0.86]])
+    array([[0.6 , 0.84]])
     """
 
-    lags: NDArray[np.float64]
+    lags: Floats
     orders: NDArray[np.int_]
     nominal: Matrix
     worst: Matrix
-    optimal: NDArray[np.float64]
+    optimal: Floats
     filtering: float
     two_sided: float
-
-    def __post_init__(self) -> None:
-        for value in (self.lags, self.orders, self.nominal, self.worst, self.optimal):
-            frozen(value)
 
     @property
     def gain(self) -> Matrix:
@@ -95,25 +85,16 @@ class LagSweep:
         )
 
     def _repr_html_(self) -> str:
-        rows = []
-        for i, order in enumerate(self.orders):
-            nominal, worst = self.nominal[i].argmin(), self.worst[i].argmin()
-            rows.append(
-                (
-                    str(order),
-                    float(self.nominal[i, nominal]),
-                    float(self.lags[nominal]),
-                    f"{100 * self.gain[i, nominal]:.0f}%",
-                    float(self.worst[i, worst]),
-                    float(self.lags[worst]),
-                )
-            )
+        lags, rows = self.lags, []
+        by_order = zip(self.orders, self.nominal, self.gain, self.worst, strict=True)
+        for order, nominal, gain, worst in by_order:
+            i, j = nominal.argmin(), worst.argmin()
+            rows.append((str(order), nominal[i], lags[i], f"{gain[i]:.0%}", worst[j], lags[j]))
         columns = ("order", "nominal error", "at lag (s)", "gain", "worst error", "at lag (s)")
+        ends = [f"${notation.number(error)}$" for error in (self.filtering, self.two_sided)]
         caption = (
-            f"Least smoothed errors over {len(self.lags)} lags, in the squared unit of $w$, and "
-            "the share of the possible gain: filtering has "
-            f"${notation.number(self.filtering)}$, two-sided smoothing "
-            f"${notation.number(self.two_sided)}$."
+            f"Least smoothed errors over {len(lags)} lags, in the squared unit of $w$, and the "
+            f"share of the possible gain: filtering has {ends[0]}, two-sided smoothing {ends[1]}."
         )
         return Table(columns, rows, caption).html()
 
@@ -121,9 +102,9 @@ class LagSweep:
 @one_thread
 def lag_sweep(
     system: UncertainSystem,
-    lags: Sequence[float] | NDArray[np.float64],
+    lags: Sequence[float] | Floats,
     orders: Sequence[int] | NDArray[np.int_],
-    design: str | Family = "classical",
+    design: Design = "classical",
     *,
     progress: bool = False,
 ) -> LagSweep:
@@ -132,17 +113,14 @@ def lag_sweep(
     Parameters
     ----------
     system : UncertainSystem
-    lags : sequence of float
-        In seconds, not negative.
-    orders : sequence of int
-        Of the delay's Pade model.
+    lags : sequence of float, in seconds, not negative
+    orders : sequence of int, of the delay's Pade model
     design : {"classical", "filtered cost", "smoothed cost"} or callable
-        The fixed-lag smoother of the nominal system, which runs copies of the nonlinearities; or
-        the robust smoother with the least bound on the filtered or on the smoothed error. (The
-        search of the first of these does not depend on lag and order; that of the other does, and
-        takes its time for each.) Or a function that makes an `Estimator` of system, lag and order.
-    progress : bool
-        Show a progress bar.
+        The fixed-lag smoother of the nominal system, which runs copies of the nonlinearities; the
+        robust smoother with the least bound on the filtered error, or on the smoothed one, which
+        takes a search for each lag and order; or the `Estimator` that a function makes of system,
+        lag and order.
+    progress : bool, whether to show a bar
 
     Returns
     -------
@@ -150,26 +128,16 @@ def lag_sweep(
 
     Raises
     ------
-    InfeasibleDesignError
-        Where there is no design.
-    ValueError, TypeError
-        For an argument that is not as described.
-
-    See Also
-    --------
-    choose_lag : The lag and the order that meet a target.
-    best_lag : The lag with the least error.
+    InfeasibleDesignError, ValueError, TypeError
+        Where there is no design; where an argument is not as described.
 
     Examples
     --------
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
-    >>> sweep = rs.lag_sweep(system, lags=[0.1, 0.3], orders=[1, 2])
+    >>> sweep = rs.lag_sweep(rs.homodyne.PAPER.uncertain_system(), lags=[1e-6, 2e-6], orders=[1, 2])
     >>> sweep.nominal.round(4)
-    array([[0.0565, 0.0683],
-           [0.0555, 0.0554]])
+    array([[0.0595, 0.0504],
+           [0.0594, 0.0496]])
     """
     validation.instance("system", system, UncertainSystem)
     lags = np.array([validation.real("lags", lag, low=0.0) for lag in lags])
@@ -178,7 +146,7 @@ def lag_sweep(
         if not axis.size:
             raise ValueError(f"{name} must have at least one value")
     validation.boolean("progress", progress)
-    make = family(system, design)
+    make = _family(system, design)
     grid = [(lag, int(order)) for order in orders for lag in lags]
     cases = [
         worst_case(make(system, lag, order), loop="real")
@@ -186,26 +154,207 @@ def lag_sweep(
     ]
     shape = len(orders), len(lags)
     return LagSweep(
-        lags=lags,
-        orders=orders,
-        nominal=np.reshape([case.nominal for case in cases], shape),
-        worst=np.reshape([case.mean_square for case in cases], shape),
-        optimal=np.array([optimal_error(system, lag) for lag in lags]),
-        filtering=optimal_error(system, 0.0),
-        two_sided=optimal_error(system, math.inf),
+        lags=frozen(lags),
+        orders=frozen(orders),
+        nominal=frozen(np.reshape([case.nominal for case in cases], shape)),
+        worst=frozen(np.reshape([case.mean_square for case in cases], shape)),
+        optimal=frozen(np.array([_optimal_error(system, lag) for lag in lags])),
+        filtering=_optimal_error(system, 0.0),
+        two_sided=_optimal_error(system, math.inf),
     )
 
 
-def optimal_error(system: UncertainSystem, lag: float) -> float:
+@dataclass(frozen=True)
+class LagChoice:
+    """The lag and the order that `choose_lag` chooses.
+
+    Attributes
+    ----------
+    lag, order : float, in seconds, and int, of the delay's Pade model
+    error, target : float
+        The smoothed mean square error, by the criterion asked for, and what it had to meet, in the
+        squared unit of w.
+    shortest : float
+        No linear smoother of any order meets the target nominally with a lag below this (s).
+    lags : dict of int to float
+        The shortest lag that meets the target with each order that was tried (s); infinity where
+        none does.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> choice = rs.choose_lag(rs.homodyne.PAPER.uncertain_system(), fraction=0.8)
+    >>> choice.error <= choice.target * (1 + 1e-9), choice.shortest < choice.lag
+    (True, True)
+    """
+
+    lag: float
+    order: int
+    error: float
+    target: float
+    shortest: float
+    lags: dict[int, float]
+
+    def __repr__(self) -> str:
+        return (
+            f"LagChoice(lag={self.lag:.4g} s, order={self.order}, error={self.error:.5g}, "
+            f"target={self.target:.5g}, shortest={self.shortest:.4g} s)"
+        )
+
+    def _repr_html_(self) -> str:
+        lags = self.lags.items()
+        rows = [(str(order), lag, "chosen" if order == self.order else "") for order, lag in lags]
+        caption = (
+            "The shortest lag that meets the target for each order: an error of "
+            f"${notation.number(self.error)}$, at most ${notation.number(self.target)}$ was asked "
+            f"for. An exact delay would take ${notation.number(self.shortest)}$ s."
+        )
+        return Table(("order", "lag (s)", ""), rows, caption).html()
+
+
+@one_thread
+def best_lag(
+    system: UncertainSystem, order: int, design: Design = "classical", criterion: str = "nominal"
+) -> tuple[float, float]:
+    """Find the lag with the least smoothed error for an order of the delay's model.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+    order : int, of the delay's Pade model, at least one
+    design
+        As in `lag_sweep`.
+    criterion : {"nominal", "worst"}
+        The error without uncertainty, or under the worst constant one.
+
+    Returns
+    -------
+    lag, error : float
+        In seconds, and the mean square error in the squared unit of w.
+
+    Raises
+    ------
+    InfeasibleDesignError, ValueError, TypeError
+        As in `lag_sweep`; the first also where smoothing gains nothing.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> lag, error = rs.best_lag(rs.homodyne.PAPER.uncertain_system(), order=2)
+    >>> round(lag, 8), round(error, 4)
+    (4.01e-06, 0.0453)
+    """
+    error = _error_of_lag(system, design, criterion)
+    of_lag = partial(error, order=validation.integer("order", order, low=1))
+    longest = _longest_lag(system)
+    return _least(of_lag, *_on_a_grid(of_lag, _SHORTEST_LAG * longest, 2 * longest))
+
+
+@one_thread
+def choose_lag(
+    system: UncertainSystem,
+    target: float | None = None,
+    *,
+    fraction: float | None = None,
+    design: Design = "classical",
+    criterion: str = "nominal",
+    max_order: int = 8,
+    slack: float = 0.05,
+) -> LagChoice:
+    """Choose the lag and the order of a smoother whose error meets a target.
+
+    Each order has a shortest lag that meets the target, if any; higher orders have shorter ones.
+    The choice is the lowest order whose lag is, within `slack`, the shortest of all.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+    target : float, optional
+        The mean square error to meet, in the squared unit of w.
+    fraction : float, optional
+        In its place: the share, between zero and one, of the possible gain from the exact optimal
+        filtered error to that of two-sided smoothing.
+    design, criterion
+        As in `best_lag`: the error that is to meet the target.
+    max_order : int, the highest order to try
+    slack : float
+        How much longer than the shortest the lag may be, relatively, for a lower order.
+
+    Returns
+    -------
+    LagChoice
+        With lag and order zero where the filter meets the target.
+
+    Raises
+    ------
+    InfeasibleDesignError, ValueError, TypeError
+        As in `lag_sweep`; the first also where no order up to `max_order` meets the target, the
+        second where no smoother can.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> choice = rs.choose_lag(rs.homodyne.PAPER.uncertain_system(), fraction=0.9)
+    >>> round(choice.lag, 8), choice.order
+    (2.58e-06, 2)
+    """
+    error = _error_of_lag(system, design, criterion)
+    max_order = validation.integer("max_order", max_order, low=1)
+    slack = validation.real("slack", slack, low=0.0)
+    target = _target(system, target, fraction)
+    filtered = error(0.0, order=0)
+    if filtered <= target:
+        return LagChoice(0.0, 0, filtered, target, 0.0, {0: 0.0})
+    longest, shortest = _longest_lag(system), 0.0
+    if _optimal_error(system, 0.0) > target:
+        shortest = _crossing(partial(_optimal_error, system), target, 0.0, longest)
+    low, high = max(shortest, _SHORTEST_LAG * longest), 2 * longest
+    lags, least = {}, math.inf
+    for order in range(1, max_order + 1):
+        lags[order], lowest = _shortest_lag(partial(error, order=order), target, low, high)
+        least = min(least, lowest)
+        if lags[order] <= (1.0 + slack) * shortest:
+            break  # no higher order can do better than that
+    best = min(lags.values())
+    if math.isinf(best):
+        raise InfeasibleDesignError(
+            "The target",
+            f"no order up to {max_order} has a lag with an error of at most {target:.6g}; the "
+            f"least that was found, at lags above the {shortest:.4g} s that an exact delay would "
+            f"take, is {least:.6g}; try a higher max_order or another design",
+        )
+    order, lag = next(item for item in lags.items() if item[1] <= (1.0 + slack) * best)
+    return LagChoice(lag, order, error(lag, order=order), target, shortest, lags)
+
+
+def _optimal_error(system: UncertainSystem, lag: float) -> float:
     """Return the least mean square error of any linear smoother with an exact lag."""
     return float(np.trace(baselines.optimal_fixed_lag_error(system, lag)))
 
 
-def family(system: UncertainSystem, design: str | Family) -> Family:
+def _target(system: UncertainSystem, target: float | None, fraction: float | None) -> float:
+    """Return the mean square error to meet; refuse what no smoother meets."""
+    if (target is None) == (fraction is None):
+        raise ValueError("choose_lag takes either a target or a fraction of the possible gain")
+    filtering, two_sided = _optimal_error(system, 0.0), _optimal_error(system, math.inf)
+    if fraction is not None:
+        fraction = validation.real("fraction", fraction, low=0.0, high=1.0, high_open=True)
+        target = filtering - fraction * (filtering - two_sided)
+    target = validation.positive("target", target)
+    if not target > two_sided + _LEAST_GAIN * (filtering - two_sided):
+        raise ValueError(
+            f"target must be above {two_sided:.6g}, the error of two-sided smoothing, which no lag "
+            f"reaches, got {target:.6g}; filtering has {filtering:.6g}"
+        )
+    return target
+
+
+def _family(system: UncertainSystem, design: Design) -> Family:
     """Return the function that makes the estimator of a lag and an order."""
     if callable(design):
         return design
-    if validation.choice("design", design, DESIGNS) == "classical":
+    validation.choice("design", design, ("classical", "filtered cost", "smoothed cost"))
+    if design == "classical":
         return partial(baselines.fixed_lag_smoother, copies=True)
     if design == "smoothed cost":
         return lambda system, lag, order: minimize_bound(augment(system, lag, order), "smoothed")
@@ -213,3 +362,71 @@ def family(system: UncertainSystem, design: str | Family) -> Family:
     return lambda system, lag, order: design_smoother(
         augment(system, lag, order), best.tau, best.multipliers
     )
+
+
+def _error_of_lag(system: UncertainSystem, design: Design, criterion: str) -> Callable[..., float]:
+    """Return the smoothed mean square error as a function of lag and order."""
+    validation.instance("system", system, UncertainSystem)
+    criterion = validation.choice("criterion", criterion, ("nominal", "worst"))
+    make = _family(system, design)
+
+    def error(lag: float, order: int) -> float:
+        smoother = make(system, lag, order)
+        if criterion == "worst":
+            return worst_case(smoother, loop="real").mean_square
+        Delta = smoother.plant.structured_delta()
+        return float(np.trace(error_covariance(smoother, Delta, loop="real")))
+
+    return error
+
+
+def _longest_lag(system: UncertainSystem) -> float:
+    """Return a lag beyond which the exact optimum gains next to nothing, up to a factor of two."""
+    filtering, two_sided = _optimal_error(system, 0.0), _optimal_error(system, math.inf)
+    if not two_sided < (1.0 - _LEAST_GAIN) * filtering:
+        raise InfeasibleDesignError(
+            "Smoothing", f"it gains nothing: the error is {filtering:.6g} with any lag"
+        )
+    lag = 1.0 / np.abs(baselines.kalman_bucy(system).poles).max()
+    while _optimal_error(system, lag) - two_sided > _LEAST_GAIN * (filtering - two_sided):
+        lag *= 2.0
+    return lag
+
+
+def _on_a_grid(error: Error, low: float, high: float) -> tuple[Floats, Floats]:
+    """Return lags from low to high, evenly spaced in their logarithm, and their errors."""
+    lags = np.geomspace(low, high, 2 + int(math.log(high / low) / math.log(_LAG_RATIO)))
+    return lags, np.array([error(lag) for lag in lags])
+
+
+def _least(error: Error, lags: Floats, errors: Floats) -> tuple[float, float]:
+    """Return the lag of the least error, and that error, between the best lag's neighbours."""
+    best = int(errors.argmin())
+    result = minimize_scalar(
+        lambda logarithm: -1.0 / error(math.exp(logarithm)),  # an error may be infinite
+        bounds=np.log([lags[max(best - 1, 0)], lags[min(best + 1, len(lags) - 1)]]),
+        method="bounded",
+        options={"xatol": _LAG_TOLERANCE},
+    )
+    lag, least = math.exp(result.x), float(-1.0 / result.fun)
+    return (lag, least) if least < errors[best] else (float(lags[best]), float(errors[best]))
+
+
+def _shortest_lag(error: Error, target: float, low: float, high: float) -> tuple[float, float]:
+    """Return the shortest lag that meets the target, or infinity, and the least error found."""
+    lags, errors = _on_a_grid(error, low, high)
+    if not (errors <= target).any():
+        lag, least = _least(error, lags, errors)
+        if least > target:
+            return math.inf, least
+        after = np.searchsorted(lags, lag)
+        lags, errors = np.insert(lags, after, lag), np.insert(errors, after, least)
+    first = int((errors <= target).argmax())
+    between = lags[first - 1], lags[first]
+    shortest = _crossing(error, target, *between) if first > 0 else float(lags[0])
+    return shortest, float(errors.min())
+
+
+def _crossing(error: Error, target: float, low: float, high: float) -> float:
+    """Return the lag between two at which the error, which may be infinite, falls to the target."""
+    return brentq(lambda lag: 1.0 - target / error(lag), low, high, xtol=1e-12 * high, rtol=1e-12)

@@ -1,8 +1,8 @@
 r"""Errors of the nonlinear loop from slopes that stand for its nonlinearity.
 
-The nonlinearity, and the copy of it, are replaced by slopes that depend on the variances of their
-arguments, which are those of the linear loop with these slopes (`robsmooth._numerics.linearisation`
-iterates). In the homodyne loop the argument is the filtered error, of variance P = P(slope(P)).
+The slopes depend on the variances of their arguments, which are those of the linear loop with these
+slopes (`robsmooth._numerics.linearisation` iterates). In the homodyne loop the argument is the
+filtered error, of variance P = P(slope(P)).
 """
 
 from collections.abc import Callable
@@ -19,47 +19,21 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import Reference, argument_weights, matrices
 
 _LARGEST_VARIANCE = 1e3  # times that at the tangent: no statistical linearisation holds there
-_TOLERANCE, _ITERATIONS = 1e-13, 1000  # of the slopes
 
 
 @dataclass(frozen=True)
 class StatisticalLinearisation:
-    """The stationary nonlinear loop, each nonlinearity replaced by its equivalent gain.
+    """The stationary nonlinear loop with slopes in place of its nonlinearity and its copy."""
 
-    Attributes
-    ----------
-    slope : float
-        The equivalent Delta_2 of the nonlinearity.
-    filtered, smoothed : float
-        Mean square errors, in the squared unit of w.
-    copy_slope : float
-        The equivalent Delta_2 of the estimator's copy of the nonlinearity.
-
-    See Also
-    --------
-    robsmooth.statistical_linearisation : Makes it.
-
-    Examples
-    --------
-    >>> import robsmooth as rs
-    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-    >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
-    >>> found = rs.statistical_linearisation(smoother, rs.homodyne.PAPER.equivalent_slope)
-    >>> round(found.slope, 4), round(found.copy_slope, 4) + 0.0
-    (-0.1078, 0.0)
-    """
-
-    slope: float
-    filtered: float
+    slope: float  # the equivalent Delta_2 of the nonlinearity
+    filtered: float  # mean square errors, in the squared unit of w
     smoothed: float
-    copy_slope: float
+    copy_slope: float  # the equivalent Delta_2 of the estimator's copy of the nonlinearity
 
 
 @one_thread
 def statistical_linearisation(
-    smoother: Estimator,
-    equivalent_slope: Callable[[float], float],
-    reference: Reference = "system",
+    smoother: Estimator, equivalent_slope: Callable[[float], float], reference: Reference = "system"
 ) -> StatisticalLinearisation:
     r"""Predict the errors of the nonlinear loop, from slopes that belong to its own variances.
 
@@ -79,6 +53,8 @@ def statistical_linearisation(
     Returns
     -------
     StatisticalLinearisation
+        ``slope`` and ``copy_slope``, the equivalent Delta_2 of nonlinearity and copy; ``filtered``
+        and ``smoothed``, mean squares in the squared unit of w.
 
     Raises
     ------
@@ -88,19 +64,13 @@ def statistical_linearisation(
         For another kind of plant or reference, or an `equivalent_slope` that is not callable or
         does not return a finite number.
 
-    See Also
-    --------
-    simulate : The errors of the nonlinear loop itself.
-    robsmooth.stationary_errors : The same for the homodyne loop, by the moments of its state.
-
     Examples
     --------
     >>> import robsmooth as rs
-    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-    >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
-    >>> found = rs.statistical_linearisation(smoother, rs.homodyne.PAPER.equivalent_slope)
-    >>> round(found.filtered, 4), round(found.smoothed, 4)
-    (0.0881, 0.0517)
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> found = rs.statistical_linearisation(kalman, rs.homodyne.PAPER.equivalent_slope)
+    >>> round(found.slope, 4), round(found.filtered, 4)
+    (-0.1077, 0.0881)
     """
     validation.instance("smoother", smoother, Estimator)
     plant = smoother.plant
@@ -120,12 +90,9 @@ def statistical_linearisation(
         raise TypeError(f"equivalent_slope must be callable, got {equivalent_slope!r}")
 
     def slopes(variances: Matrix) -> Matrix:
-        return np.array(
-            [
-                validation.real("equivalent_slope of a variance", equivalent_slope(float(variance)))
-                for variance in variances
-            ]
-        )
+        found = [equivalent_slope(float(variance)) for variance in variances]
+        name = "equivalent_slope of a variance"
+        return np.array([validation.real(name, slope) for slope in found])
 
     def linear(slopes: Matrix) -> ClosedLoop:
         Delta = plant.structured_delta((), [0.0])
@@ -135,16 +102,12 @@ def statistical_linearisation(
     arguments = matrices(smoother, "real", reference)[3][-2:] / unit
 
     def variances(slopes: Matrix) -> Matrix:
-        return np.maximum(np.diag(linear(slopes).covariance_of(arguments)), 0.0)
+        return np.maximum(np.diag(linear(slopes).covariance(arguments)), 0.0)
 
     start = slopes(np.zeros(2))
+    largest = _LARGEST_VARIANCE * variances(start).max()
     found = linearisation.equivalent_slopes(
-        start,
-        variances,
-        slopes,
-        tolerance=_TOLERANCE,
-        iterations=_ITERATIONS,
-        largest=_LARGEST_VARIANCE * variances(start).max(),
+        start, variances, slopes, tolerance=1e-13, iterations=1000, largest=largest
     )
     closed = linear(found)
     return StatisticalLinearisation(

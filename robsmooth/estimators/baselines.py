@@ -1,15 +1,4 @@
-r"""The estimators that the paper compares with or builds on, each as a system of its own.
-
-============================  ====================================================================
-Kalman-Bucy filter            optimal for the nominal linear system
-fixed-lag smoother            Chirarattananon and Anderson: the Kalman filter of the system with its
-                              delay model, which is the Kalman-Bucy filter followed by a smoother
-linear robust filter          the robust design with the nonlinearities as plain uncertainties: the
-                              estimator has no copy of them
-NGCF                          the nonlinear guaranteed cost filter: the paper's design without delay
-exact optimal errors          what no fixed-lag or two-sided linear smoother can beat, nominally
-============================  ====================================================================
-"""
+"""The estimators that the paper compares with or builds on, and the least nominal errors."""
 
 from dataclasses import replace
 
@@ -49,13 +38,7 @@ def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
     Raises
     ------
     InfeasibleDesignError
-        Where the filter does not exist: a measurement without noise, or a mode that is neither
-        stable nor seen.
-
-    See Also
-    --------
-    fixed_lag_smoother : the same with a delay.
-    ngcf, linear_robust_filter : robust filters.
+        For a measurement without noise, or a mode that is neither stable nor seen.
 
     Examples
     --------
@@ -76,26 +59,14 @@ def fixed_lag_smoother(
     Parameters
     ----------
     system : UncertainSystem
-    delay : float
-        The delay of the smoothed estimate, s.
-    order : int
-        Pade order of the delay model.
-    copies : bool
-        As in `kalman_bucy`.
+    delay, order
+        The delay of the smoothed estimate (s), and the Pade order of its model.
+    copies
+        As in `kalman_bucy`, and what it raises, too.
 
     Returns
     -------
     Estimator
-
-    Raises
-    ------
-    InfeasibleDesignError
-        As in `kalman_bucy`.
-
-    See Also
-    --------
-    minimize_bound : the robust smoother.
-    optimal_fixed_lag_error : what no such smoother can beat.
 
     References
     ----------
@@ -105,8 +76,7 @@ def fixed_lag_smoother(
     Examples
     --------
     >>> import robsmooth as rs
-    >>> system = rs.homodyne.PAPER.uncertain_system()
-    >>> rs.baselines.fixed_lag_smoother(system, delay=3.1e-6, order=2)
+    >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, order=2)
     Estimator(3 states, delay=3.1e-06 s, order=2, 1 measurements, 1 outputs, 1 copies)
     """
     plant = compact(system, delay, order)
@@ -121,7 +91,7 @@ def linear_robust_filter(
     """Return the robust filter (or smoother) that runs no copy of the nonlinearities.
 
     Each nonlinearity becomes an uncertainty, bounded by its Lipschitz constant; the design is then
-    that of `minimize_bound`.
+    that of `minimize_bound`, which says what it raises.
 
     Parameters
     ----------
@@ -136,19 +106,8 @@ def linear_robust_filter(
     design : RobustSmoother
         The same on the plant with the nonlinearities as uncertainties, with its bound.
 
-    Raises
-    ------
-    InfeasibleDesignError
-        Where no design was found.
-
-    See Also
-    --------
-    ngcf : the same with copies.
-
     Examples
     --------
-    Without and with a copy:
-
     >>> from dataclasses import replace
     >>> import robsmooth as rs
     >>> system = replace(rs.homodyne.PAPER, gamma=0.05).uncertain_system()
@@ -165,7 +124,7 @@ def linear_robust_filter(
 
 
 def ngcf(system: UncertainSystem) -> RobustSmoother:
-    """Return the nonlinear guaranteed cost filter: the paper's design without delay.
+    """Return the nonlinear guaranteed cost filter: `minimize_bound` without delay.
 
     Parameters
     ----------
@@ -175,16 +134,6 @@ def ngcf(system: UncertainSystem) -> RobustSmoother:
     -------
     RobustSmoother
 
-    Raises
-    ------
-    InfeasibleDesignError
-        As in `minimize_bound`.
-
-    See Also
-    --------
-    minimize_bound : the same with a delay.
-    linear_robust_filter : the same without copies.
-
     References
     ----------
     I. R. Petersen, "Robust guaranteed cost state estimation for nonlinear stochastic uncertain
@@ -193,8 +142,7 @@ def ngcf(system: UncertainSystem) -> RobustSmoother:
     Examples
     --------
     >>> import robsmooth as rs
-    >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
-    >>> round(ngcf.mean_square_bound, 4)
+    >>> round(rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system()).mean_square_bound, 4)
     0.2434
     """
     return minimize_bound(augment(system, 0.0, 0))
@@ -225,11 +173,6 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     ArithmeticError
         Where the filter's time constants are so far apart that rounding would spoil the result.
 
-    See Also
-    --------
-    fixed_lag_smoother : what comes close to it.
-    optimal_two_sided_error : the same for an endless delay.
-
     References
     ----------
     T. Kailath and P. Frost, "An innovations approach to least-squares estimation, part II", IEEE
@@ -238,8 +181,7 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     Examples
     --------
     >>> import robsmooth as rs
-    >>> system = rs.homodyne.PAPER.uncertain_system()
-    >>> rs.baselines.optimal_fixed_lag_error(system, delay=3.1e-6).round(4)
+    >>> rs.baselines.optimal_fixed_lag_error(rs.homodyne.PAPER.uncertain_system(), 3.1e-6).round(4)
     array([[0.0453]])
     """
     validation.instance("system", system, UncertainSystem)
@@ -265,7 +207,7 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
 
 
 def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
-    """Return the error covariance with the whole past and future: the floor of any delay.
+    """Return `optimal_fixed_lag_error` with the whole past and future: the floor of any delay.
 
     Parameters
     ----------
@@ -274,16 +216,6 @@ def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
     Returns
     -------
     (m, m) array
-        In the squared unit of w.
-
-    Raises
-    ------
-    InfeasibleDesignError, ArithmeticError
-        As in `optimal_fixed_lag_error`.
-
-    See Also
-    --------
-    optimal_fixed_lag_error : the same for a finite delay.
 
     Examples
     --------
@@ -311,9 +243,8 @@ def _kalman(system: UncertainSystem, model: DelayModel) -> tuple[Matrix, Matrix]
             (A - cross @ cho_solve(R, C)).T, uncorrelated @ uncorrelated.T, C.T @ cho_solve(R, C)
         ).X
     except RiccatiError as error:
-        raise InfeasibleDesignError(
-            "The Kalman-Bucy filter's Riccati equation", str(error)
-        ) from None
+        condition = "The Kalman-Bucy filter's Riccati equation"
+        raise InfeasibleDesignError(condition, str(error)) from None
     gain = cho_solve(R, C @ P + cross.T).T
     states = len(model.F)
     drift = np.block([[A - gain @ C, np.zeros((system.n, states))], [model.G @ system.C0, model.F]])
@@ -334,11 +265,5 @@ def _estimator(
     into, arguments = np.pad(B, ((0, states), (0, 0))) - gain @ D, np.pad(C, ((0, 0), (0, states)))
     if not copies:
         into, arguments = np.zeros_like(into), np.zeros_like(arguments)
-    return Estimator(
-        plant=plant,
-        A_c=A_c,
-        B_c=np.hstack([gain, into]),
-        C_c=np.vstack([C_w, arguments]),
-        C_a=plant.C_a,
-        C_f=C_w,
-    )
+    B_c, C_c = np.hstack([gain, into]), np.vstack([C_w, arguments])
+    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_w)

@@ -1,38 +1,42 @@
 r"""The least bound: minimisation of V over tau and lambda.
 
-The search follows paths of barrier problems (`robsmooth.estimators.bound_search`). It knows of the
-structure of the minimiser:
+SciPy's SLSQP minimises :math:`\log V`, with the gradient of `robsmooth.estimators.bound_function`,
+under the constraint :math:`J'M(\lambda)J \le I`. What is known of the minimiser says where it is
+sought:
 
-- :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`, so that the least bound lies on the boundary of
-  the constraint :math:`M(\lambda)^{-1} \ge JJ'`, and the step onto it is exact.
-- Multipliers that fall to zero along a path are zero at its end, and the search goes on with them
-  at zero. Where :math:`M(\lambda)` is positive there, the bound is attained. Where it is singular,
-  the least bound is an infimum that no design attains: the search goes on with the limit itself
+- :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`: the least bound lies on the boundary of the
+  constraint, and the step onto it is exact.
+- Some multipliers are zero there, on a *face*. Where :math:`M(\lambda)` is singular, the least
+  bound is an infimum that no design attains: the search is for the limit
   (`robsmooth.estimators.limit`), and its answer is a design next to it. So it is in the paper's
-  example, for both costs: the multipliers of the nonlinearity and of its copy vanish, and the
-  others are the largest that are allowed, :math:`\lambda = (1, \tfrac12, 0, 0)`. Then X is zero,
-  and a search over :math:`\tau` is all that is left.
-- Where the copy is of no use, it is the multiplier of the difference that vanishes, and where a
-  measurement is, the multiplier of its uncertainty.
-- V has more than one local minimum: to ignore the measurement may be one. Several starts are
-  followed. Where no start is feasible, the uncertainty is made small until one is, and brought back
-  along the way.
+  example, for both costs, at :math:`\lambda = (1, \tfrac12, 0, 0)`. Where a copy is of no use, the
+  multiplier of the difference vanishes, and where a measurement is, that of its uncertainty. These
+  faces are tried, and then those of the multipliers that are small where a search ends.
+- V has more than one local minimum, so that there are several starts. Where none is feasible, the
+  uncertainty is made small until one is, and brought back along the way.
+
+The constraint has a kink where eigenvalues are equal, as they often are at the minimum. It says
+:math:`u'J'M(\lambda)Ju \le |u|^2` for every u. SLSQP is given that for some u, and after each pass
+for those that its answer violates and for the eigenvectors of :math:`\sum_i w_iu_iu_i'`, with the
+Lagrange multipliers w of the pass. A few steps of the power method turn each u towards the
+eigenvector of the largest eigenvalue: there is the curvature of the constraint.
 """
 
 import math
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from operator import itemgetter
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq, minimize
 
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.estimators.bound_function import BoundFunction, bound_function
-from robsmooth.estimators.bound_search import FREE_LEVEL, BarrierProblem, barrier_problem
+from robsmooth._support.validation import Matrix
+from robsmooth.estimators.bound_function import BoundFunction
 from robsmooth.estimators.conditions import check_plant, check_stable, multiplier_level, singular
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import RobustSmoother, design_smoother
@@ -40,31 +44,27 @@ from robsmooth.systems.augmented import AugmentedSystem
 
 VANISHING = 1e-6  # stands for zero beside an infimum, relative to the largest multiplier
 _EXCESS = 1e-3  # of a bound beside an infimum; for less of it, smaller multipliers are taken
-_TAU_RANGE = 3.0  # how far tau there is from that of the search, in natural logarithms
-_REFUSED = 1e2  # more than the logarithm of any bound
+_ANY_TAU = 1e10  # the best tau is nearer to the natural one than this factor ...
+_TAU_TOLERANCE = 1e-7  # ... and found to this, relatively
 
-# Weights mu of the barrier: for every start, for the best until its zeros show, and to the end.
-_COARSE, _MIDDLE, _FINE = (
-    10.0 ** -np.arange(*range) for range in ((1.0, 5.0), (4.0, 7.0), (6.0, 12.0))
-)
-_GOES_TO_ZERO = (
-    0.36  # a multiplier of which less is left as mu falls by ten goes with its root at least
-)
-_SAME_MINIMUM = 1e-5  # the least difference between the logarithms of two local minima's bounds
-_HOPELESS = 0.3  # a larger one to the best is not made up for on the rest of a path
-
-_SAMPLES = 32
-_ANY_TAU = math.log(1e8)  # the best tau is closer to the natural one, in natural logarithms ...
-_TAU_TOLERANCE = 1e-7  # ... and found to this
-_EXTREME = 1e-8  # a multiplier of an extreme start, relative to the others
-_TAU_DECADES = np.arange(-2.0, 8.0, 1.0)
+_SAMPLE = 4  # random multipliers for each start
+_TAUS = 10.0 ** np.arange(-1.0, 7.0)  # relative to the natural one
+_LEAST, _LARGEST = 1e-12, 1e8  # a multiplier, relative to its natural size; if no noise bounds it
+_SMALL = (1e-1, 1e-3, 1e-6)  # multipliers that may be zero, relative to their natural size
+_SAME = 1e-9  # bounds that differ by less, relatively
+_REFUSED = 1e3  # more than the logarithm of any bound
+_ROUNDING = 1e-9  # a level of the constraint that is smaller, relatively, is rounding
+_OPTIONS = {"ftol": 1e-14, "maxiter": 100}  # of SLSQP
+_PASSES = 10
+_POWER = 12  # steps of the power method in the constraint
+_TIGHT = 1e-11  # what a pass may leave of the constraint's violation, and of log V
 
 # Where no start is feasible, designs for less uncertainty are continued to all of it.
 _FRACTIONS = 2.0 ** -np.arange(1.0, 12.0)  # of the uncertainty, to start with
-_CONTINUED = 4  # how many of the designs
-_CONTINUATION_WEIGHT = 1e-2  # mu
-_CONTINUATION_ITERATIONS = 8  # at each fraction
 _LEAST_GROWTH = 1e-3  # of the fraction
+_CONTINUED = 2  # how many of the designs
+
+Found = tuple[float, "Face", np.ndarray]  # log V, and the face and the point that have it
 
 
 @one_thread
@@ -79,10 +79,9 @@ def minimize_bound(
         Made by `augment`.
     cost : {"filtered", "smoothed"}
         The error that the bound is for, as in `design_smoother`.
-    starts : int
-        Number of starting points to descend from, the best of a random sample over decades.
-    seed : int
-        Seed of that sample.
+    starts, seed : int
+        Number of starting points to descend from, the best of a random sample over decades, and
+        the sample's seed.
 
     Returns
     -------
@@ -95,13 +94,7 @@ def minimize_bound(
     Raises
     ------
     InfeasibleDesignError
-        Where no feasible design was found; it says which condition fails, and up to how much of
-        the uncertainty there are designs.
-
-    See Also
-    --------
-    design_smoother : the design at given tau and lambda.
-    best_lag, choose_lag : the delay and the order, too.
+        Where no design was found; it says for which fraction of the uncertainty one was.
 
     Examples
     --------
@@ -115,47 +108,40 @@ def minimize_bound(
     starts = validation.integer("starts", starts, low=1)
     seed = validation.integer("seed", seed, low=0)
     check_stable(plant)
-    problem = barrier_problem(plant, cost)
-    # The start that is lowest need not be the one that leads lowest, nor need half of a path.
-    searched, extreme = _starts(plant, problem, starts, seed)
-    halfway = [problem.central_path(start, _COARSE)[-1] for start in searched]
-    halfway += [problem.minimum(start, _COARSE[-1]) for start in extreme]  # a large mu leads away
-    ends = [_local_minimum(plant, cost, problem, point) for point in _distinct(problem, halfway)]
-    best, end, before = min(ends, key=lambda found: found[0].log_bound(found[1])[0])
-    tau, multipliers, rates = best.arguments(end)
+    faces = []
+    for zero in _known_faces(plant):
+        with suppress(InfeasibleDesignError):  # it has no design whatever tau is
+            faces.append(Face.of(plant, cost, zero))
+    found = _descents(faces, starts, seed) or [_by_less_uncertainty(faces, starts, seed)]
+    _, face, point = _reduced(min(found, key=itemgetter(0)), plant, cost)
+    tau, multipliers, rates = face.arguments(point)
     if not rates.any():
         rates = 1.0 * singular(plant, multipliers)
     # scaling lambda up to the constraint, and tau down with it, lowers V by that factor
     level = multiplier_level(plant, multipliers)
-    tau, multipliers = tau * problem.v.time * level, multipliers / level
+    tau, multipliers = tau * face.v.time * level, multipliers / level
     limit = limiting_smoother(plant, tau, multipliers, cost, rates=rates)
     if not rates.any():  # M(lambda) is positive: it is a design like others
         return limit
-    design = _design_beside(limit, rates, problem.v, before[0])
-    return replace(design, bound_infimum=limit.bound, limit=limit)
+    return replace(_design_beside(limit, rates), bound_infimum=limit.bound, limit=limit)
 
 
 @one_thread
 def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float:
-    """Return the tau with the least bound at given multipliers, in their limit at zeros.
+    """Return the tau, s times (unit of w)^2, with the least bound at given multipliers.
 
-    The bound falls with tau, from the least one that has a design, and then grows: its slope, which
-    `minimize_bound` knows, has one zero.
-
-    Parameters
-    ----------
-    plant, multipliers, cost
-        As in `limiting_smoother`.
-
-    Returns
-    -------
-    float
-        In seconds times the squared unit of w. Where no tau has a design, the design at this one
-        says why.
+    Where some are zero it is that of the limit. The bound falls with tau, from the least one that
+    has a design, and then grows: its slope has one zero. Where no tau has a design, the design at
+    this one says why.
     """
     multipliers = np.asarray(multipliers, dtype=float)
-    v = bound_function(plant, cost, multipliers > 0.0)
-    rates = 1.0 * singular(plant, multipliers)
+    v = BoundFunction.of(plant, cost, multipliers > 0.0)
+    return v.time * _best_tau(v, multipliers, v.natural_tau(multipliers))
+
+
+def _best_tau(v: BoundFunction, multipliers: np.ndarray, guess: float) -> float:
+    """Return the same in the unit of `v`, from a guess."""
+    rates = 1.0 * (multipliers == 0.0)
 
     def slope(log_tau: float) -> float:
         theta = math.exp(log_tau) * multipliers
@@ -164,146 +150,268 @@ def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float
         except InfeasibleDesignError:  # tau is too small
             return -1.0
 
-    natural = math.log(v.natural_tau(multipliers))
-    low, high = natural - _ANY_TAU, natural + _ANY_TAU
-    log_tau = brentq(slope, low, high, xtol=_TAU_TOLERANCE) if slope(high) > 0.0 else high
-    return v.time * math.exp(log_tau)
+    low, high = np.log([guess / _ANY_TAU, guess * _ANY_TAU])
+    if slope(low) > 0.0 or slope(high) < 0.0:
+        return math.exp(low if slope(low) > 0.0 else high)
+    return math.exp(brentq(slope, low, high, xtol=_TAU_TOLERANCE))
 
 
-def _distinct(problem: BarrierProblem, points: list[np.ndarray]) -> list[np.ndarray]:
-    """Return one of each group of points that are the same, if it may still be the best."""
-    found: list[tuple[float, np.ndarray]] = []
-    values = ((problem.log_bound(point)[0], point) for point in points)
-    for value, point in sorted(values, key=itemgetter(0)):
-        if not found or (value > found[-1][0] + _SAME_MINIMUM and value < found[0][0] + _HOPELESS):
-            found.append((value, point))
-    return [point for _, point in found]
+@dataclass(frozen=True, eq=False)
+class Face:
+    """The bound where some multipliers are zero.
 
-
-def _local_minimum(
-    plant: AugmentedSystem, cost: str, problem: BarrierProblem, point: np.ndarray
-) -> tuple[BarrierProblem, np.ndarray, np.ndarray]:
-    """Return the end of the path through a point, its problem, and a point before the end.
-
-    Where multipliers go to zero along the path, the problem is that in which they are zero.
+    A point holds log tau, the logarithms of the positive multipliers, then those of the rates at
+    which the others vanish, where these matter.
     """
-    *_, before, point = problem.central_path(point, _MIDDLE)
-    zero = point[1:] - before[1:] < math.log(_GOES_TO_ZERO)
-    if zero.any():
-        with suppress(InfeasibleDesignError):
-            reduced = barrier_problem(plant, cost, zero)
-            tau, multipliers, _ = problem.arguments(point)
-            start = reduced.point(tau, multipliers, rates=multipliers)
-            end = reduced.central_path(start, _FINE)[-1]
-            if reduced.log_bound(end)[0] < problem.log_bound(point)[0]:
-                return reduced, end, point
-    return problem, problem.central_path(point, _FINE)[-1], point
 
+    v: BoundFunction  # in whose unit of time tau is
+    positive: np.ndarray  # (k + 3g,) which multipliers are
+    vanishing: np.ndarray  # (k + 3g,) of which the rates matter
+    idle: np.ndarray  # (k + 3g,) those of copies that do nothing, as the differences' are zero
+    levels: np.ndarray  # (k + 3g, q, q) J'M_iJ
+    natural: np.ndarray  # (k + 3g,) the largest multiplier that noise allows, or one of its size
+    box: np.ndarray  # (2, length of a point)
 
-def _design_beside(
-    limit: RobustSmoother, rates: np.ndarray, v: BoundFunction, log_tau: float
-) -> RobustSmoother:
-    """Return a design next to a limit, with the best tau that is near a given one."""
-    plant, design = limit.plant, limit
-    for fraction in VANISHING * 0.1 ** np.arange(7):
-        multipliers = limit.multipliers + fraction * limit.multipliers.max() * rates / rates.max()
-        multipliers /= multiplier_level(plant, multipliers)
-        found = minimize_scalar(
-            _log_bound, bounds=(log_tau - _TAU_RANGE, log_tau + _TAU_RANGE), args=(v, multipliers)
-        )
-        with suppress(InfeasibleDesignError):
-            design = design_smoother(plant, v.time * math.exp(found.x), multipliers, limit.cost)
-            if design.bound < (1.0 + _EXCESS) * limit.bound:
+    @classmethod
+    def of(cls, plant: AugmentedSystem, cost: str, zero: np.ndarray) -> "Face":
+        """Return the face where the multipliers are zero that `zero` marks."""
+        v, k, g = BoundFunction.of(plant, cost, ~zero), plant.system.k, plant.system.g
+        levels = plant.J.T @ np.array(plant.M_i) @ plant.J
+        sizes = np.linalg.norm(levels, 2, axis=(1, 2))
+        # what a channel brings, of the measurement's noise and of the states' deviations
+        effects = np.square(np.vstack([v.problem.B, v.problem.D])).sum(axis=0)
+        effects = np.bincount(v.problem.channels, effects)
+        effects = np.concatenate([effects[:k], np.tile(effects[k:], 3)])
+        free = sizes * effects < _ROUNDING**2  # no noise enters through the channel
+        free[k : k + g] = free[k + 2 * g :] = False  # but it does through its copy
+        levels[free] = 0.0
+        natural = np.where(free, np.where(effects > 0.0, effects, 1.0), 1.0 / (sizes + free))
+        vanishing = singular(plant, 1.0 * ~zero) & v.problem.B[:, v.problem.unbounded].any()
+        idle = np.concatenate([np.zeros(k + 2 * g, dtype=bool), zero[k : k + g]]) & ~zero
+        tau = v.natural_tau(np.where(zero, 0.0, natural))
+        largest = np.where(free, _LARGEST, 1.0) * natural
+        low = [tau / _ANY_TAU, *_LEAST * natural[~zero], *np.full(vanishing.sum(), _LEAST)]
+        high = [tau * _ANY_TAU, *largest[~zero], *np.ones(vanishing.sum())]
+        return cls(v, ~zero, vanishing, idle, levels, natural, np.log([low, high]))
+
+    def scaled(self, size: float) -> "Face":
+        """Return the same for uncertainty whose outputs are `size` times as large."""
+        return replace(self, v=self.v.scaled(size))
+
+    def point(self, tau: float, multipliers: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """Return the point in the box that is next to these arguments."""
+        multipliers = np.where(self.idle, self.natural / 2.0, multipliers)
+        values = np.array([tau, *multipliers[self.positive], *rates[self.vanishing]])
+        return np.clip(np.log(np.maximum(values, np.finfo(float).tiny)), *self.box)
+
+    def arguments(self, point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return tau in the unit of `v`, all multipliers, and the proportions of all rates."""
+        values = np.exp(point)
+        multipliers, rates = np.zeros((2, len(self.positive)))
+        multipliers[self.positive], fast = np.split(values[1:], [self.positive.sum()])
+        rates[self.vanishing] = fast / (fast.sum() or 1.0)
+        return values[0], multipliers, rates
+
+    def log_bound(self, point: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return log V and its gradient."""
+        tau, multipliers, rates = self.arguments(point)
+        value, gradient = self.v(tau * multipliers, rates)
+        in_theta, in_rates = gradient * (tau * multipliers, rates)
+        slopes = (1.0 + in_theta.sum(), *in_theta[self.positive], *in_rates[self.vanishing])
+        return point[0] + value, np.array(slopes)
+
+    def objective(self, point: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the same, or more than any bound where there is no design."""
+        try:
+            return self.log_bound(point)
+        except InfeasibleDesignError:
+            return _REFUSED, np.zeros_like(point)
+
+    def level(self, multipliers: np.ndarray) -> Matrix:
+        """Return J'M(lambda)J."""
+        return np.tensordot(multipliers, self.levels, 1)
+
+    def minimum(self, point: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return log V at a local minimum, and the minimum, from a feasible point."""
+        lowest, best, vectors = self.objective(point)[0], point, np.eye(len(self.levels[0]))
+        for _ in range(_PASSES):
+            point, duals = self._pass(point, vectors)
+            levels, directions = np.linalg.eigh(self.level(self.arguments(point)[1]))
+            vectors = np.vstack([vectors, directions.T[levels > 1.0 + _TIGHT], duals])
+            excess = math.log(levels[-1]) if levels[-1] > 0.0 else 0.0
+            before, value = lowest, self.objective(point)[0] + excess
+            if value < lowest:  # after the step onto the constraint
+                lowest, best = value, point.copy()
+                best[0] += excess
+                best[self.own] -= excess
+            if before - lowest < _TIGHT and excess < _TIGHT:
                 break
-    return design
+        return lowest, best
+
+    @property
+    def own(self) -> slice:
+        """Where in a point the multipliers are."""
+        return slice(1, 1 + int(self.positive.sum()))
+
+    def _pass(self, point: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return SLSQP's minimum under the constraints of these u, and the next u from its dual."""
+        _, multipliers, _ = self.arguments(point)
+        vectors = vectors[((vectors @ self.level(multipliers)) * vectors).sum(axis=1) > _ROUNDING]
+        levels, own = self.levels[self.positive], self.own
+
+        def slack(point: np.ndarray) -> np.ndarray:
+            return 1.0 - _quotients(np.exp(point[own]), levels, vectors)[0]
+
+        def slopes(point: np.ndarray) -> np.ndarray:
+            result, multipliers = np.zeros((len(vectors), len(point))), np.exp(point[own])
+            result[:, own] = -multipliers * _quotients(multipliers, levels, vectors)[1]
+            return result
+
+        constraint = {"type": "ineq", "fun": slack, "jac": slopes}
+        how = {"method": "SLSQP", "options": _OPTIONS, "jac": True, "bounds": self.box.T}
+        constraints = [constraint] if len(vectors) else []
+        found = minimize(self.objective, point, constraints=constraints, **how)
+        weights = found.multipliers if len(vectors) else np.zeros(0)
+        sizes, directions = np.linalg.eigh(vectors.T * weights @ vectors)
+        return np.clip(found.x, *self.box), directions.T[sizes > _ROUNDING * sizes[-1]]
+
+    def starts(self, count: int, rng: np.random.Generator) -> list[np.ndarray]:
+        """Return feasible points at the constraint, the lowest of a random sample."""
+        found = []
+        for _ in range(_SAMPLE * count):
+            multipliers = self.natural * 10.0 ** rng.uniform(-4.0, 0.0, len(self.natural))
+            multipliers[~self.positive] = 0.0
+            multipliers /= np.linalg.norm(self.level(multipliers), 2) or 1.0
+            natural, lowest = self.v.natural_tau(multipliers), _REFUSED
+            for tau in natural * _TAUS:
+                point = self.point(tau, multipliers, self.vanishing * 1.0)
+                value = self.objective(point)[0]
+                if value > lowest:
+                    break
+                lowest, best = value, point
+            if lowest < _REFUSED:
+                found.append((lowest, best))
+        return [point for _, point in sorted(found, key=itemgetter(0))[:count]]
+
+    def small(self, point: np.ndarray, threshold: float) -> np.ndarray:
+        """Return which multipliers are zero, or smaller than this relative to their natural size.
+
+        A copy's own does nothing where that of the difference is zero, and stays.
+        """
+        k = self.v.problem.k
+        small = self.arguments(point)[1] < threshold * self.natural
+        difference, own, copy = np.split(small[k:], 3)
+        return np.concatenate([small[:k], difference, own, copy & ~difference])
 
 
-def _log_bound(log_tau: float, v: BoundFunction, multipliers: np.ndarray) -> float:
-    """Return log V, or more than any where there is no design."""
-    try:
-        return log_tau + v(math.exp(log_tau) * multipliers, np.zeros_like(multipliers))[0]
-    except InfeasibleDesignError:
-        return _REFUSED
+def _quotients(
+    multipliers: np.ndarray, levels: np.ndarray, vectors: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return y'Sy/y'y of S = J'M(lambda)J and y = S^p u for each u, and its slopes in lambda."""
+    S = np.tensordot(multipliers, levels, 1)
+    size = np.trace(S)
+    powers = [vectors]
+    for _ in range(_POWER):
+        powers.append(powers[-1] @ S / size)
+    y = powers.pop()
+    norms = (y * y).sum(axis=1, keepdims=True)
+    quotients = ((y @ S) * y).sum(axis=1, keepdims=True) / norms
+    slopes = np.einsum("ui,aij,uj->ua", y, levels, y)
+    change = 2.0 * (y @ S - quotients * y) / size  # of the quotient's numerator with y
+    while powers:
+        slopes += np.einsum("ui,aij,uj->ua", change, levels, powers.pop())
+        change = change @ S / size
+    return quotients[:, 0], slopes / norms
 
 
-def _starts(
-    plant: AugmentedSystem, problem: BarrierProblem, starts: int, seed: int
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return feasible points: the best of random ones, and extreme ones.
+def _known_faces(plant: AugmentedSystem) -> Iterator[np.ndarray]:
+    """Yield which multipliers are zero on the faces that are tried in any case.
 
-    Those ignore one uncertainty or nonlinearity each, or trust all copies.
+    No multiplier is; a channel is ignored; all copies are trusted, or none is of use.
     """
     k, g = plant.system.k, plant.system.g
-    rng = np.random.default_rng(seed)
-    levels = np.linalg.norm(problem.levels[: k + g], 2, axis=(1, 2))
-    units = 1.0 / np.where(levels > FREE_LEVEL, levels, 1.0)
-
-    def along_tau(shares: np.ndarray, own: np.ndarray) -> list[np.ndarray]:
-        multipliers = np.concatenate([units * shares, np.tile((units * shares)[k:], 2) * own])
-        multipliers *= 0.5 / np.linalg.norm(np.tensordot(multipliers, problem.levels, 1), 2)
-        taus = problem.v.natural_tau(multipliers) * 10.0**_TAU_DECADES
-        return [np.log([tau, *multipliers]) for tau in taus]
-
-    sample = [
-        along_tau(10.0 ** rng.uniform(-4, 0, k + g), 10.0 ** rng.uniform(-8, 1, 2 * g))
-        for _ in range(_SAMPLES)
-    ]
-    extreme = [
-        along_tau(np.where(one, _EXTREME, 1.0), np.ones(2 * g)) for one in np.eye(k + g, dtype=bool)
-    ]
+    yield np.zeros(k + 3 * g, dtype=bool)
+    for one in np.eye(k + g, dtype=bool):
+        yield np.concatenate([one, one[k:], one[k:]])
     if g:
-        extreme.append(along_tau(np.ones(k + g), np.full(2 * g, _EXTREME)))
-    searched, extreme = _feasible(problem, sample)[:starts], _feasible(problem, extreme)
-    if not searched and not extreme:
-        searched = [_start_by_continuation(problem, sample)]
-    return searched, extreme
+        yield np.repeat([False, True], [k + g, 2 * g])
+        yield np.repeat([False, True, False], [k, g, 2 * g])
 
 
-def _feasible(problem: BarrierProblem, sample: list[list[np.ndarray]]) -> list[np.ndarray]:
-    """Return the lowest point of each list that has a feasible one, the lowest first."""
+def _descents(faces: list[Face], starts: int, seed: int) -> list[Found]:
+    """Return local minima: several from the first face, one from each other."""
+    rng = np.random.default_rng(seed)
     found = []
-    for points in sample:
-        bounds = [problem.objective(point, 0.0)[0] for point in points]
-        if math.isfinite(lowest := min(bounds)):
-            found.append((lowest, points[bounds.index(lowest)]))
-    return [point for _, point in sorted(found, key=itemgetter(0))]
+    for index, face in enumerate(faces):
+        for start in face.starts(1 if index else starts, rng):
+            value, end = face.minimum(start)
+            found.append((value, face, end))
+    return found
 
 
-def _start_by_continuation(problem: BarrierProblem, sample: list[list[np.ndarray]]) -> np.ndarray:
-    """Return a feasible point, reached from designs for a smaller uncertainty.
+def _reduced(best: Found, plant: AugmentedSystem, cost: str) -> Found:
+    """Return the minimum with multipliers that are small at this one at zero, if it is as low."""
+    tried = [~best[1].positive]
+    for threshold in _SMALL:
+        value, face, point = best
+        zero = face.small(point, threshold)
+        if any((zero == other).all() for other in tried):
+            continue
+        tried.append(zero)
+        with suppress(InfeasibleDesignError):
+            reduced = Face.of(plant, cost, zero)
+            tau, multipliers, rates = face.arguments(point)
+            start = reduced.point(tau, multipliers, np.maximum(multipliers, rates))
+            lower, end = reduced.minimum(start)
+            if lower < value + _SAME:
+                best = lower, reduced, end
+    return best
 
-    Raises
-    ------
-    InfeasibleDesignError
-        Where none is found; it says how much smaller.
-    """
-    reached, last = 0.0, sample[0][0]
+
+def _by_less_uncertainty(faces: list[Face], starts: int, seed: int) -> Found:
+    """Return a feasible point, reached from designs for a smaller uncertainty, or say how small."""
+    reached, face, point = 0.0, faces[0], faces[0].box.mean(axis=0)
     for size in _FRACTIONS:
-        if found := _feasible(problem.scaled(size), sample):
-            grown = [_continued(problem, size, point) for point in found[:_CONTINUED]]
-            reached, last = max(grown, key=itemgetter(0))
+        found = _descents([face.scaled(size) for face in faces], starts, seed)
+        if found:
+            lowest = sorted(found, key=itemgetter(0))[:_CONTINUED]
+            grown = [_grown(face.scaled(1.0 / size), size, point) for _, face, point in lowest]
+            reached, face, point = max(grown, key=itemgetter(0))
             break
     try:
-        problem.log_bound(last)
+        return face.log_bound(point)[0], face, point
     except InfeasibleDesignError as error:
         raise InfeasibleDesignError(
             error.condition,
-            f"no design was found; the largest uncertainty for which one was is {reached:.3g} of "
-            "that given (scale the uncertainty outputs or the Lipschitz constants down)",
+            "no design was found; the largest fraction of the uncertainty with which one was is "
+            f"{reached:.3g} (scale the uncertainty outputs or the Lipschitz constants down)",
+            verb="failed where the search ended",
         ) from None
-    return last
 
 
-def _continued(problem: BarrierProblem, size: float, point: np.ndarray) -> tuple[float, np.ndarray]:
+def _grown(face: Face, size: float, point: np.ndarray) -> tuple[float, Face, np.ndarray]:
     """Return the largest size of the uncertainty that a path of designs reaches, and its end."""
     growth = 2.0
     while size < 1.0 and growth > 1.0 + _LEAST_GROWTH:
-        ahead = problem.scaled(min(1.0, growth**2 * size))
-        # further than the step that follows
-        if math.isfinite(ahead.objective(point, _CONTINUATION_WEIGHT)[0]):
-            size = min(1.0, growth * size)
-            here = problem.scaled(size)
-            point = here.minimum(point, _CONTINUATION_WEIGHT, _CONTINUATION_ITERATIONS)
+        larger = min(1.0, growth * size)
+        here = face.scaled(larger)
+        if here.objective(point)[0] < _REFUSED:
+            size, point = larger, here.minimum(point)[1]
         else:
             growth = math.sqrt(growth)
-    return size, point
+    return size, face, point
+
+
+def _design_beside(limit: RobustSmoother, rates: np.ndarray) -> RobustSmoother:
+    """Return a design next to a limit."""
+    plant, design = limit.plant, limit
+    v = BoundFunction.of(plant, limit.cost, limit.multipliers + rates > 0.0)
+    for fraction in VANISHING * 0.1 ** np.arange(7):
+        multipliers = limit.multipliers + fraction * limit.multipliers.max() * rates / rates.max()
+        multipliers /= multiplier_level(plant, multipliers)
+        tau = _best_tau(v, multipliers, limit.tau / v.time)
+        with suppress(InfeasibleDesignError):
+            design = design_smoother(plant, v.time * tau, multipliers, limit.cost)
+            if design.bound < (1.0 + _EXCESS) * limit.bound:
+                break
+    return design

@@ -20,23 +20,19 @@ channels' way into the estimation error,
       - \Lambda_X^{-1}B'(XP_XX + \tfrac12 Z)B\Lambda_X^{-1},
 
 of which the diagonals count. In a limit (`robsmooth.estimators.limit`) the term of x is added, with
-the multiplier of its equation. Time, states and measurements are brought to units of order one; the
-equations are solved fast and not certified: the design that a search ends with is, by
-`design_smoother`.
+the multiplier of its equation. Everything is in units of order one. The equations are solved fast
+and not certified: the design that a search ends with is, by `design_smoother`.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, schur, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, schur
+from scipy.linalg.lapack import dtrsyl
 
+from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support.validation import Matrix
-from robsmooth.estimators.conditions import (
-    ASSUMPTION_X,
-    ASSUMPTION_Y,
-    check_nonnegative,
-    refusal,
-)
+from robsmooth.estimators.conditions import ASSUMPTION_X, ASSUMPTION_Y, check_nonnegative, refusal
 from robsmooth.estimators.equations import DesignEquations
 from robsmooth.estimators.problem import DesignProblem
 from robsmooth.systems.augmented import AugmentedSystem
@@ -44,21 +40,29 @@ from robsmooth.systems.delay import pade_delay
 
 _STABILITY_MARGIN = 1e-10  # of a Riccati equation's closed loop, relative to its Hamiltonian's norm
 
+_LARGEST = 1e75  # a norm, so that products of four stay within the floats
+
 
 @dataclass(frozen=True, eq=False)
 class BoundFunction:
-    """The function v of a plant, made by `bound_function`.
+    """The function v of a plant."""
 
-    Attributes
-    ----------
-    problem : DesignProblem
-        In units of time, states and measurements that make it of order one.
-    time : float
-        The unit of time, s: tau is in this unit here.
-    """
+    problem: DesignProblem  # in units of time, states and measurements that make it of order one
+    time: float  # the unit of time, s: tau is in this unit here
 
-    problem: DesignProblem
-    time: float
+    @classmethod
+    def of(cls, plant: AugmentedSystem, cost: str, positive: np.ndarray) -> "BoundFunction":
+        """Return the function where the multipliers that `positive` marks are not zero."""
+        if cost == "filtered":  # which does not see the delay model
+            system = plant.system
+            plant = AugmentedSystem(system, pade_delay(0.0, 0, system.m), plant.J_21)
+        # each state's deviation, where white noise of order one drives all channels
+        inputs = np.hstack([plant.B_p1, plant.B1_tilde])
+        variances = np.diag(covariances(plant.A_p, inputs).stationary)
+        x = np.sqrt(np.where(variances > 0.0, variances, 1.0))[:, None]
+        y = np.linalg.norm(plant.system.D21, axis=1)[:, None]
+        time = 1.0 / np.linalg.norm(plant.A_p / x * x.T, 2)
+        return cls(DesignProblem.of(plant, cost, positive).in_units(time, x, y), time)
 
     def scaled(self, size: float) -> "BoundFunction":
         """Return the function for uncertainty whose outputs are `size` times as large."""
@@ -72,14 +76,23 @@ class BoundFunction:
         cost = np.linalg.norm(self.problem.C, 2) ** 2
         return float(cost / information) if information > 0.0 < cost else 1.0
 
+    @np.errstate(all="ignore")
     def __call__(self, theta: np.ndarray, rates: np.ndarray) -> tuple[float, np.ndarray]:
         """Return log v, and its gradient in theta and in the rates, (2, k + 3g).
 
-        Raises
-        ------
-        InfeasibleDesignError
-            Where there is no design.
+        Raises InfeasibleDesignError where there is no design, or numbers leave the range of floats.
         """
+        try:
+            v, gradient = self._value(theta, rates)
+        except LinAlgError as error:
+            raise refusal(ASSUMPTION_Y, str(error)) from None
+        if not (np.isfinite(v) and np.isfinite(gradient).all()):
+            raise refusal(ASSUMPTION_Y, "numbers leave the range of floats")
+        v = max(v, np.finfo(float).tiny)
+        return float(np.log(v)), gradient / v
+
+    def _value(self, theta: np.ndarray, rates: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return v and its gradient."""
         equations = DesignEquations(self.problem, 1.0, theta, rates)
         weights = equations.weights
         Y = _stabilising(ASSUMPTION_Y, *equations.equation_Y)
@@ -109,12 +122,8 @@ class BoundFunction:
         H = B_Y - K @ D
         gradient_Y = self._per_weight(Y / 2 + Y @ P_Y @ Y, H * equations.noise_Y, P_Y - Z / 2)
         gradient_X = self._per_weight(P_X, B * equations.noise_X, X @ P_X @ X + on_noise)
-        gradient = [
-            weights.gradient(gradient_Y, gradient_X),
-            weights.gradient(np.zeros_like(gradient_x), gradient_x),
-        ]
-        v = max(v, np.finfo(float).tiny)
-        return float(np.log(v)), np.array(gradient) / v
+        in_rates = weights.gradient(np.zeros_like(gradient_x), gradient_x)
+        return v, np.array([weights.gradient(gradient_Y, gradient_X), in_rates])
 
     def _per_weight(self, on_outputs: Matrix, B: Matrix, on_inputs: Matrix) -> np.ndarray:
         """Return diag(C1 F C1') - diag(B' G B), of the F and G given, summed by constraint."""
@@ -124,42 +133,28 @@ class BoundFunction:
         return outputs - np.bincount(problem.channels, (B * (on_inputs @ B)).sum(axis=0), count)
 
 
-def bound_function(plant: AugmentedSystem, cost: str, positive: np.ndarray) -> BoundFunction:
-    """Return the function v of a plant, where the multipliers that `positive` marks are not zero.
-
-    Raises
-    ------
-    InfeasibleDesignError
-        As `DesignProblem.of`.
-    """
-    system = plant.system
-    if cost == "filtered":  # which does not see the delay model
-        plant = AugmentedSystem(system, pade_delay(0.0, 0, system.m), plant.J_21)
-    time = 1.0 / np.linalg.norm(plant.A_p, 2)
-    variances = np.ones(plant.n)
-    variances[: system.n] = np.diag(solve_continuous_lyapunov(system.A, -system.B1 @ system.B1.T))
-    x = np.sqrt(np.where(variances > 0.0, variances, 1.0))[:, None]
-    y = np.linalg.norm(system.D21, axis=1)[:, None]
-    return BoundFunction(DesignProblem.of(plant, cost, positive).in_units(time, x, y), time)
-
-
 def _stabilising(condition: str, A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
     """Return the stabilising solution of A'X + XA + Q - XSX = 0, which the condition asks for."""
     n = len(A)
     size_Q, size_S = np.linalg.norm(Q), np.linalg.norm(S)
     unit = np.sqrt(size_Q / size_S) if size_Q > 0.0 < size_S else 1.0
     hamiltonian = np.block([[A, -unit * S], [-Q / unit, -A.T]])
-    margin = _STABILITY_MARGIN * np.linalg.norm(hamiltonian)
+    size = np.linalg.norm(hamiltonian)
+    if not size < _LARGEST:
+        raise refusal(condition, "its coefficients leave the range of floats")
     try:
         form, basis, stable = schur(hamiltonian, sort="lhp")
         X = np.linalg.solve(basis[:n, :n].T, basis[n:, :n].T) * unit
     except (LinAlgError, ValueError) as error:
         raise refusal(condition, str(error)) from None
-    if stable != n or form.diagonal()[:n].max() > -margin:
+    rate = -form.diagonal()[:n].max()
+    if stable != n or not rate > _STABILITY_MARGIN * size or not np.linalg.norm(X) < _LARGEST:
         raise refusal(condition, "there is no stabilising solution")
     return (X + X.T) / 2
 
 
 def _lyapunov(A: Matrix, Q: Matrix) -> Matrix:
     """Return the solution of A X + X A' + Q = 0."""
-    return solve_continuous_lyapunov(A, -Q)
+    form, basis = schur(A)
+    X, scale, _ = dtrsyl(form, form, -basis.T @ Q @ basis, tranb="T")
+    return basis @ (X / scale) @ basis.T

@@ -14,11 +14,9 @@ ASSUMPTION_Y = "Assumption 3.1 (Riccati equation for Y)"
 ASSUMPTION_X = "Assumption 3.2 (Riccati equation for X)"
 # What usually mends them. X/tau depends on the multipliers alone.
 _HINTS = {
-    ASSUMPTION_Y: "a larger tau may help",
-    ASSUMPTION_X: (
-        "other ratios of the multipliers, or less uncertainty (smaller outputs C or Lipschitz "
-        "constants), may help"
-    ),
+    ASSUMPTION_Y: "; a larger tau may help",
+    ASSUMPTION_X: "; other ratios of the multipliers, or less uncertainty (smaller outputs C or "
+    "Lipschitz constants), may help",
 }
 _EQUALITY_SLACK = 1e-9  # of inequalities that hold with equality at an optimum
 
@@ -52,25 +50,21 @@ def singular(plant: AugmentedSystem, multipliers: np.ndarray) -> np.ndarray:
     return zero & np.concatenate([zero[:k], np.tile(few, 3)])
 
 
-def check_nonsingular(plant: AugmentedSystem, multipliers: np.ndarray) -> None:
-    """Check M(lambda) > 0."""
-    if singular(plant, multipliers).any():
-        raise InfeasibleDesignError(
-            "M(lambda) > 0",
-            "every uncertainty needs a positive multiplier and every nonlinearity two positive "
-            f"ones, got {multipliers.tolist()} (limiting_smoother gives the limit in which more "
-            "of them vanish)",
-        )
-
-
 def multiplier_level(plant: AugmentedSystem, multipliers: Sequence[float]) -> float:
     """Return the largest eigenvalue of J'MJ; (eqcons) says that it is at most 1."""
     level = plant.J.T @ plant.M(multipliers) @ plant.J
     return float(np.linalg.eigvalsh(level).max(initial=0.0))
 
 
-def check_multiplier_level(plant: AugmentedSystem, multipliers: Sequence[float]) -> None:
-    """Check the constraint (eqcons)."""
+def check_multipliers(plant: AugmentedSystem, multipliers: np.ndarray, limit: bool) -> None:
+    """Check M(lambda) > 0, but for a limit, and the constraint (eqcons)."""
+    if not limit and singular(plant, multipliers).any():
+        raise InfeasibleDesignError(
+            "M(lambda) > 0",
+            "every uncertainty needs a positive multiplier and every nonlinearity two positive "
+            f"ones, got {multipliers.tolist()} (limiting_smoother gives the limit in which more "
+            "of them vanish)",
+        )
     level = multiplier_level(plant, multipliers)
     if level > 1.0 + _EQUALITY_SLACK:
         raise InfeasibleDesignError(
@@ -114,5 +108,4 @@ def certified_solution(condition: str, solve: Callable[[], RiccatiSolution]) -> 
 
 def refusal(condition: str, detail: str) -> InfeasibleDesignError:
     """Return the error of an assumption, with what usually mends it."""
-    hint = f"; {_HINTS[condition]}" if condition in _HINTS else ""
-    return InfeasibleDesignError(condition, detail + hint)
+    return InfeasibleDesignError(condition, detail + _HINTS.get(condition, ""))

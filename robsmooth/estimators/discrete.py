@@ -46,12 +46,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
 from robsmooth.estimators.sample_loop import (
-    Model,
     Record,
     Steps,
+    running_copies,
     running_functions,
     sample_loop,
     sizes_of,
+    steps_of,
     takes_numbers,
 )
 
@@ -70,22 +71,6 @@ class DiscreteSmoother:
     The state is kept between calls: a record in pieces gives the same rows, to the last bit, as in
     one. A call that fails leaves the state as it was.
 
-    Parameters
-    ----------
-    estimator : Estimator
-        Any design of this package.
-    dt : float
-        Length of a sample's interval, s.
-    functions : sequence of g callables, optional
-        The nonlinearities' functions, instead of those of the plant; None keeps the plant's.
-
-    Raises
-    ------
-    ValueError, TypeError
-        For a dt that is not positive, or a copy without a function.
-    ArithmeticError
-        For an unstable estimator, where dt is too long for it.
-
     Attributes
     ----------
     dt : float
@@ -100,10 +85,6 @@ class DiscreteSmoother:
         for every sample, which is slower by a factor of a hundred and more.
     samples : int
         Taken since the start or the last `reset`.
-
-    See Also
-    --------
-    smooth_record : smooths a record from file to file.
 
     Examples
     --------
@@ -127,37 +108,28 @@ class DiscreteSmoother:
     ) -> None:
         self.dt: float = validation.positive("dt", dt)
         self.delay: float = estimator.plant.delay
+        self.lag: float = self.delay
         system = estimator.plant.system
-        self.l: int = system.l
-        self.m: int = system.m
-        self.g: int = system.g
-        self._model = Model.of(estimator)
+        self.l, self.m, self.g = system.l, system.m, system.g
+        self._estimator, self._running = estimator, running_copies(estimator)
+        self._C_nu = np.ascontiguousarray(estimator.C_c[system.m :][self._running])
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
-        self._sizes = sizes_of(self._model.n, self.l, self.m, len(self._model.running))
-        running = running_functions(system.nonlinearities, functions, self._model.running)
-        compiled = all(takes_numbers(function) for function in running)
-        self.compiled: bool = compiled and not numba.config.DISABLE_JIT
-        self._advance = sample_loop(running, self.compiled)
+        self._sizes = sizes_of(len(estimator.A_c), self.l, self.m, len(self._running))
+        run = running_functions(system.nonlinearities, functions, self._running)
+        self.compiled: bool = all(map(takes_numbers, run)) and not numba.config.DISABLE_JIT
+        self._advance = sample_loop(run, self.compiled)
         self._patterns: dict[bytes, int] = {}  # of missing channels, to a row of the steps
         self._steps: Steps | None = None
         self._pattern(np.zeros(self.l, dtype=bool))
         self.reset()
 
     def __repr__(self) -> str:
-        model = self._model
         how = "compiled" if self.compiled else "not compiled"
         return (
-            f"DiscreteSmoother(dt={self.dt:g} s, delay={self.delay:g} s, {model.n} states, "
-            f"{self.l} measurements, {self.m} outputs, {len(model.running)} copies, {how}, "
-            f"{self.samples} samples taken)"
+            f"DiscreteSmoother(dt={self.dt:g} s, delay={self.delay:g} s, "
+            f"{len(self._state)} states, {self.l} measurements, {self.m} outputs, "
+            f"{len(self._running)} copies, {how}, {self.samples} samples taken)"
         )
-
-    # --- what it knows ---------------------------------------------------------------------------
-
-    @property
-    def lag(self) -> float:
-        """The same as `delay`."""
-        return self.delay
 
     @property
     def state(self) -> NDArray[np.float64]:
@@ -186,16 +158,13 @@ class DiscreteSmoother:
         Returns
         -------
         (rows,) array
-            In seconds from the start or the last `reset`; below zero for smoothed estimates of
-            what was before.
+            In seconds from the start or the last `reset`, which is zero.
         """
         rows = validation.integer("rows", rows, low=0)
         if rows > self.samples:
             raise ValueError(f"rows must be at most the {self.samples} samples taken, got {rows}")
         delay = self.delay if validation.choice("output", output, OUTPUTS) == "smoothed" else 0.0
         return np.arange(self.samples - rows + 1, self.samples + 1) * self.dt - delay
-
-    # --- what it does ----------------------------------------------------------------------------
 
     def reset(self, state: ArrayLike | None = None, samples: int = 0) -> None:
         """Begin a new record.
@@ -208,13 +177,11 @@ class DiscreteSmoother:
             Those before, where a record is gone on with.
         """
         samples = validation.integer("samples", samples, low=0)
-        if state is None:
-            self._state = np.zeros(self._model.n)
-        else:
-            state = validation.array("state", state, ndim=1)
-            if state.size != self._model.n:
-                raise ValueError(f"state must have {self._model.n} entries, got {state.size}")
-            self._state = state.copy()
+        states = len(self._estimator.A_c)
+        state = validation.array("state", np.zeros(states) if state is None else state, ndim=1)
+        if state.size != states:
+            raise ValueError(f"state must have {states} entries, got {state.size}")
+        self._state = state.copy()
         self.samples: int = samples
 
     def step(self, y: ArrayLike, *, reference: ArrayLike | None = None) -> NDArray[np.float64]:
@@ -222,10 +189,8 @@ class DiscreteSmoother:
 
         Parameters
         ----------
-        y : (l,) array
-            The mean of dy/dt over the next interval; NaN where it is missing.
-        reference : (g,) array, optional
-            As in `run`.
+        y, reference : (l,) and (g,) arrays
+            A row of those of `run`.
 
         Returns
         -------
@@ -265,8 +230,6 @@ class DiscreteSmoother:
 
         Raises
         ------
-        ValueError, TypeError
-            For a record of the wrong shape or with an infinity.
         ArithmeticError
             Where the state leaves the range of floats.
         """
@@ -274,25 +237,22 @@ class DiscreteSmoother:
         y = _checked("y", y, self.l)
         record = self._record(y, self._reference(reference, len(y)))
         state, result = self._state.copy(), np.empty((len(y), len(readout)))
-        self._advance(self._sizes, self._steps, self._model.C_nu, readout, record, state, result)
+        self._advance(self._sizes, self._steps, self._C_nu, readout, record, state, result)
         if not np.isfinite(state).all():
             raise ArithmeticError("the estimator's state left the range of floating-point numbers")
         self._state = state
         self.samples += len(y)
         return result
 
-    # --- helpers ---------------------------------------------------------------------------------
-
     def _reference(self, given: ArrayLike | None, rows: int) -> NDArray[np.float64]:
         """Return the reference of the copies that run."""
-        running = self._model.running
         if given is None:
-            return np.zeros((rows, len(running)))
+            return np.zeros((rows, len(self._running)))
         reference = _checked("reference", given, self.g)
         if len(reference) != rows:
             raise ValueError(f"reference must have {rows} rows, as y, got {len(reference)}")
         _refuse("reference must be finite", reference, ~np.isfinite(reference))
-        return np.ascontiguousarray(reference[:, running])
+        return np.ascontiguousarray(reference[:, self._running])
 
     def _record(self, y: NDArray[np.float64], reference: NDArray[np.float64]) -> Record:
         """Return the samples, in segments with the same measurements missing."""
@@ -309,14 +269,11 @@ class DiscreteSmoother:
         """Return the index of the matrices for these missing channels; make them where needed."""
         key = missing.tobytes()
         if key not in self._patterns:
-            steps = self._model.steps(self.dt, missing)
+            steps = steps_of(self._estimator, self._running, self.dt, missing)
             if self._steps is not None:
                 steps = Steps(*map(np.concatenate, zip(self._steps, steps, strict=True)))
             self._patterns[key], self._steps = len(self._patterns), steps
         return self._patterns[key]
-
-
-# --- checks --------------------------------------------------------------------------------------
 
 
 def _checked(name: str, given: ArrayLike, columns: int) -> NDArray[np.float64]:

@@ -24,9 +24,26 @@ put right here: the constant term of the second Riccati equation, and :math:`A_c
 the X equation has the sign as printed (the paper's numbers follow from the other one, see
 `robsmooth.paper.published`).
 
+Only between a nonlinearity and its copy have :math:`M(\lambda)` and :math:`N(\lambda)` entries off
+their diagonals. With d, o and c the multipliers of the difference, of the nonlinearity's own
+constraint and of its copy's, the squares are completed there:
+
+.. math::
+
+    d(\mu - \tilde\mu)^2 + o\mu^2 + c\tilde\mu^2 &= e(\mu - a\tilde\mu)^2
+      + \tfrac{d + c}{e}f\,\tilde\mu^2, & a &= \tfrac{d}{d + o},\quad e = d + o,\\
+    d(\nu - \tilde\nu)^2 + o\nu^2 + c\tilde\nu^2 &= (d + c)(\tilde\nu - b\nu)^2 + f\nu^2, &
+      b &= \tfrac{d}{d + c},\quad f = o + \tfrac{dc}{d + c}.
+
+The estimator has the copy's output :math:`\tilde\mu` without noise. So :math:`a\tilde\mu` is a
+known input to it, and what is left of :math:`\mu`, of weight e, is the noise of the Y equation. The
+copy's argument is the estimator's to choose: :math:`b\nu` if it knew the state, which leaves the
+weight f in the X equation. There 1/f is the noise, too: the entry of :math:`M^{-1}` at
+:math:`\mu`. Nothing cancels in e and f, however small a multiplier is.
+
 With the channels of uncertainties and nonlinearities side by side in B, D and
-:math:`C_1 = [C_{1,s};\ \beta_i\bar C_{1,i}]`, and the weights :math:`\Lambda_Y`, :math:`\Lambda_X`
-and shares a, b of `robsmooth.estimators.weights`, the equations above are
+:math:`C_1 = [C_{1,s};\ \beta_i\bar C_{1,i}]`, and the weights :math:`\Lambda_Y` and
+:math:`\Lambda_X`, which are :math:`\lambda_s` and then e and f, the equations above are
 
 .. math::
 
@@ -49,8 +66,9 @@ Where some multipliers are zero and M is singular, the equations are those of th
 (`robsmooth.estimators.limit`).
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -59,66 +77,66 @@ from robsmooth._numerics.riccati import RiccatiSolution, solve_riccati
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.problem import DesignProblem
-from robsmooth.estimators.weights import Weights
 
 Equation = tuple[Matrix, Matrix, Matrix]  # the A, Q and S of A'Z + ZA + Q - ZSZ = 0
 
 
-@dataclass(frozen=True, eq=False)
+class Weights(NamedTuple):
+    """What the equations need of the multipliers of k uncertainties and g nonlinearities."""
+
+    a: np.ndarray  # (g,) the shares of the copies' outputs ...
+    b: np.ndarray  # (g,) ... and of their arguments
+    rest: np.ndarray  # (g,) 1 - b
+    Y: np.ndarray  # (k + g,) lambda_s, then e
+    X: np.ndarray  # (k + g,) lambda_s, then f
+    rates: np.ndarray  # (k + g,) how fast those of the X equation grow as a limit is left
+
+    @classmethod
+    def of(cls, k: int, multipliers: np.ndarray, rates: np.ndarray) -> "Weights":
+        """Return the weights; `rates` are those at which multipliers that are zero are approached.
+
+        Where neither multiplier of a copy's argument is left, b depends on the rates alone.
+        """
+        both = np.array([multipliers, rates])
+        d, o, c = np.moveaxis(both[:, k:].reshape(2, 3, -1), 1, 0)
+        pair = np.where(d[0] + c[0] > 0.0, (d[0], c[0]), (d[1], c[1]))
+        a, b, rest = _share((d[0], *pair), (o[0], *pair[::-1]))
+        X, fast = np.hstack([both[:, :k], rest**2 * d + o + b**2 * c])
+        return cls(a, b, rest, np.concatenate([multipliers[:k], d[0] + o[0]]), X, fast)
+
+    def gradient(self, on_Y: np.ndarray, on_X: np.ndarray) -> np.ndarray:
+        """Return the derivatives in the multipliers of what has these in the weights, (k + 3g,)."""
+        k = len(on_Y) - len(self.a)
+        e, f = on_Y[k:], on_X[k:]
+        return np.concatenate([on_Y[:k] + on_X[:k], e + self.rest**2 * f, e + f, self.b**2 * f])
+
+
+def _share(parts: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> np.ndarray:
+    """Return part/(part + other), zero where both are."""
+    total = np.add(parts, others)
+    return np.divide(parts, total, out=np.zeros_like(total), where=total > 0.0)
+
+
 class DesignEquations:
-    """The equations at one tau and lambda.
+    """The equations at one tau and lambda; `rates` say how fast zeros are approached in a limit."""
 
-    Attributes
-    ----------
-    problem : DesignProblem
-    tau : float
-    multipliers, rates : (k + 3g,) arrays
-        lambda, and in a limit how fast those that are zero are approached.
-    """
-
-    problem: DesignProblem
-    tau: float
-    multipliers: np.ndarray
-    rates: np.ndarray
-
-    @cached_property
-    def weights(self) -> Weights:
-        """What the equations need of the multipliers."""
-        return Weights.of(self.problem.k, self.multipliers, self.rates)
-
-    @cached_property
-    def R(self) -> Matrix:
-        """(n, n) as in Assumption 3."""
-        return self.problem.C.T @ self.problem.C + self._output_cost(self.weights.Y)
-
-    @cached_property
-    def noise_Y(self) -> np.ndarray:
-        """(r + g,) the diagonal of Lambda_Y^{-1}; zero for channels with noise without bound."""
-        return _inverse(self.weights.Y)[self.problem.channels]
-
-    @cached_property
-    def noise_X(self) -> np.ndarray:
-        """(r + g,) the diagonal of Lambda_X^{-1}; zero for channels with noise without bound."""
-        return _inverse(self.weights.X)[self.problem.channels]
-
-    @cached_property
-    def unbounded_noise(self) -> np.ndarray:
-        """(r + g,) what the noise that `noise_X` leaves out is proportional to beside a limit."""
-        return np.where(
-            self.problem.unbounded, _inverse(self.weights.rates)[self.problem.channels], 0.0
-        )
-
-    @cached_property
-    def E(self) -> Matrix:
-        """(l, l) the intensity of the measurement's noise."""
-        _, _, _, D = self.problem.of_Y
-        return D * self.noise_Y @ D.T
-
-    @cached_property
-    def L(self) -> Matrix:
-        """(n, l) the intensity of the state's noise with the measurement's."""
-        _, B, _, D = self.problem.of_Y
-        return B * self.noise_Y @ D.T
+    def __init__(
+        self, problem: DesignProblem, tau: float, multipliers: np.ndarray, rates: np.ndarray
+    ) -> None:
+        self.problem, self.tau, self.multipliers = problem, tau, multipliers
+        self.weights = Weights.of(problem.k, multipliers, rates)
+        self.R = problem.C.T @ problem.C + self._output_cost(self.weights.Y)
+        self.Q_X = self._output_cost(self.weights.X)  # R - Gamma G^{-1} Gamma'
+        # The diagonals of Lambda_Y^{-1} and Lambda_X^{-1}; zero for channels with noise without
+        # bound, and what that is proportional to beside a limit.
+        self.noise_Y = _inverse(self.weights.Y)[problem.channels]
+        self.noise_X = _inverse(self.weights.X)[problem.channels]
+        fast = _inverse(self.weights.rates)[problem.channels]
+        self.unbounded_noise = np.where(problem.unbounded, fast, 0.0)
+        _, B, _, D = problem.of_Y
+        self.E = D * self.noise_Y @ D.T
+        self.L = B * self.noise_Y @ D.T
+        self.worst_noise = problem.B * self.noise_X @ problem.B.T  # B1_tilde M^{-1} B1_tilde'
 
     @cached_property
     def over_E(self) -> tuple[Matrix, Matrix]:
@@ -126,7 +144,7 @@ class DesignEquations:
         _, _, C2, _ = self.problem.of_Y
         return tuple(np.hsplit(np.linalg.solve(self.E, np.hstack([C2, self.L.T])), 2))
 
-    @cached_property
+    @property
     def equation_Y(self) -> Equation:
         """The first Riccati equation of Assumption 3."""
         A, B, C2, _ = self.problem.of_Y
@@ -136,16 +154,6 @@ class DesignEquations:
             B * self.noise_Y @ B.T - self.L @ gain,
             C2.T @ information - self.R / self.tau,
         )
-
-    @cached_property
-    def worst_noise(self) -> Matrix:
-        """(n, n) B Lambda_X^{-1} B', which is B1_tilde M^{-1} B1_tilde'."""
-        return self.problem.B * self.noise_X @ self.problem.B.T
-
-    @cached_property
-    def Q_X(self) -> Matrix:
-        """(n, n) R - Gamma G^{-1} Gamma', the constant term of the X equation."""
-        return self._output_cost(self.weights.X)
 
     def equation_X(self, quadratic_sign: float = 1.0) -> Equation:
         """Return the second Riccati equation of Assumption 3; the theory has `quadratic_sign` 1."""
@@ -166,13 +174,7 @@ class DesignEquations:
         return solve_riccati(*self.equation_X(quadratic_sign))
 
     def solution(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, Matrix, float, float]:
-        """Return K, U, T, V and rho(YX).
-
-        Raises
-        ------
-        InfeasibleDesignError
-            Where rho(YX) is not below tau.
-        """
+        """Return K, U, T, V and rho(YX), which must be below tau."""
         # inv(I - Y X/tau), symmetric inside: no digit of it depends on the units of the states
         root = square_root(Y)
         radii, directions = np.linalg.eigh(root.T @ X @ root)

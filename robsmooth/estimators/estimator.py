@@ -20,7 +20,7 @@ from robsmooth._support import notation, validation
 from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.statespace import Blocks
+from robsmooth.systems.statespace import chosen, state_space
 
 if TYPE_CHECKING:
     import control
@@ -35,29 +35,20 @@ class Estimator:
     Attributes
     ----------
     plant : AugmentedSystem
-        What it is for: the system and the delay.
     A_c : (n_c, n_c) array
         Its drift, 1/s; n_c is the plant's order for all designs of this package.
     B_c : (n_c, l + g) array
         Its gains: columns for y, then for the copies' outputs mu-tilde.
     C_c : (m + g, n_c) array
         Its outputs: rows of w-hat, then of the copies' arguments nu-tilde.
-    C_a : (m, n_c) array
-        The read-out of the smoothed estimate of w one delay back.
-    C_f : (m, n_c) array
-        The read-out of the filtered estimate of w now; w-hat for every design but one whose cost
-        is on the smoothed error.
-
-    See Also
-    --------
-    minimize_bound, baselines : robust and classical designs.
-    error_covariance, simulate : the errors of any of them.
+    C_a, C_f : (m, n_c) arrays
+        The read-outs of the smoothed estimate of w one delay back, and of the filtered one of w
+        now, which is w-hat for every design but one whose cost is on the smoothed error.
 
     Examples
     --------
     >>> import robsmooth as rs
-    >>> smoother = rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
-    >>> smoother
+    >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
     Estimator(3 states, delay=3.1e-06 s, order=2, 1 measurements, 1 outputs, 1 copies)
     """
 
@@ -79,9 +70,7 @@ class Estimator:
         return poles[np.lexsort((poles.imag, -poles.real))]
 
     def to_statespace(
-        self,
-        slopes: ArrayLike | None = None,
-        outputs: str | Iterable[str] | None = None,
+        self, slopes: ArrayLike | None = None, outputs: str | Iterable[str] | None = None
     ) -> "control.StateSpace":
         """Return the estimator as a python-control object.
 
@@ -101,10 +90,6 @@ class Estimator:
         -------
         control.StateSpace
 
-        See Also
-        --------
-        UncertainSystem.to_statespace : the system, to be joined with it.
-
         Examples
         --------
         >>> import robsmooth as rs
@@ -115,15 +100,16 @@ class Estimator:
         system = self.plant.system
         gain, copies = np.hsplit(self.B_c, [system.l])
         A, nu = self.A_c, self.C_c[system.m :]
-        inputs = {"y": gain, "mu_copy": copies}
-        if slopes is not None:
+        inputs = {"y": gain}
+        if slopes is None:
+            inputs["mu_copy"] = copies
+        else:
             slopes = validation.array("slopes", slopes, ndim=1)
             if slopes.size != system.g:
                 raise ValueError(f"slopes must have {system.g} entries, got {slopes.size}")
             A = A + copies * slopes @ nu
-            inputs = {"y": gain}
         read_outs = {"smoothed": self.C_a, "filtered": self.C_f, "nu_copy": nu}
-        return Blocks(A, inputs, read_outs).select(None, outputs).to_control()
+        return state_space(A, inputs, chosen("outputs", outputs, read_outs), {})
 
     def discretize(
         self, dt: float, functions: Iterable[Callable[[Any], Any] | None] | None = None
@@ -144,14 +130,8 @@ class Estimator:
 
         Raises
         ------
-        ValueError, TypeError
-            For a dt that is not positive, or a copy without a function.
         ArithmeticError
             Where the estimator is unstable, and dt too long for it.
-
-        See Also
-        --------
-        smooth_record : smooths a record from file to file.
 
         Examples
         --------
@@ -177,15 +157,12 @@ class Estimator:
     def _sheet(self, what: str, rows: Sequence[tuple]) -> str:
         """Return a table of what is particular to a design, then of what all have."""
         plant = self.plant
-        matrices = {
-            "$A_c$ (1/s)": self.A_c,
-            r"$\tilde B_c$": self.B_c,
-            r"$\tilde C_c$": self.C_c,
-            "$C_a$": self.C_a,
-        }
         shared = [
             ("poles (1/s)", f"${notation.poles(self.poles)}$"),
-            *((name, f"${notation.matrix(value)}$") for name, value in matrices.items()),
+            ("$A_c$ (1/s)", f"${notation.matrix(self.A_c)}$"),
+            (r"$\tilde B_c$", f"${notation.matrix(self.B_c)}$"),
+            (r"$\tilde C_c$", f"${notation.matrix(self.C_c)}$"),
+            ("$C_a$", f"${notation.matrix(self.C_a)}$"),
         ]
         caption = (
             f"{what}: delay ${notation.number(plant.delay)}$ s, delay model of order {plant.order}."

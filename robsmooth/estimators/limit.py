@@ -5,7 +5,7 @@ difference stays, the bound may fall all the way, and no design attains its infi
 design all the same, and computed here as such, without a small number: with
 :math:`\lambda(\varepsilon) = \lambda + \varepsilon\rho`, at :math:`\varepsilon = 0`.
 
-Channels whose weight vanishes (`robsmooth.estimators.weights`) have noise without bound:
+Channels whose weight vanishes (`robsmooth.estimators.equations`) have noise without bound:
 
 - In the X equation it is left out. With b the channels' inputs into the state, divided by the
   roots of the weights' rates, the solution :math:`X_0` must satisfy :math:`X_0b = 0`, else the
@@ -52,22 +52,15 @@ def limiting_smoother(
     r"""Design the smoother in the limit where the zeros among the multipliers are approached.
 
     It is the limit of `design_smoother` at :math:`\lambda + \varepsilon\rho` as
-    :math:`\varepsilon \to 0`, gains and bound, computed where :math:`\varepsilon = 0`. Its
-    guarantee is the limit of theirs: whatever the admissible uncertainty, the loops of those
-    designs keep half their mean square errors below bounds that tend to this one, and a stable
-    loop's error is a continuous function of the gains.
+    :math:`\varepsilon \to 0`, gains and bound. Its guarantee is the limit of theirs: whatever the
+    admissible uncertainty, half the mean square errors of those designs are below bounds that tend
+    to this one, and a stable loop's error is a continuous function of the gains.
 
     Parameters
     ----------
-    plant : AugmentedSystem
-        Made by `augment`.
-    tau : float
-        :math:`\bar\tau > 0`, in seconds times the squared unit of w.
-    multipliers : (k + 3g,) sequence
-        lambda, as for `design_smoother`, with zeros for those that vanish. Where M(lambda) is
-        positive all the same, there is no limit to take: the design is that of `design_smoother`.
-    cost : {"filtered", "smoothed"}
-        The error that the bound is for, as in `design_smoother`.
+    plant, tau, multipliers, cost
+        As in `design_smoother`; the multipliers that vanish are zero. Where M(lambda) is positive
+        all the same, the design is that of `design_smoother`.
     rates : (k + 3g,) sequence, optional
         :math:`\rho \ge 0`, how fast the zeros are approached, relative to each other; only those of
         vanishing multipliers count. By default one for all that make M(lambda) singular. Rates
@@ -83,21 +76,9 @@ def limiting_smoother(
     InfeasibleDesignError
         Where Assumption 2 or 3 or the constraint (eqcons) fails in the limit, or the bound grows
         without limit towards it.
-    ValueError, TypeError
-        For bad arguments, as `design_smoother`; for rates that leave M(lambda) singular.
-
-    See Also
-    --------
-    minimize_bound : finds tau and lambda, and returns a limit beside a design next to it.
-
-    References
-    ----------
-    Section III: Assumptions 2 and 3, equations (eqcons), (eqCparams) and (eqbound).
 
     Examples
     --------
-    The multipliers of the nonlinearity and of its copy vanish:
-
     >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> limit = rs.limiting_smoother(plant, tau=1.1e-6, multipliers=[1.0, 0.5, 0.0, 0.0])

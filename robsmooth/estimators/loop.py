@@ -6,8 +6,7 @@ r"""The loop of plant and estimator with its uncertainty taken out.
     \qquad e(t) = C_w X(t - \delta) - C_s X(t),
 
 with :math:`X = [x_p; \hat x]` as in (eqclosed): :math:`\tilde\xi = \Delta\tilde\zeta` closes
-it. What is asked of the loop under every admissible :math:`\Delta`, and not under one, starts here;
-so do the simulations of the nonlinear loop.
+it.
 
 A *reference* `r` is what a detector takes off the arguments of the nonlinearities, and the copies
 off theirs (`robsmooth.Nonlinearity`): :math:`\tilde\zeta = C_\zeta X - r`, with `r` read out of
@@ -24,6 +23,7 @@ from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
+from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.channels import REFERENCES
 from robsmooth.systems.system import UncertainSystem
 
@@ -37,48 +37,26 @@ _COMBINATION_TOLERANCE = 1e-9  # a row that is a combination of others to that, 
 class Block:
     """One block of the structure of Delta, times `gain`, in one place or in two.
 
-    Attributes
-    ----------
-    places : tuple of (slice, slice)
-        Its rows and columns in Delta: one place for an uncertainty; for a nonlinearity its own and
-        that of its copy, which have the same slope.
-    gain : float
-        The Lipschitz constant of a nonlinearity, 1 for an uncertainty.
-    shape : (int, int)
-        The block's rows and columns.
+    Those are a nonlinearity's own and that of its copy, which have the same slope.
     """
 
-    places: tuple[tuple[slice, slice], ...]
-    gain: float
-    shape: tuple[int, int]
+    places: tuple[tuple[slice, slice], ...]  # rows and columns in Delta
+    gain: float  # the Lipschitz constant of a nonlinearity, 1 for an uncertainty
+    shape: tuple[int, int]  # the block's rows and columns
 
 
 @dataclass(frozen=True, eq=False)
 class OpenLoop:
-    """The loop, its uncertainty taken out (the module docstring has its equations).
+    """The loop, its uncertainty taken out (the module docstring has its equations)."""
 
-    Attributes
-    ----------
-    A, B : (N, N) and (N, q + g) arrays
-        Drift with Delta = 0 (1/s), and noise intensity.
-    inputs, outputs : (N, r + 2g) and (h + 2g, N) arrays
-        Where xi-tilde enters, and zeta-tilde.
-    truth, estimate : (m, N) arrays
-        The error is truth X(t - delay) - estimate X(t).
-    delay : float
-        In seconds.
-    blocks : tuple of Block
-        Those blocks of Delta that have an effect.
-    """
-
-    A: Matrix
-    B: Matrix
-    inputs: Matrix
-    outputs: Matrix
-    truth: Matrix
-    estimate: Matrix
-    delay: float
-    blocks: tuple[Block, ...]
+    A: Matrix  # (N, N) drift with Delta = 0, 1/s
+    B: Matrix  # (N, q + g) noise intensity
+    inputs: Matrix  # (N, r + 2g) where xi-tilde enters
+    outputs: Matrix  # (h + 2g, N) zeta-tilde
+    truth: Matrix  # (m, N) C_w: the error is truth X(t - delay) - estimate X(t)
+    estimate: Matrix  # (m, N) C_s
+    delay: float  # s
+    blocks: tuple[Block, ...]  # those blocks of Delta that have an effect
 
     def assemble(self, values: Sequence[np.ndarray], batch: tuple[int, ...]) -> np.ndarray:
         """Return Delta, (*batch, r + 2g, h + 2g), from its blocks, each (*batch, rows, columns)."""
@@ -124,37 +102,21 @@ def matrices(
     if loop == "real":
         noise[plant.system.l :] = 0.0
     none = np.zeros((plant.n, len(estimator.A_c)))
+    copies = plant.D12_tilde @ estimator.C_c - reference_outputs(estimator, reference)
     return (
         np.block([[plant.A_p, none], [gain @ plant.C2_tilde, estimator.A_c]]),
         np.vstack([plant.B_p1, gain @ noise]),
         np.vstack([plant.B1_tilde, gain @ plant.D21_tilde]),
-        np.hstack(
-            [
-                plant.C1_tilde,
-                plant.D12_tilde @ estimator.C_c - reference_outputs(estimator, reference),
-            ]
-        ),
+        np.hstack([plant.C1_tilde, copies]),
     )
 
 
 def reference_outputs(estimator: Estimator, reference: Reference) -> Matrix:
-    r"""Return the rows that read the reference out of the estimator's state.
+    """Return the rows that read the reference out of the estimator's state, (h + 2g, n_c).
 
-    Parameters
-    ----------
-    estimator : Estimator
-    reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
-        Each nonlinearity's own, an estimate of its argument, the rows themselves, or zero.
-
-    Returns
-    -------
-    (h + 2g, n_c) array
-        Of the order of zeta-tilde: zeros, the rows, and the rows again where a copy is run.
-
-    Raises
-    ------
-    ValueError, TypeError
-        For another reference, or the name of an estimate that there is not.
+    It is each nonlinearity's own ("system"), an estimate of its argument ("filtered", "smoothed"),
+    a (g, n_c) matrix, or zero (None). The rows are of the order of zeta-tilde: zeros, the
+    nonlinearities', and the same again where a copy is run.
     """
     system, n_c = estimator.plant.system, len(estimator.A_c)
     rows = _reference_rows(estimator, reference)
@@ -203,19 +165,7 @@ def argument_weights(system: UncertainSystem, index: int) -> Matrix | None:
 
 
 def error_rows(smoother: Estimator, output: str) -> tuple[Matrix, Matrix, float]:
-    """Return truth, estimate and delay of an error, as `OpenLoop` has them.
-
-    Parameters
-    ----------
-    smoother : Estimator
-    output : {"smoothed", "filtered", "guaranteed"}
-        As in `open_loop`.
-
-    Raises
-    ------
-    ValueError
-        For another output, or "guaranteed" where the estimator has no bound.
-    """
+    """Return truth, estimate and delay of an error, as `OpenLoop` has them."""
     validation.choice("output", output, OUTPUTS)
     plant = smoother.plant
     truth, estimate, delay = plant.C_p0, smoother.C_a, plant.delay
@@ -229,48 +179,26 @@ def error_rows(smoother: Estimator, output: str) -> tuple[Matrix, Matrix, float]
             )
         truth = plant.C_p0 if smoother.cost == "filtered" else plant.C_a
         estimate = smoother.C_c[: plant.system.m]
-    truth, estimate = (
-        np.hstack([truth, np.zeros_like(estimate)]),
-        np.hstack([np.zeros_like(truth), estimate]),
-    )
-    return truth, estimate, delay
+    none = np.zeros_like(estimate)
+    return np.hstack([truth, none]), np.hstack([np.zeros_like(truth), estimate]), delay
 
 
 def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
     """Take the uncertainty out of the loop of an estimator and its plant.
 
-    Parameters
-    ----------
-    smoother : Estimator
-        Any design of this package.
-    output : {"smoothed", "filtered", "guaranteed"}
-        The error of the smoothed estimate one lag back, of the filtered one now, or that of w-hat
-        which the bound of a `RobustSmoother` is for: it is the filtered one where the cost is, and
-        else w-hat's error against the output of the delay model.
-    loop : {"theory", "real"}
-        Whether the design's fictitious noise drives the copies, as in the theory.
-
-    Returns
-    -------
-    OpenLoop
+    The error is that of the smoothed estimate one lag back, of the filtered one now, or that of
+    w-hat which the bound of a `RobustSmoother` is for ("guaranteed"): the filtered one where the
+    cost is, and else w-hat's against the output of the delay model.
     """
     validation.instance("smoother", smoother, Estimator)
     truth, estimate, delay = error_rows(smoother, output)
     A, B, inputs, outputs = matrices(smoother, loop)
-    return OpenLoop(
-        A=A,
-        B=B,
-        inputs=inputs,
-        outputs=outputs,
-        truth=truth,
-        estimate=estimate,
-        delay=delay,
-        blocks=tuple(
-            block
-            for block in _structure(smoother)
-            if any(inputs[:, r].any() and outputs[c].any() for r, c in block.places)
-        ),
+    blocks = tuple(
+        block
+        for block in _structure(smoother.plant)
+        if any(inputs[:, rows].any() and outputs[columns].any() for rows, columns in block.places)
     )
+    return OpenLoop(A, B, inputs, outputs, truth, estimate, delay, blocks)
 
 
 def guarantee(smoother: Estimator, output: str) -> float | None:
@@ -284,18 +212,16 @@ def guarantee(smoother: Estimator, output: str) -> float | None:
     return smoother.mean_square_bound if covered else None
 
 
-def _structure(smoother: Estimator) -> list[Block]:
+def _structure(plant: AugmentedSystem) -> list[Block]:
     """Return the blocks of Delta: the k uncertainties, then the g nonlinearities."""
-    plant = smoother.plant
-    rows, columns = (np.cumsum((0, *sizes)) for sizes in (plant.input_sizes, plant.output_sizes))
+    shapes = list(zip(plant.input_sizes, plant.output_sizes, strict=True))
+    ends = np.cumsum(shapes, axis=0)
     places = [
-        (slice(rows[i], rows[i + 1]), slice(columns[i], columns[i + 1]))
-        for i in range(len(plant.input_sizes))
+        (slice(row - r, row), slice(column - h, column))
+        for (r, h), (row, column) in zip(shapes, ends, strict=True)
     ]
     k, g = plant.system.k, plant.system.g
-    blocks = [
-        Block((places[s],), 1.0, (plant.input_sizes[s], plant.output_sizes[s])) for s in range(k)
-    ]
-    for i, channel in enumerate(plant.system.nonlinearities):
-        blocks.append(Block((places[k + i], places[k + g + i]), channel.lipschitz, (1, 1)))
+    blocks = [Block((places[s],), 1.0, shapes[s]) for s in range(k)]
+    for i, channel in enumerate(plant.system.nonlinearities, start=k):
+        blocks.append(Block((places[i], places[i + g]), channel.lipschitz, (1, 1)))
     return blocks

@@ -13,7 +13,6 @@ from scipy.linalg import null_space
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.conditions import ASSUMPTION_X, refusal
-from robsmooth.estimators.weights import Weights
 from robsmooth.systems.augmented import AugmentedSystem
 
 _NEGLIGIBLE = 1e-9  # a product of matrices that is smaller, relative to its terms, is rounding
@@ -23,47 +22,28 @@ _NEGLIGIBLE = 1e-9  # a product of matrices that is smaller, relative to its ter
 class DesignProblem:
     """What the equations are made of, whatever tau and the positive multipliers are.
 
-    Attributes
-    ----------
-    A, C, C2 : (n, n), (m, n), (l, n) arrays
-        The plant's drift, the output that the cost is on, and the measurement.
-    B, D, C1 : (n, r + g), (l, r + g), (h + g, n) arrays
-        The channels of the uncertainties and nonlinearities: inputs into the state and into the
-        measurement, and outputs.
-    channels, rows : (r + g,), (h + g,) arrays of int
-        To which of the k + g uncertainties and nonlinearities these inputs and outputs belong.
-    lipschitz : (g,) array
-        The constants of the nonlinearities, which their outputs are multiplied by.
-    unbounded : (r + g,) array of bool
-        In a limit, the channels with noise without bound in the X equation.
-    known, combinations : (n, l), (l, l_Y) arrays
-        In a limit, what the measurement tells of the channels with noise without bound, as inputs
-        into the state, and the combinations of measurements that these channels do not enter.
+    `channels` and `rows` say to which of the k + g uncertainties and nonlinearities the inputs and
+    outputs belong. The last three are of a limit: which channels have noise without bound in the X
+    equation; what the measurement tells of those in the Y equation, as inputs into the state, and
+    the combinations of measurements that they do not enter.
     """
 
-    A: Matrix
-    C: Matrix
-    C2: Matrix
-    B: Matrix
-    D: Matrix
-    C1: Matrix
-    channels: np.ndarray
-    rows: np.ndarray
-    lipschitz: np.ndarray
-    unbounded: np.ndarray
-    known: Matrix
-    combinations: Matrix
+    A: Matrix  # (n, n) the plant's drift
+    C: Matrix  # (m, n) the output that the cost is on
+    C2: Matrix  # (l, n) the measurement
+    B: Matrix  # (n, r + g) the channels' inputs into the state
+    D: Matrix  # (l, r + g) and into the measurement
+    C1: Matrix  # (h + g, n) their outputs, the nonlinearities' times their Lipschitz constants
+    channels: np.ndarray  # (r + g,)
+    rows: np.ndarray  # (h + g,)
+    lipschitz: np.ndarray  # (g,)
+    unbounded: np.ndarray  # (r + g,)
+    known: Matrix  # (n, l)
+    combinations: Matrix  # (l, l_Y)
 
     @classmethod
     def of(cls, plant: AugmentedSystem, cost: str, positive: np.ndarray) -> "DesignProblem":
-        """Return the problem where the multipliers that `positive` marks are not zero.
-
-        Raises
-        ------
-        InfeasibleDesignError
-            Where noise without bound enters the state and no measurement tells of it, or the
-            remaining uncertainty acts on what it enters.
-        """
+        """Return the problem where the multipliers that `positive` marks are not zero."""
         system, k, g = plant.system, plant.system.k, plant.system.g
         channels, rows = (
             np.repeat(np.arange(k + g), sizes[: k + g])
@@ -73,10 +53,12 @@ class DesignProblem:
         lipschitz = np.array([c.lipschitz for c in system.nonlinearities])
         scales = np.concatenate([np.ones(len(rows) - g), lipschitz])
         C1 = scales[:, None] * plant.C1_tilde[: len(rows)]
-        left = Weights.of(k, 1.0 * positive, np.zeros(len(positive)))
-        unknown, unbounded = left.Y[channels] == 0.0, left.X[channels] == 0.0
+        # the weights e of the Y equation and f of the X equation that are not zero
+        s, (d, o, c) = positive[:k], positive[k:].reshape(3, g)
+        in_Y, in_X = np.concatenate([s, d | o]), np.concatenate([s, o | (d & c)])
+        unknown, unbounded = ~in_Y[channels], ~in_X[channels]
         known, combinations = _known_inputs(system.D21, B[:, unknown], D[:, unknown])
-        if _reaches(plant.A_p, B[:, unbounded], C1[left.X[rows] > 0.0]):
+        if _reaches(plant.A_p, B[:, unbounded], C1[in_X[rows]]):
             raise refusal(
                 ASSUMPTION_X,
                 "towards the limit of these multipliers the bound grows without limit, because the "
@@ -95,12 +77,8 @@ class DesignProblem:
     def of_Y(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
         """A, B, C2 and D of the Y equation: the same, but in a limit."""
         N = self.combinations
-        return (
-            self.A - self.known @ self.C2,
-            self.B - self.known @ self.D,
-            N.T @ self.C2,
-            N.T @ self.D,
-        )
+        A, B = self.A - self.known @ self.C2, self.B - self.known @ self.D
+        return A, B, N.T @ self.C2, N.T @ self.D
 
     def in_units(self, time: float, x: Matrix, y: Matrix) -> "DesignProblem":
         """Return the problem with other units of time, states (n, 1) and measurements (l, 1)."""

@@ -5,7 +5,7 @@ functions of the nonlinearities are, or no copy runs; else Python goes from samp
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -18,17 +18,13 @@ from numpy.typing import NDArray
 from robsmooth._numerics.exponential import responses
 from robsmooth._support.blas import one_thread
 from robsmooth._support.kernels import kept
-from robsmooth._support.validation import Matrix
 from robsmooth.systems.channels import Nonlinearity
 
 _Vectorized = type(numba.vectorize(lambda value: value))
 
 
 class Steps(NamedTuple):
-    """The matrices of a step, for each pattern of missing channels.
-
-    They are transposed: what belongs to one state, measurement or copy lies side by side.
-    """
+    """The transposed matrices of a step, for each pattern of missing channels."""
 
     transition: NDArray[np.float64]  # (patterns, n, n), phi_0
     measurement: NDArray[np.float64]  # (patterns, l, n), phi_1 h B_y
@@ -37,68 +33,34 @@ class Steps(NamedTuple):
 
 
 class Record(NamedTuple):
-    """The samples of a record, with zeros for what is missing.
-
-    Segment s goes from sample ``starts[s]`` to ``starts[s + 1]``, with the matrices of
-    ``patterns[s]``.
-    """
+    """The samples of a record, with zeros for what is missing."""
 
     y: NDArray[np.float64]  # (N, l)
     reference: NDArray[np.float64]  # (N, copies)
-    starts: NDArray[np.intp]
-    patterns: NDArray[np.intp]
+    starts: NDArray[np.intp]  # segment s has the samples from starts[s] to starts[s + 1] ...
+    patterns: NDArray[np.intp]  # ... and the matrices of patterns[s]
 
 
-@dataclass(frozen=True, eq=False)
-class Model:
-    """The estimator with the copies that it runs.
-
-    A copy whose argument or whose gain is zero is not run.
-    """
-
-    A: Matrix
-    B_y: Matrix
-    B_mu: Matrix
-    C_nu: Matrix
-    C_2: Matrix  # what the estimator expects of y: C_2 x_hat + D mu
-    D: Matrix
-    running: list[int]
-
-    @classmethod
-    def of(cls, estimator: Any) -> "Model":
-        """Return the model of an `Estimator`, which imports this module."""
-        system = estimator.plant.system
-        B_y, B_mu = np.hsplit(estimator.B_c, [system.l])
-        C_nu = estimator.C_c[system.m :]
-        running = [i for i in range(system.g) if B_mu[:, i].any() and C_nu[i].any()]
-        _, _, D = system.stacked(system.nonlinearities)
-        return cls(
-            A=estimator.A_c,
-            B_y=B_y,
-            B_mu=B_mu[:, running],
-            C_nu=np.ascontiguousarray(C_nu[running]),
-            C_2=estimator.plant.C2_tilde[: system.l],
-            D=D[:, running],
-            running=running,
-        )
-
-    @property
-    def n(self) -> int:
-        """Number of states."""
-        return len(self.A)
-
-    @one_thread
-    def steps(self, dt: float, missing: NDArray[np.bool_]) -> Steps:
-        """Return the matrices of a step with these channels missing."""
-        gain = self.B_y * missing
-        inputs = np.hstack([self.B_y * ~missing, self.B_mu + gain @ self.D])
-        transition, held, ramp = responses(self.A + gain @ self.C_2, inputs, dt)
-        copies = slice(len(missing), None)
-        matrices = (transition, held[:, : len(missing)], held[:, copies], ramp[:, copies])
-        return Steps(*(np.ascontiguousarray(matrix.T)[None] for matrix in matrices))
+def running_copies(estimator: Any) -> list[int]:
+    """Return which copies are run: those with an argument and a gain."""
+    system = estimator.plant.system
+    inputs, arguments = estimator.B_c[:, system.l :], estimator.C_c[system.m :]
+    return [i for i in range(system.g) if inputs[:, i].any() and arguments[i].any()]
 
 
-# --- the nonlinearities' functions ---------------------------------------------------------------
+@one_thread
+def steps_of(estimator: Any, running: list[int], dt: float, missing: NDArray[np.bool_]) -> Steps:
+    """Return the matrices of a step; C_2 x_hat + D mu is in the place of what is missing."""
+    system = estimator.plant.system
+    B_y, B_mu = np.hsplit(estimator.B_c, [system.l])
+    _, _, D = system.stacked(system.nonlinearities)
+    gain = B_y * missing
+    inputs = np.hstack([B_y * ~missing, (B_mu + gain @ D)[:, running]])
+    A = estimator.A_c + gain @ estimator.plant.C2_tilde[: system.l]
+    transition, held, ramp = responses(A, inputs, dt)
+    copies = slice(system.l, None)
+    matrices = (transition, held[:, : system.l], held[:, copies], ramp[:, copies])
+    return Steps(*(np.ascontiguousarray(matrix.T)[None] for matrix in matrices))
 
 
 def running_functions(
@@ -156,9 +118,6 @@ def _compiled(functions: tuple[Callable, ...]) -> Callable:
 @njit
 def _no_copies(arguments, values):
     pass
-
-
-# --- the loop over samples -----------------------------------------------------------------------
 
 
 def sample_loop(functions: tuple[Callable[[Any], Any], ...], compiled: bool) -> Callable:

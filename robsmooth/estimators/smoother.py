@@ -12,8 +12,7 @@ from robsmooth.estimators.conditions import (
     ASSUMPTION_X,
     ASSUMPTION_Y,
     certified_solution,
-    check_multiplier_level,
-    check_nonsingular,
+    check_multipliers,
     check_plant,
     check_stable,
     singular,
@@ -27,17 +26,12 @@ from robsmooth.systems.augmented import AugmentedSystem
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobustSmoother(Estimator):
-    """A robust fixed-lag smoother with its guarantee.
+    """A robust fixed-lag smoother with its guarantee; `design_smoother` says what it is made of.
 
     Attributes
     ----------
-    tau : float
-        The scaling constant, in seconds times the squared unit of w.
-    multipliers : (k + 3g,) array
-        The paper's lambda: k uncertainties, then for the g nonlinearities those of the difference
-        constraints, of the mu constraints and of the mu-tilde constraints.
-    cost : str
-        "filtered" or "smoothed": the error that the bound is for.
+    tau, multipliers, cost
+        As in `design_smoother`.
     X, Y : (n, n) arrays
         The solutions of the Riccati equations.
     certificates : dict of RiccatiSolution
@@ -47,17 +41,11 @@ class RobustSmoother(Estimator):
         below it for every admissible uncertainty. The error is that against w, or with
         cost="smoothed" that against the output w_a of the delay model (not of the true delay).
     bound_infimum : float or None
-        Where `minimize_bound` made the design and the least bound is approached but not attained:
-        its infimum.
+        Where `minimize_bound` made the design and the least bound is not attained: its infimum.
     limit : RobustSmoother or None
         Then the design that attains it in the limit.
     spectral_radius : float
         rho(YX), below tau.
-
-    See Also
-    --------
-    design_smoother, minimize_bound, limiting_smoother : make it.
-    error_covariance, worst_case : its errors under given and worst uncertainties.
 
     Examples
     --------
@@ -92,9 +80,8 @@ class RobustSmoother(Estimator):
     def __repr__(self) -> str:
         return (
             f"RobustSmoother(bound={self.bound:.4g}, cost={self.cost!r}, tau={self.tau:.4g}, "
-            f"multipliers={notation.array(self.multipliers)}, "
-            f"delay={self.plant.delay:g} s, order={self.plant.order}, "
-            f"spectral_radius/tau={self.spectral_radius / self.tau:.3g})"
+            f"multipliers={notation.array(self.multipliers)}, delay={self.plant.delay:g} s, "
+            f"order={self.plant.order}, spectral_radius/tau={self.spectral_radius / self.tau:.3g})"
         )
 
     def _repr_html_(self) -> str:
@@ -136,8 +123,6 @@ def design_smoother(
     InfeasibleDesignError
         Where Assumption 2 or 3, M(lambda) > 0 or the constraint (eqcons) fails; the message says
         which and by how much.
-    ValueError, TypeError
-        For a tau that is not positive, multipliers of the wrong length or sign, an unknown cost.
 
     See Also
     --------
@@ -168,26 +153,14 @@ def design_equations(
     limit: bool = False,
     rates: ArrayLike | None = None,
 ) -> DesignEquations:
-    """Return the equations of a design or of a limit, after checking all but Assumption 3.
-
-    Raises
-    ------
-    InfeasibleDesignError
-        Where Assumption 2, M(lambda) > 0 or the constraint (eqcons) fails.
-    ValueError, TypeError
-        For bad arguments: those of `design_smoother`, or of `limiting_smoother`.
-    """
+    """Return the equations of a design or of a limit, after checking all but Assumption 3."""
     check_plant(plant, cost)
     tau = validation.positive("tau", tau)
     multipliers = weights("multipliers", plant, multipliers)
-    if limit:
-        ones = singular(plant, multipliers).astype(float)
-        rates = ones if rates is None else weights("rates", plant, rates)
-        rates = np.where(multipliers == 0.0, rates, 0.0)
-    else:
-        check_nonsingular(plant, multipliers)
-        rates = np.zeros_like(multipliers)
-    check_multiplier_level(plant, multipliers)
+    zeros = 1.0 * singular(plant, multipliers)
+    rates = zeros if rates is None else weights("rates", plant, rates)
+    rates = np.where(multipliers == 0.0, rates, 0.0)
+    check_multipliers(plant, multipliers, limit)
     if singular(plant, multipliers + rates).any():
         raise ValueError(
             "rates must be positive for enough of the vanishing multipliers to make M positive, "
@@ -203,13 +176,11 @@ def solve_design(plant: AugmentedSystem, equations: DesignEquations, cost: str) 
     Y = certified_solution(ASSUMPTION_Y, equations.solve_Y)
     X = certified_solution(ASSUMPTION_X, equations.solve_X)
     A_c, B_c, C_c, bound, radius = equations.gains(X.X, Y.X)
+    C_f = C_c[: plant.system.m] if cost == "filtered" else plant.C_p0
+    matrices = {"A_c": A_c, "B_c": B_c, "C_c": C_c, "C_a": plant.C_a, "C_f": C_f}
     return RobustSmoother(
         plant=plant,
-        A_c=A_c,
-        B_c=B_c,
-        C_c=C_c,
-        C_a=plant.C_a,
-        C_f=C_c[: plant.system.m] if cost == "filtered" else plant.C_p0,
+        **matrices,
         tau=equations.tau,
         multipliers=equations.multipliers,
         cost=cost,

@@ -14,12 +14,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from IPython import get_ipython
 from matplotlib.figure import Figure
 
+import robsmooth as rs
 from robsmooth.explorer.controls import Controls
 from robsmooth.explorer.describe import code, summary
 from robsmooth.explorer.panels import PREPARING, Panels
 from robsmooth.explorer.settings import Settings
 from robsmooth.explorer.snapshot import Snapshot, simulate, take_snapshot
-from robsmooth.homodyne.montecarlo import MonteCarloResult
 
 DEBOUNCE = 0.004  # s without an event, before the newest settings are drawn
 SIMULATION_TIMEOUT = 0.5  # s that a drawing waits for its simulation, where it may come later
@@ -30,23 +30,14 @@ _thread = ThreadPoolExecutor(1, "robsmooth-simulation")
 class Explorer:
     """Panels that show what a design does at some settings, and sliders for these.
 
-    As the value of a notebook's cell it shows itself: with its sliders in a browser, and as an
-    image where a notebook is run without one.
-
-    Parameters
-    ----------
-    settings : Settings, optional
-        To begin with, and to go back to; by default the paper's example.
-
-    Attributes
-    ----------
-    controls : Controls or None
-        The sliders, once they have been shown.
+    It begins with the settings given, by default the paper's example. As the value of a notebook's
+    cell it shows itself: with its sliders in a browser, and as an image where a notebook is run
+    without one. `controls` are the sliders, once they have been shown.
     """
 
     def __init__(self, settings: Settings | None = None):
         self.controls: Controls | None = None
-        self._settings = Settings() if settings is None else settings
+        self._settings = settings or Settings()
         self._panels = Panels()
         self._timer: asyncio.TimerHandle | None = None
         self._simulation: Future | None = None
@@ -65,7 +56,7 @@ class Explorer:
         return self._snapshot
 
     @property
-    def simulated(self) -> MonteCarloResult | str:
+    def simulated(self) -> rs.MonteCarloResult | str:
         """The simulation that is shown."""
         self._wait()
         return self._simulated
@@ -75,11 +66,6 @@ class Explorer:
         """The panels."""
         self._wait()
         return self._panels.figure
-
-    @property
-    def code(self) -> str:
-        """Code that finds the numbers on the panels by the public API."""
-        return code(self.settings)
 
     def show_controls(self) -> Controls:
         """Return the sliders, which from now on say what is shown."""
@@ -92,10 +78,8 @@ class Explorer:
         return f"Explorer({self.settings})"
 
     def _repr_mimebundle_(self, **_) -> Mapping[str, object]:
-        live = {}
-        if can_show_widgets():
-            live = self.show_controls().widget._repr_mimebundle_()
-        else:
+        live = self.show_controls().widget._repr_mimebundle_() if can_show_widgets() else {}
+        if not live:
             self._wait()
         image = base64.b64encode(self._panels.png()).decode()
         return {**live, "image/png": image, "text/plain": summary(self._snapshot, self._simulated)}
@@ -130,7 +114,7 @@ class Explorer:
     def _update_controls(self) -> None:
         if self.controls:
             described = summary(self._snapshot, self._simulated)
-            self.controls.update(self._panels.png(), described, self.code)
+            self.controls.update(self._panels.png(), described, code(self.settings))
 
     def _wait(self) -> None:
         """Wait until the newest settings are drawn, simulation and all."""
@@ -142,13 +126,10 @@ class Explorer:
 def can_show_widgets() -> bool:
     """Tell whether a cell is run by a frontend that could show sliders.
 
-    One that could not answer a question of the code's, as those that run notebooks in batches, is
-    none.
+    Those that run notebooks in batches could not, nor answer a question of the code's.
     """
     kernel = getattr(get_ipython(), "kernel", None)
-    if kernel is None:
-        return False
-    return bool(kernel.get_parent("shell").get("content", {}).get("allow_stdin"))
+    return bool(kernel and kernel.get_parent("shell").get("content", {}).get("allow_stdin"))
 
 
 def _running_loop() -> asyncio.AbstractEventLoop | None:

@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import NamedTuple
 
-from robsmooth import homodyne
+import robsmooth as rs
 from robsmooth._support import validation
 from robsmooth.estimators.conditions import COSTS
-from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.paper.published import DELAY, ORDER, printed
 
 DESIGNS = ("robust", "by hand", "classical")
+_PAPER = rs.homodyne.PAPER
 
 
 class Range(NamedTuple):
@@ -50,41 +50,21 @@ RANGES = {
 
 @dataclass(frozen=True)
 class Settings:
-    r"""What the explorer shows; by default the paper's example.
+    """What the explorer shows; by default the paper's example.
 
-    Attributes
-    ----------
-    lag : float
-        How far back the smoothed estimate looks, s.
-    order : int
-        Of the Pade model of the lag.
-    gamma : float
-        Half width of the sector that the sine is taken to stay in.
-    noise : float
-        Power of the shot noise, relative to the paper's. A beam of amplitude
-        :math:`\alpha/\sqrt{\mathrm{noise}}` has it, and the design knows of it.
-    lam, kappa : float
-        Decay rate of the phase, rad/s, and its diffusion, rad^2/s.
-    cost : {"filtered", "smoothed"}
-        The error that a robust design keeps low.
-    design : {"robust", "by hand", "classical"}
-        The design with the least bound, one with the tau and multipliers given here, or the
-        fixed-lag smoother of the nominal system.
-    tau : float
-        Of a design by hand, rad^2 s; by default what the paper prints.
-    lambda1, lambda2, lambda3, lambda4 : float
-        The multipliers of a design by hand; by default what the paper prints.
+    The design is the robust one with the least bound, a robust one with the tau and multipliers
+    given here (by default what the paper prints), or the fixed-lag smoother of the nominal system.
     """
 
-    lag: float = DELAY
-    order: int = ORDER
-    gamma: float = homodyne.PAPER.gamma
-    noise: float = 1.0
-    lam: float = homodyne.PAPER.lam
-    kappa: float = homodyne.PAPER.kappa
-    cost: str = COSTS[0]
+    lag: float = DELAY  # how far back the smoothed estimate looks, s
+    order: int = ORDER  # of the Pade model of the lag
+    gamma: float = _PAPER.gamma  # half width of the sector that the sine is taken to stay in
+    noise: float = 1.0  # power of the shot noise, relative to the paper's; the design knows of it
+    lam: float = _PAPER.lam  # decay rate of the phase, rad/s
+    kappa: float = _PAPER.kappa  # diffusion of the phase, rad^2/s
+    cost: str = COSTS[0]  # the error that a robust design keeps low
     design: str = DESIGNS[0]
-    tau: float = printed("tau")
+    tau: float = printed("tau")  # rad^2 s
     lambda1: float = printed("lambda_1")
     lambda2: float = printed("lambda_2")
     lambda3: float = printed("lambda_3")
@@ -107,13 +87,7 @@ class Settings:
         return self.lambda1, self.lambda2, self.lambda3, self.lambda4
 
     @property
-    def parameters(self) -> HomodyneParameters:
-        """The optical loop."""
-        paper = homodyne.PAPER
-        return replace(
-            paper,
-            lam=self.lam,
-            kappa=self.kappa,
-            alpha=paper.alpha / self.noise**0.5,
-            gamma=self.gamma,
-        )
+    def parameters(self) -> rs.homodyne.HomodyneParameters:
+        """The optical loop: more noise is that of a weaker beam."""
+        alpha = _PAPER.alpha / self.noise**0.5
+        return replace(_PAPER, lam=self.lam, kappa=self.kappa, alpha=alpha, gamma=self.gamma)

@@ -16,6 +16,8 @@ V grows with h, so the least h for each p is best. With :math:`J_{21} = j` the c
 that :math:`h = p - q` with :math:`q^2 = (1-p)(j^{-2}-q)`. Two numbers are left, p and tau.
 """
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -27,23 +29,7 @@ _MOST_CUTS = 60  # how often a cell may be cut
 def scalar_bound(
     parameters: HomodyneParameters, p: ArrayLike, tau: ArrayLike, J_21: float = 1.0
 ) -> NDArray:
-    """Return V at p and tau, the rest at its best; infinity where there is no design.
-
-    Parameters
-    ----------
-    parameters : HomodyneParameters
-    p : array
-        Between zero and one.
-    tau : array
-        In rad^2 s, positive.
-    J_21 : float
-        Intensity of the copy's noise.
-
-    Returns
-    -------
-    array
-        In rad^2.
-    """
+    """Return V, rad^2, at p in [0, 1] and tau > 0, rad^2 s; infinity where there is no design."""
     p, tau = np.asarray(p, dtype=float), np.asarray(tau, dtype=float)
     return _value(parameters, _Y(parameters, p, tau), _x(parameters, p, J_21), p, tau)
 
@@ -55,29 +41,11 @@ def least_tau(parameters: HomodyneParameters, p: float) -> float:
 
 
 def prove_infimum(parameters: HomodyneParameters, target: float, J_21: float = 1.0) -> int:
-    """Prove that no design of the example has a bound below a target, by branch and bound.
+    """Prove by branch and bound that no V is below a target; return how many cells it took.
 
     On a cell of p and tau, V is at least its value with Y, which falls in both, from the upper
     corner, and all else from the lower one. Cells that may hold less than the target are cut in
-    four, until none is left.
-
-    Parameters
-    ----------
-    parameters : HomodyneParameters
-    target : float
-        In rad^2.
-    J_21 : float
-        Intensity of the copy's noise.
-
-    Returns
-    -------
-    int
-        The number of cells that it took.
-
-    Raises
-    ------
-    ValueError
-        Where a cell holds a design with a bound below the target, or gamma is above beta.
+    four, until none is left. A ValueError has the design that is below the target.
     """
     s, c2 = _squares(parameters)
     if not s >= c2:
@@ -104,10 +72,10 @@ def prove_infimum(parameters: HomodyneParameters, target: float, J_21: float = 1
             raise ValueError(
                 f"V is {found.min():.9g} rad^2 at p = {p:.6g}, tau = {tau:.6g} rad^2 s"
             )
-        corners = np.array([(i, j) for i in (False, True) for j in (False, True)])
+        corners = np.array(list(product((False, True), repeat=2)))[:, None]
         low, high = (
-            np.vstack([np.where(corner, middle, low) for corner in corners]),
-            np.vstack([np.where(corner, high, middle) for corner in corners]),
+            np.where(corners, middle, low).reshape(-1, 2),
+            np.where(corners, high, middle).reshape(-1, 2),
         )
     raise ValueError(f"cells are left in which V may be below {target:.9g} rad^2")
 
@@ -126,17 +94,20 @@ def _least_h(p: NDArray, J_21: float) -> NDArray:
 
 def _Y(parameters: HomodyneParameters, p: NDArray, tau: NDArray) -> NDArray:
     s, c2 = _squares(parameters)
-    root = parameters.lam**2 + parameters.kappa * ((s - c2) * p - 1.0 / tau)
-    value = parameters.kappa / (parameters.lam + np.sqrt(np.maximum(root, 0.0)))
-    return np.where(root < 0.0, np.inf, value)
+    return _root(parameters, parameters.kappa, (s - c2) * p - 1.0 / tau)
 
 
 def _x(parameters: HomodyneParameters, p: NDArray, J_21: float) -> NDArray:
     _, c2 = _squares(parameters)
     h = _least_h(p, J_21)
-    root = parameters.lam**2 - parameters.kappa * c2 * h
-    value = c2 * h / (parameters.lam + np.sqrt(np.maximum(root, 0.0)))
-    return np.where(root < 0.0, np.inf, value)
+    return _root(parameters, c2 * h, -c2 * h)
+
+
+def _root(parameters: HomodyneParameters, constant: ArrayLike, other: NDArray) -> NDArray:
+    """The Y of 0 = -2 lambda Y - Y^2 other + kappa, or the x of the other equation; or infinity."""
+    square = parameters.lam**2 + parameters.kappa * other
+    value = constant / (parameters.lam + np.sqrt(np.maximum(square, 0.0)))
+    return np.where(square < 0.0, np.inf, value)
 
 
 def _value(

@@ -17,35 +17,16 @@ from robsmooth.homodyne.parameters import HomodyneParameters
 
 @dataclass(frozen=True)
 class Compared:
-    """The errors of one estimator in a real loop, whose copies have no noise.
-
-    Attributes
-    ----------
-    estimator : Estimator
-    output : str
-        The estimate that it is for: "smoothed", or "filtered" for a filter.
-    at : tuple of float
-        Mean square errors at the given slopes of the nonlinearity, rad^2.
-    worst : WorstCase
-        The worst constant uncertainty.
-    allowed : AnalysisBound
-        The worst that the quadratic constraints allow.
-    simulated : MeanSquare
-        The error in the loop with the sine itself, by the paper's protocol, rad^2.
-    slips : int
-        Cycle slips in the simulation: an estimator that ignores the measurement is not in lock.
-    moments : StationaryErrors
-        The error in lock, without sampling.
-    """
+    """The errors of one estimator, rad^2, in a real loop, whose copies have no noise."""
 
     estimator: Estimator
-    output: str
-    at: tuple[float, ...]
-    worst: WorstCase
-    allowed: AnalysisBound
-    simulated: MeanSquare
-    slips: int
-    moments: StationaryErrors
+    output: str  # the estimate that it is for: "smoothed", or "filtered" for a filter
+    at: tuple[float, ...]  # at the given slopes of the nonlinearity
+    worst: WorstCase  # constant uncertainty
+    allowed: AnalysisBound  # the worst that the quadratic constraints allow
+    simulated: MeanSquare  # in the loop with the sine itself, by the paper's protocol
+    slips: int  # in the simulation: without the measurement an estimator is not in lock
+    moments: StationaryErrors  # in lock, without sampling
 
     @property
     def promised(self) -> float | None:
@@ -67,24 +48,7 @@ def compare(
     progress: bool = False,
     **simulation,
 ) -> dict[str, Compared]:
-    """Find the errors of each estimator, all with the same noise in the simulation.
-
-    Parameters
-    ----------
-    estimators : mapping
-        From a name to an estimator and the output, "smoothed" or "filtered", to judge it by.
-    parameters : HomodyneParameters
-    slopes : sequence of float
-        Of the nonlinearity, the paper's Delta_2.
-    progress : bool
-        Show a progress bar.
-    **simulation
-        For `monte_carlo`: runs, seed and so on.
-
-    Returns
-    -------
-    dict of Compared
-    """
+    """Find the errors of each estimator and its output, at slopes Delta_2 and in `monte_carlo`."""
     found = {}
     cases = progress_bar(estimators.items(), unit="estimator", shown=progress)
     for name, (estimator, output) in cases:

@@ -24,12 +24,9 @@ With :math:`u`, :math:`\tilde\nu` and the estimates linear in :math:`\hat x` thi
              + b_s\bigl[\sin(\varphi - r\hat x)\,dt + \nu\,dW\bigr],
     \qquad \nu = \frac{\sqrt s}{2\alpha},
 
-which is what is simulated: the options of the loop differ in :math:`G`, :math:`r`, :math:`c` and
-:math:`b_c` only.
-
-It is the loop of any nonlinear system (`robsmooth.estimators.loop`) with the reference
-:math:`2\alpha\gamma u`, and written with sines: :math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) -
-(\beta/\gamma)v`, of which the second part is linear.
+which is what is simulated. It is the loop of any nonlinear system (`robsmooth.estimators.loop`)
+with the reference :math:`2\alpha\gamma u`, and written with sines: :math:`\psi(v) =
+2\alpha\sin(v/2\alpha\gamma) - (\beta/\gamma)v`, of which the second part is linear.
 """
 
 import math
@@ -43,6 +40,7 @@ from robsmooth._numerics import linearisation
 from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
+from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import matrices
 from robsmooth.homodyne.parameters import homodyne_system
@@ -57,42 +55,20 @@ LARGEST_VARIANCE = 4 * np.pi**2  # rad^2, a turn: such a loop is not locked at a
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    r"""The loop in the form that is simulated (the last equation of the module's docstring).
+    """The loop in the form that is simulated (the last equation of the module's docstring)."""
 
-    Parameters
-    ----------
-    phase_decay : float
-        :math:`\lambda`, 1/s.
-    phase_diffusion : float
-        :math:`\sqrt\kappa`, rad/s^(1/2).
-    drift : (n, n) array
-        :math:`G`, 1/s.
-    reference : (n,) array
-        :math:`r`: the phase that the sine's argument is measured from is :math:`r\hat x`.
-    copy : (n,) array
-        :math:`c`: the argument of the copy's sine is :math:`c\hat x`.
-    sine_gain, copy_gain : (n,) arrays
-        :math:`b_s`, :math:`b_c`, 1/s.
-    sine_noise : float
-        :math:`\nu`: the noise that adds to the measured sine, s^(1/2).
-    filtered, smoothed, oscillator : (n,) arrays
-        Rows that read the two estimates and the oscillator's phase, rad, out of the state.
-    delay : float
-        Lag of the smoothed estimate, s.
-    """
-
-    phase_decay: float
-    phase_diffusion: float
-    drift: NDArray[np.float64]
-    reference: NDArray[np.float64]
-    copy: NDArray[np.float64]
-    sine_gain: NDArray[np.float64]
-    copy_gain: NDArray[np.float64]
-    sine_noise: float
-    filtered: NDArray[np.float64]
-    smoothed: NDArray[np.float64]
-    oscillator: NDArray[np.float64]
-    delay: float
+    phase_decay: float  # lambda, 1/s
+    phase_diffusion: float  # sqrt(kappa), rad/s^(1/2)
+    drift: Matrix  # (n, n), G, 1/s
+    reference: Matrix  # (n,), r
+    copy: Matrix  # (n,), c
+    sine_gain: Matrix  # (n,), b_s, 1/s
+    copy_gain: Matrix  # (n,), b_c, 1/s
+    sine_noise: float  # nu, s^(1/2)
+    filtered: Matrix  # (n,), as the next two rows that read an angle out of the state, rad
+    smoothed: Matrix
+    oscillator: Matrix
+    delay: float  # of the smoothed estimate, s
 
     @property
     def order(self) -> int:
@@ -100,34 +76,26 @@ class Loop:
         return len(self.filtered)
 
     @property
-    def noise_gain(self) -> NDArray[np.float64]:
+    def noise_gain(self) -> Matrix:
         r"""Gain of dW into :math:`\hat x`."""
         return self.sine_noise * self.sine_gain
 
-    def linearised_drift(
-        self, sine_slope: float = 1.0, copy_slope: float = 1.0
-    ) -> NDArray[np.float64]:
+    def linearised_drift(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
         r"""Drift of :math:`(\varphi, \hat x)`, each sine replaced by a slope, 1/s."""
         slopes = np.diag([sine_slope, copy_slope])
         linear = block_diag(-self.phase_decay, self.drift)
         return linear + self.gains() @ slopes @ self.arguments()
 
-    def gains(self) -> NDArray[np.float64]:
+    def gains(self) -> Matrix:
         r"""Columns by which the two sines drive :math:`(\varphi, \hat x)`, 1/s."""
         return np.array([[0.0, *self.sine_gain], [0.0, *self.copy_gain]]).T
 
-    def arguments(self) -> NDArray[np.float64]:
+    def arguments(self) -> Matrix:
         r"""Rows that read the arguments of the two sines out of :math:`(\varphi, \hat x)`."""
         return np.array([[1.0, *-self.reference], [0.0, *self.copy]])
 
-    def covariance(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> NDArray[np.float64]:
-        r"""Stationary covariance of :math:`(\varphi, \hat x)`, each sine replaced by a slope.
-
-        Raises
-        ------
-        UnstableLoopError
-            Where that linear loop has no stationary state.
-        """
+    def covariance(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
+        r"""Stationary covariance of :math:`(\varphi, \hat x)`, each sine replaced by a slope."""
         drift = self.linearised_drift(sine_slope, copy_slope)
         check_stationary(np.linalg.eigvals(drift))
         return covariances(drift, self.noise_gains()).stationary
@@ -136,12 +104,8 @@ class Loop:
         r"""Return the slopes of statistical linearisation, each :math:`e^{-\sigma^2/2}`.
 
         They belong to the stationary variances :math:`\sigma^2` of the sines' arguments in the
-        loop that they make linear: a fixed point, iterated from slopes of one.
-
-        Raises
-        ------
-        UnstableLoopError
-            Where there is none, because the loop loses lock.
+        loop that they make linear: a fixed point, iterated from slopes of one. An UnstableLoopError
+        says that there is none, because the loop loses lock.
         """
         rows = self.arguments()
         slopes = linearisation.equivalent_slopes(
@@ -153,22 +117,23 @@ class Loop:
         )
         return float(slopes[0]), float(slopes[1])
 
-    def noise_gains(self) -> NDArray[np.float64]:
+    def readout(self) -> Matrix:
+        """Rows of the filtered estimate, the smoothed estimate and the oscillator's phase."""
+        return np.vstack([self.filtered, self.smoothed, self.oscillator])
+
+    def noise_gains(self) -> Matrix:
         r"""Columns by which dV and dW drive :math:`(\varphi, \hat x)`."""
         gains = np.zeros((1 + self.order, 2))
         gains[0, 0], gains[1:, 1] = self.phase_diffusion, self.noise_gain
         return gains
 
     def rates(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> tuple[float, float]:
-        """Slowest decay rate and largest eigenvalue magnitude of the linearised estimator, 1/s.
-
-        The slowest decay rate is negative where the estimator is unstable in the loop.
-        """
+        """Slowest decay rate, negative if unstable, and largest rate of the estimator, 1/s."""
         eigenvalues = np.linalg.eigvals(self.linearised_drift(sine_slope, copy_slope)[1:, 1:])
         return float(-eigenvalues.real.max()), float(np.abs(eigenvalues).max())
 
-    def response_rate(self) -> float:
-        r"""How fast the sines respond to themselves, 1/s.
+    def response_time(self) -> float:
+        r"""The time in which the sines respond to themselves, s; infinity if never.
 
         A kick through one of the gains b moves the argument of a sine, read by r, by
         :math:`r e^{At}b`; the rate is the larger of that and the root of its slope, at time zero.
@@ -177,7 +142,8 @@ class Loop:
         A = self.linearised_drift()[1:, 1:]
         gains, rows = self.gains()[1:], self.arguments()[:, 1:]
         rate = max(np.abs(rows @ gains).max(), math.sqrt(np.abs(rows @ A @ gains).max()))
-        return float(rate) or self.rates()[1]
+        rate = float(rate) or self.rates()[1]
+        return 1.0 / rate if rate else math.inf
 
 
 def check_stationary(eigenvalues: NDArray[np.complexfloating]) -> None:
@@ -193,26 +159,22 @@ def check_stationary(eigenvalues: NDArray[np.complexfloating]) -> None:
 def homodyne_loop(
     parameters,
     smoother,
-    *,
     oscillator: str = "filtered",
     copy: bool = True,
     nonlinearity: str = "difference",
     shot_noise: float = 1.0,
 ) -> Loop:
     """Close the loop of the module's docstring; see `monte_carlo` for the arguments."""
-    lam = _parameter(parameters, "lam", low=0.0)
-    kappa = _parameter(parameters, "kappa", low=0.0)
-    alpha = _parameter(parameters, "alpha", low=0.0, low_open=True)
-    beta = _parameter(parameters, "beta", low=0.0, low_open=True)
-    gamma = _parameter(parameters, "gamma", low=0.0, low_open=True)
+    numbers = numbers_of(parameters)
     validation.choice("oscillator", oscillator, REFERENCES)
     validation.choice("nonlinearity", nonlinearity, NONLINEARITIES)
     copy = validation.boolean("copy", copy)
     shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
-    system = homodyne_system(lam, kappa, alpha, beta, gamma, shot_noise=shot_noise)
+    system = homodyne_system(numbers, shot_noise)
     estimator = _estimator(smoother, system, copy)
 
     u = estimator.C_f if oscillator == "filtered" else estimator.C_a
+    _, _, alpha, beta, gamma = numbers.values()
     scale = 2 * alpha * gamma
     # "literal" takes sin(phi) - beta phi at its word: the nonlinearity is not of the difference.
     reference = scale * u if nonlinearity == "difference" else None
@@ -237,21 +199,22 @@ def homodyne_loop(
     )
 
 
-def _parameter(parameters, name: str, **interval) -> float:
-    try:
-        value = getattr(parameters, name)
-    except AttributeError:
-        raise TypeError(
-            f"parameters must be HomodyneParameters, got {parameters!r} without {name}"
-        ) from None
-    return validation.real(f"parameters.{name}", value, **interval)
+def numbers_of(parameters) -> dict[str, float]:
+    """Return the five numbers of what is given as parameters, checked, in the order of Table I."""
+    numbers = {}
+    for name in ("lam", "kappa", "alpha", "beta", "gamma"):
+        if not hasattr(parameters, name):
+            raise TypeError(
+                f"parameters must be HomodyneParameters, got {parameters!r} without {name}"
+            )
+        low_open = name not in ("lam", "kappa")
+        given = getattr(parameters, name)
+        numbers[name] = validation.real(f"parameters.{name}", given, low=0.0, low_open=low_open)
+    return numbers
 
 
 def _estimator(smoother, system: UncertainSystem, copy: bool) -> Estimator:
-    """Check what is given as an estimator with one measurement and g <= 1, and make it one.
-
-    The filtered estimate is C_f x_hat, or w-hat where the estimator has no such row.
-    """
+    """Check what is given as an estimator with one measurement and g <= 1, and make it one."""
     try:
         A_c, B_c, C_c, C_a = (getattr(smoother, name) for name in ("A_c", "B_c", "C_c", "C_a"))
         delay = smoother.plant.delay

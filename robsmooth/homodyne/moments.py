@@ -1,8 +1,7 @@
 r"""Stationary mean square errors of the nonlinear loop in lock, without sampling.
 
-With :math:`z = (\varphi, \hat x)`, the arguments :math:`s_k z` of the loop's two sines (the
-detector's and the copy's, `robsmooth.homodyne.loop`) and their slopes :math:`\rho_k` by statistical
-linearisation, the loop is
+With :math:`z = (\varphi, \hat x)`, the arguments :math:`s_k z` of the two sines of
+`robsmooth.homodyne.loop` and their slopes :math:`\rho_k` by statistical linearisation, the loop is
 
 .. math::
 
@@ -20,8 +19,7 @@ Kolmogorov operator of the loop is
         + \sum_k\bigl(\sin s_kS\xi - \rho_k s_kS\xi\bigr)\,\tilde b_k\cdot a,
     \qquad \tilde A = S^{-1}AS,\quad \tilde b_k = S^{-1}b_k .
 
-Its first part keeps the degree of a polynomial; the second is small where the loop is in lock. With
-the matrix of L between the polynomials of total degree up to N, the stationary moments
+With the matrix of L between the polynomials of total degree up to N, the stationary moments
 :math:`m_\alpha = E\,h_\alpha(\xi)` solve
 
 .. math::
@@ -30,8 +28,7 @@ the matrix of L between the polynomials of total degree up to N, the stationary 
 
 and a linear read-out :math:`w = pz` of the state has the expectation :math:`e^{Lt}w` a time t
 later. With :math:`d = \varphi - C_a\hat x` and :math:`L\varphi = -\lambda\varphi` the smoothed
-error is free of the cancellation of :math:`E\varphi^2 = \kappa/2\lambda` when the phase wanders
-far,
+error is, free of cancellation when the phase wanders far,
 
 .. math::
 
@@ -41,9 +38,8 @@ far,
 All terms are odd, so that moments of odd degree vanish and read-outs stay odd. Degree 2 is
 statistical linearisation.
 
-The polynomials look at one lobe of the stationary law, that of the lock point at zero. A loop that
-slips by whole turns has more, which they see, if at all, as a series that ceases to converge: the
-mean square error in lock has a meaning only to about the probability that the loop is about to
+The polynomials look at the lock point at zero alone. Where a loop slips, the series ceases to
+converge: the error in lock has a meaning only to about the probability that the loop is about to
 slip, of the order of :math:`e^{-2/\sigma^2}` for a scalar loop with error variance
 :math:`\sigma^2`. In the paper's example that is the ninth digit.
 """
@@ -86,14 +82,8 @@ class StationaryErrors:
         Mean square errors, rad^2.
     smoothed_truncation, filtered_truncation : float
         Estimates of the error that the finite degree, and rounding, make in them, rad^2.
-    degree : int
-        Total degree of the polynomials.
-    unknowns : int
-        Moments that were solved for.
-
-    See Also
-    --------
-    stationary_errors : computes it.
+    degree, unknowns : int
+        Total degree of the polynomials, and the moments that were solved for.
 
     Examples
     --------
@@ -123,10 +113,8 @@ class StationaryErrors:
             ("filtered", f"{self.filtered:.10g}", self.filtered_truncation),
         ]
         columns = ("estimate", "mean square error (rad²)", "truncation (rad²)")
-        caption = (
-            f"The loop in lock: polynomials of degree {self.degree}, {self.unknowns} unknowns."
-        )
-        return Table(columns, rows, caption, digits=1).html()
+        size = f"polynomials of degree {self.degree}, {self.unknowns} unknowns"
+        return Table(columns, rows, f"The loop in lock: {size}.", digits=1).html()
 
 
 @one_thread
@@ -142,28 +130,18 @@ def stationary_errors(
 ) -> StationaryErrors:
     r"""Return the stationary mean square errors of an estimator in the nonlinear loop.
 
-    They are those of continuous time, and of a loop in lock: see the module's docstring. The
-    truncation error of a degree is estimated by what the last step of two in the degree changed, or
-    a tenth of what the step before it changed if that is more.
+    They are those of continuous time, and of a loop in lock. The truncation error is estimated by
+    what the last step of two in the degree changed, or a tenth of the change before that.
 
     Parameters
     ----------
-    parameters : HomodyneParameters
-        The optical loop; any object with the numbers ``lam``, ``kappa``, ``alpha``, ``beta`` and
-        ``gamma`` will do.
-    smoother : RobustSmoother
-        The estimator; any object that `monte_carlo` simulates will do.
+    parameters, smoother
+        As in `monte_carlo`.
     degree : int, optional
         Total degree of the polynomials, even and at least 4. Default: the least with a truncation
         error below 1e-8 of both errors, or the best one with at most 2500 unknowns.
-    oscillator : {"filtered", "smoothed"}
-        The estimate that the local oscillator's phase follows.
-    copy : bool
-        Whether the estimator runs its copy of the nonlinearity; without, its input is zero.
-    nonlinearity : {"difference", "literal"}
+    oscillator, copy, nonlinearity, shot_noise
         As in `monte_carlo`.
-    shot_noise : float
-        Power of the photocurrent's noise, :math:`s` in :math:`\sqrt s\,dW`.
 
     Returns
     -------
@@ -176,13 +154,12 @@ def stationary_errors(
     UnstableLoopError
         Where the loop is unstable, or by statistical linearisation not in lock.
     ArithmeticError
-        Where the loop is so noisy that the expansion does not converge to 2%, or its
-        numbers are so far apart in scale that the linear loop's covariance is lost in rounding.
+        Where the loop is so noisy that the expansion does not converge to 2%, or its rates are so
+        far apart that the linear loop's covariance is lost in rounding.
 
     See Also
     --------
-    monte_carlo : the same errors by simulation, and loss of lock.
-    statistical_linearisation : a first approximation.
+    monte_carlo, statistical_linearisation : by simulation, and a first approximation.
 
     Examples
     --------
@@ -196,14 +173,7 @@ def stationary_errors(
         degree = validation.integer("degree", degree, low=LEAST_DEGREE)
         if degree % 2:
             raise ValueError(f"degree must be even, got {degree}")
-    loop = homodyne_loop(
-        parameters,
-        smoother,
-        oscillator=oscillator,
-        copy=copy,
-        nonlinearity=nonlinearity,
-        shot_noise=shot_noise,
-    )
+    loop = homodyne_loop(parameters, smoother, oscillator, copy, nonlinearity, shot_noise)
     least = degree or LEAST_DEGREE
     unknowns = _unknowns(1 + loop.order, least)
     if unknowns > MOST_UNKNOWNS:
@@ -214,7 +184,11 @@ def stationary_errors(
     problem = whitened(loop)
     if not problem.dimension:  # nothing drives the loop
         return StationaryErrors(0.0, 0.0, 0.0, 0.0, least, 0)
-    result = _converged(problem) if degree is None else _at_degree(problem, degree)
+    if degree is None:
+        result = _converged(problem)
+    else:
+        degrees = range(max(2, degree - 4), degree + 1, 2)
+        result = _result(problem, [_errors(problem, N) for N in degrees], degree)
     relative = _relative_truncation(result)
     if not relative <= LARGEST_TRUNCATION:
         raise ArithmeticError(
@@ -224,18 +198,9 @@ def stationary_errors(
     return result
 
 
-# --- the degree -----------------------------------------------------------------------------------
-
-
 def _unknowns(dimension: int, degree: int) -> int:
     """Number of polynomials of even degree, the constant left out."""
     return sum(math.comb(k + dimension - 1, k) for k in range(2, degree + 1, 2))
-
-
-def _at_degree(problem: WhitenedLoop, degree: int) -> StationaryErrors:
-    """Solve at the degree, and at the two even ones below it for its truncation."""
-    degrees = range(max(2, degree - 4), degree + 1, 2)
-    return _result(problem, [_errors(problem, N) for N in degrees], degree)
 
 
 def _converged(problem: WhitenedLoop) -> StationaryErrors:
@@ -246,13 +211,11 @@ def _converged(problem: WhitenedLoop) -> StationaryErrors:
         degree += 2
         errors.append(_errors(problem, degree))
         result = _result(problem, errors, degree)
+        since += 1
         if best is None or _relative_truncation(result) < _relative_truncation(best):
             best, since = result, 0
-        else:
-            since += 1
-        if _relative_truncation(best) <= TOLERANCE:
-            break
-        if _unknowns(problem.dimension, degree + 2) > DEFAULT_UNKNOWNS:
+        too_large = _unknowns(problem.dimension, degree + 2) > DEFAULT_UNKNOWNS
+        if too_large or _relative_truncation(best) <= TOLERANCE:
             break
     return best
 
@@ -263,14 +226,8 @@ def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> Statio
         steps = np.abs(np.diff(errors[-3:], axis=0))
         steps[:-1] /= GAIN_OF_A_STEP
         truncation = steps.max(axis=0) + problem.rounding * errors[-1]
-    return StationaryErrors(
-        smoothed=float(errors[-1][0]),
-        filtered=float(errors[-1][1]),
-        smoothed_truncation=float(truncation[0]),
-        filtered_truncation=float(truncation[1]),
-        degree=degree,
-        unknowns=_unknowns(problem.dimension, degree),
-    )
+    unknowns = _unknowns(problem.dimension, degree)
+    return StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree, unknowns)
 
 
 def _relative_truncation(result: StationaryErrors) -> float:
@@ -280,9 +237,6 @@ def _relative_truncation(result: StationaryErrors) -> float:
     if not np.isfinite(truncation).all():
         return math.inf
     return float(max(np.divide(truncation, errors, out=np.zeros(2), where=truncation > 0)))
-
-
-# --- one degree -----------------------------------------------------------------------------------
 
 
 def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:

@@ -8,9 +8,8 @@ r"""The example of Section IV: adaptive homodyne estimation of a varying optical
 with the phase of the local oscillator at :math:`\hat\phi + \pi/2`. With :math:`e = \phi-\hat\phi`
 and :math:`\sin e = \beta e + f(e)`, the measurement is
 :math:`\bar y = (I + 2\alpha\beta\hat\phi)/2\alpha\beta`, which is linear in :math:`\phi` but for
-:math:`f(e)/\beta`, with :math:`|f(e)| \le \gamma|e|` as long as the loop stays in the sector. The
-nonlinearity is of the error, not of the phase: in the form of Section II the filtered estimate is
-its *reference* (`robsmooth.Nonlinearity`).
+:math:`f(e)/\beta`, with :math:`|f(e)| \le \gamma|e|` as long as the loop stays in the sector. As f
+is of the error, the filtered estimate is its *reference* (`robsmooth.Nonlinearity`).
 """
 
 import math
@@ -34,27 +33,20 @@ class HomodyneParameters:
 
     Attributes
     ----------
-    lam : float
-        :math:`\lambda > 0`, decay rate of the phase, rad/s.
-    kappa : float
-        :math:`\kappa > 0`, diffusion of the phase, rad^2/s (Table I prints rad/s).
+    lam, kappa : float
+        :math:`\lambda, \kappa > 0`, decay rate (rad/s) and diffusion (rad^2/s) of the phase.
     alpha : float
-        :math:`\alpha > 0`, amplitude of the coherent beam, s^(-1/2) (Table I prints 1/s).
-    beta : float
-        :math:`\beta > 0`, slope of the tangent of the sine.
-    gamma : float
-        :math:`\gamma` in (0, 1), half width of the sector.
+        :math:`\alpha > 0`, amplitude of the coherent beam, s^(-1/2).
+    beta, gamma : float
+        :math:`\beta > 0`, :math:`\gamma` in (0, 1): tangent of the sine, half width of the sector.
 
     See Also
     --------
-    PAPER : the values of Table I.
     robsmooth.monte_carlo, robsmooth.stationary_errors : errors of an estimator in the loop.
 
     Examples
     --------
     >>> import robsmooth as rs
-    >>> rs.homodyne.PAPER
-    HomodyneParameters(lam=9140.0, kappa=40000.0, alpha=1162.0, beta=1.0, gamma=0.4)
     >>> rs.homodyne.PAPER.uncertain_system().A
     array([[-9140.]])
     """
@@ -74,16 +66,11 @@ class HomodyneParameters:
     def uncertain_system(self) -> UncertainSystem:
         r"""Return the example in the form of Section II, as (eqsystem1).
 
-        One state, the phase; one uncertainty channel with zero output, for the process noise
-        (:math:`\Delta_1 = 0`); one nonlinearity
-        :math:`\psi(\nu) = 2\alpha f(\nu/2\alpha\gamma)` of :math:`\nu = 2\alpha\gamma\phi`, with
-        Lipschitz constant 1 as far as `lipschitz_range` goes. Its reference is the filtered
-        estimate, by which the local oscillator is steered: in a simulation it is
-        :math:`\psi(\nu - 2\alpha\gamma\hat\phi)`.
+        One state, the phase; one uncertainty with zero output, for the process noise
+        (:math:`\Delta_1 = 0`); one nonlinearity, `channel` of :math:`\nu = 2\alpha\gamma\phi` less
+        the filtered estimate of it, with Lipschitz constant 1 as far as `lipschitz_range` goes.
         """
-        return homodyne_system(
-            self.lam, self.kappa, self.alpha, self.beta, self.gamma, function=self.channel
-        )
+        return homodyne_system(vars(self), function=self.channel)
 
     def table(self) -> Table:
         """Return Table I."""
@@ -94,11 +81,9 @@ class HomodyneParameters:
             (r"$\beta$", f"{self.beta:g}", "", "slope of the tangent of the sine"),
             (r"$\gamma$", f"{self.gamma:g}", "", "half width of the sector"),
         ]
-        caption = (
-            "Table I of the paper, with the units that the equations need; it prints rad/s for "
-            "kappa and 1/s for alpha."
-        )
-        return Table(("symbol", "value", "unit", "what it is"), rows, caption)
+        units = "the units that the equations need; it prints rad/s for kappa and 1/s for alpha"
+        columns = ("symbol", "value", "unit", "what it is")
+        return Table(columns, rows, f"Table I of the paper, with {units}.")
 
     def _repr_html_(self) -> str:
         return self.table().html()
@@ -125,13 +110,8 @@ class HomodyneParameters:
     def sector_range(self, slope: float | None = None) -> float:
         r"""Return the largest error (rad, at most pi) to which the sine stays in the sector.
 
-        That is :math:`\sin e` between slope :math:`\cdot e` and :math:`(\beta + \gamma)e`.
-
-        Parameters
-        ----------
-        slope : float, optional
-            Lower edge of the sector; by default `lower_slope`, where the sector is
-            :math:`|f(e)| \le \gamma|e|`.
+        That is :math:`\sin e` between slope :math:`\cdot e` and :math:`(\beta + \gamma)e`; with the
+        default, `lower_slope`, the sector is :math:`|f(e)| \le \gamma|e|`.
         """
         slope = self.lower_slope if slope is None else validation.real("slope", slope)
         if not slope < 1.0 <= self.beta + self.gamma:  # fails at zero already
@@ -153,52 +133,28 @@ class HomodyneParameters:
     def equivalent_slope(self, variance: float, gain: float = 1.0) -> float:
         r"""Return :math:`\Delta_2 = (c\,e^{-P/2} - \beta)/\gamma`, statistically equivalent to f.
 
-        Parameters
-        ----------
-        variance : float
-            P, of the phase error, rad^2.
-        gain : float
-            c, of a detector that sees :math:`c\sin e`.
+        P is the variance of the phase error, rad^2, and c the gain of a detector that sees
+        :math:`c\sin e`.
         """
         return (gain * math.exp(-0.5 * variance) - self.beta) / self.gamma
 
     def with_gain(self, gain: float) -> "HomodyneParameters":
         r"""Return the parameters of a loop whose detector sees :math:`c\sin e`, noise unchanged.
 
-        An estimator that was designed for the original parameters knows nothing of the gain c:
-        its measurement is :math:`c\sin(e)/\beta + \hat\phi` and noise of :math:`1/2\alpha\beta`.
+        An estimator that was designed for the original parameters knows nothing of the gain c.
         """
         gain = validation.positive("gain", gain)
         return replace(self, alpha=gain * self.alpha, beta=self.beta / gain)
 
 
 def homodyne_system(
-    lam: float,
-    kappa: float,
-    alpha: float,
-    beta: float,
-    gamma: float,
-    *,
-    shot_noise: float = 1.0,
-    function: Callable | None = None,
+    numbers: dict[str, float], shot_noise: float = 1.0, function: Callable | None = None
 ) -> UncertainSystem:
-    r"""Return the system of `HomodyneParameters.uncertain_system`, for any numbers.
-
-    Parameters
-    ----------
-    lam, kappa, alpha, beta, gamma : float
-        As in `HomodyneParameters`; a phase may be without decay or without noise, too.
-    shot_noise : float
-        Power of the photocurrent's noise: one, as the paper has it.
-    function : callable, optional
-        The nonlinearity.
-
-    Returns
-    -------
-    UncertainSystem
-    """
+    """Return the system of `HomodyneParameters`, or one without decay or without process noise."""
+    lam, kappa, alpha, beta, gamma = numbers.values()
     drive = math.sqrt(kappa)
     gain = 1.0 / (2.0 * alpha * beta)
+    C = [[2.0 * alpha * gamma]]
     return UncertainSystem(
         A=[[-lam]],
         B1=[[drive, 0.0]],
@@ -206,16 +162,7 @@ def homodyne_system(
         C2=[[1.0]],
         D21=[[0.0, math.sqrt(shot_noise) * gain]],
         uncertainties=(Uncertainty(B=[[drive]], C=[[0.0]], D=[[0.0]]),),
-        nonlinearities=(
-            Nonlinearity(
-                B=[[0.0]],
-                C=[[2.0 * alpha * gamma]],
-                D=[[gain]],
-                lipschitz=1.0,
-                function=function,
-                reference="filtered",
-            ),
-        ),
+        nonlinearities=(Nonlinearity([[0.0]], C, [[gain]], 1.0, function, "filtered"),),
     )
 
 
@@ -224,19 +171,12 @@ def fraction_inside(error_range: float, variance: float) -> float:
 
     Parameters
     ----------
-    error_range : float
-        In rad, as `HomodyneParameters.sector_range` gives it.
-    variance : float
-        In rad^2.
+    error_range, variance : float
+        In rad, as of `HomodyneParameters.sector_range`, and in rad^2.
 
     Returns
     -------
     float
-        Between zero and one.
-
-    See Also
-    --------
-    HomodyneParameters.sector_range, HomodyneParameters.lipschitz_range : ranges to ask for.
 
     Examples
     --------

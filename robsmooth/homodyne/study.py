@@ -34,19 +34,12 @@ from robsmooth.systems.augmented import augment
 if TYPE_CHECKING:
     from distributed import Client
 
+Axis = Sequence[float] | NDArray[np.float64]
+
 AXES = ("gamma", "noise", "order", "lag")
-QUANTITIES = (
-    "bound",
-    "nominal",
-    "edge",
-    "optimal",
-    "optimal_filtered",
-    "filtered",
-    "filtered_error",
-    "smoothed",
-    "smoothed_error",
-    "slip_rate",
-)
+LINEAR = ("bound", "nominal", "edge", "optimal", "optimal_filtered")
+NONLINEAR = ("filtered", "filtered_error", "smoothed", "smoothed_error", "slip_rate")
+QUANTITIES = LINEAR + NONLINEAR
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +51,14 @@ class Study:
     gammas, noises, orders, lags : tuples
         The axes of the arrays, in this order; lags in s.
     quantities : dict of str to (gammas, noises, orders, lags) array
-        "bound": on the filtered mean square error, twice the cost V (rad^2); "nominal", "edge": the
-        linear smoothed mean square error where the sine is its tangent, and at the sector's edge;
-        "optimal": the exact optimum of the tangent's fixed-lag problem, and "optimal_filtered" that
-        without a lag, the Kalman-Bucy filter's; "filtered", "smoothed": the nonlinear mean square
-        errors of paths in lock, and "filtered_error", "smoothed_error" their standard errors;
-        "slip_rate" (1/s). Not a number without a design or a path in lock.
+        "bound": on the filtered mean square error, twice V (rad^2); "nominal", "edge": the linear
+        smoothed mean square error where the sine is its tangent, and at the sector's edge;
+        "optimal", "optimal_filtered": the optimum of the tangent's problem, with the lag and
+        without; "filtered", "smoothed": the nonlinear mean square errors of paths in lock, and
+        "filtered_error", "smoothed_error" their standard errors; "slip_rate" (1/s). Not a number
+        without a design or a path in lock.
     failures : dict of (gamma, noise) to str
         Why there is no design.
-
-    See Also
-    --------
-    parameter_study : makes it.
 
     Examples
     --------
@@ -108,28 +97,25 @@ class Study:
         return f"Study({sizes}: {self.designs} designs, {len(self.failures)} columns without)"
 
     def _repr_html_(self) -> str:
-        axes = {
+        ranges = {
             r"half width $\gamma$ of the sector": self.gammas,
             "power of the shot noise": self.noises,
             "order": self.orders,
             "lag (s)": self.lags,
         }
-        found = self.ratio[np.isfinite(self.ratio)]
-        rows = [
-            (name, len(axis), float(min(axis)), float(max(axis))) for name, axis in axes.items()
-        ]
-        if found.size:
-            rows.append(("smoothed / filtered", found.size, float(found.min()), float(found.max())))
+        if (found := self.ratio[np.isfinite(self.ratio)]).size:
+            ranges["smoothed / filtered"] = found
+        rows = [(name, len(r), float(min(r)), float(max(r))) for name, r in ranges.items()]
         caption = f"{self.designs} designs; {len(self.failures)} sectors and noises have none."
         return Table(("over", "values", "from", "to"), rows, caption).html()
 
 
 def parameter_study(
     parameters: HomodyneParameters,
-    lags: Sequence[float] | NDArray[np.float64],
+    lags: Axis,
     orders: Sequence[int] | NDArray[np.int_],
-    gammas: Sequence[float] | NDArray[np.float64],
-    noises: Sequence[float] | NDArray[np.float64],
+    gammas: Axis,
+    noises: Axis,
     *,
     runs: int = 256,
     seed: int = 0,
@@ -143,25 +129,15 @@ def parameter_study(
     ----------
     parameters : HomodyneParameters
         The loop in the middle of the grid.
-    lags : sequence of float
-        Of the smoother, s.
-    orders : sequence of int
-        Of the delay's Pade model.
-    gammas : sequence of float
-        Half widths of the sector.
+    lags, orders, gammas : sequences of float, int, float
+        Of the smoother, s; of the delay's Pade model; half widths of the sector.
     noises : sequence of float
-        Power of the shot noise, relative to that of `parameters`; a beam of amplitude
-        alpha / sqrt(noise) has it.
-    runs : int
-        Paths of each simulation (``protocol="ergodic"``).
-    seed : int
-        Of the noise, the same for all designs.
-    client : distributed.Client, optional
-        A Dask cluster to compute on; default: this machine.
-    checkpoint : path, optional
-        A file to save finished columns to, and to resume from.
-    progress : bool
-        Show a progress bar.
+        Power of the shot noise, relative to that of `parameters`: of a beam of amplitude
+        alpha / sqrt(noise).
+    runs, seed : int
+        Paths of each simulation (``protocol="ergodic"``), and of their noise.
+    client, checkpoint, progress
+        As in `monte_carlo`.
 
     Returns
     -------
@@ -169,15 +145,12 @@ def parameter_study(
 
     Raises
     ------
-    TypeError, ValueError
-        For an argument that is not as described; CheckpointError for a checkpoint of another study.
-    ConnectionError
-        Where the cluster is lost.
+    TypeError, ValueError, ConnectionError
+        As `monte_carlo`.
 
     See Also
     --------
     design_smoother, monte_carlo : what is done for each point of the grid.
-    best_lag : the lag alone.
 
     Examples
     --------
@@ -185,8 +158,6 @@ def parameter_study(
     >>> study = rs.parameter_study(
     ...     rs.homodyne.PAPER, lags=[3.1e-6], orders=[2], gammas=[0.4], noises=[1.0], runs=64
     ... )
-    >>> study
-    Study(1 gammas x 1 noises x 1 orders x 1 lags: 1 designs, 0 columns without)
     >>> study.ratio.round(2)  # of the smoothed and the filtered mean square error
     array([[[[0.59]]]])
     """
@@ -216,9 +187,8 @@ def parameter_study(
         results = list(journal.records()) if journal else []
         calls = [(loop,) for loop in loops[len(results) :]]
         # what was done before counts for the progress, but not for the rate
-        with progress_bar(
-            total=len(loops), initial=len(results), unit="column", shown=progress
-        ) as bar:
+        extent = {"total": len(loops), "initial": len(results), "unit": "column"}
+        with progress_bar(**extent, shown=progress) as bar:
             for result in cluster.in_order(compute, calls, client):
                 if journal:
                     journal.append(result)

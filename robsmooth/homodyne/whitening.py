@@ -9,12 +9,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 
 from robsmooth._numerics import linearisation
 from robsmooth._numerics.lyapunov import stationary_root
 from robsmooth._support.errors import UnstableLoopError
+from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop, check_stationary
 
 LARGEST_DEVIATION = math.pi / 2  # standard deviation of the argument of a sine in lock, rad
@@ -32,28 +32,24 @@ _ILL_CONDITIONED = (
 class Sine:
     """One sine of the loop: its argument is row . (xi_1, xi_2), linear, its slope is slope."""
 
-    row: NDArray[np.float64]
-    gain: NDArray[np.float64]
+    row: Matrix
+    gain: Matrix
     slope: float
 
 
 @dataclass(frozen=True, eq=False)
 class WhitenedLoop:
-    """The loop in the coordinates xi.
+    """The loop in the coordinates xi, with time in units of its fastest time constant."""
 
-    Time is in units of the loop's fastest time constant. The rows read the phase and the errors
-    phi - C_f x_hat and phi - C_a x_hat out of xi. The relative error of the covariance is rounding.
-    """
-
-    drift: NDArray[np.float64]
+    drift: Matrix
     sines: tuple[Sine, ...]
-    phase: NDArray[np.float64]
-    filtered: NDArray[np.float64]
-    smoothed: NDArray[np.float64]
+    phase: Matrix  # rows that read the phase and the errors out of xi
+    filtered: Matrix  # phi - C_f x_hat
+    smoothed: Matrix  # phi - C_a x_hat
     phase_decay: float
     phase_variance: float
     delay: float
-    rounding: float
+    rounding: float  # relative error of the covariance
 
     @property
     def dimension(self) -> int:
@@ -62,15 +58,7 @@ class WhitenedLoop:
 
 
 def whitened(loop: Loop) -> WhitenedLoop:
-    """Return the loop in white coordinates.
-
-    Raises
-    ------
-    UnstableLoopError
-        Where it is unstable, or by statistical linearisation not in lock.
-    ArithmeticError
-        Where its covariance is lost in rounding.
-    """
+    """Return the loop in white coordinates, where it is stable and in lock."""
     rate = np.abs(np.linalg.eigvals(loop.linearised_drift())).max()
     slopes = slopes_of_lock(loop, rate)
     S, inverse, rounding = _white_coordinates(loop, slopes, rate)
@@ -103,7 +91,7 @@ def whitened(loop: Loop) -> WhitenedLoop:
     )
 
 
-def slopes_of_lock(loop: Loop, rate: float) -> NDArray[np.float64]:
+def slopes_of_lock(loop: Loop, rate: float) -> Matrix:
     """Return the slopes of statistical linearisation, iterated from slopes of one."""
     S, inverse = _error_coordinates(loop)
     rows = loop.arguments() @ S
@@ -115,7 +103,7 @@ def slopes_of_lock(loop: Loop, rate: float) -> NDArray[np.float64]:
     )
 
 
-def _white_coordinates(loop: Loop, slopes: NDArray, rate: float) -> tuple[NDArray, NDArray, float]:
+def _white_coordinates(loop: Loop, slopes: Matrix, rate: float) -> tuple[Matrix, Matrix, float]:
     """Return S with P = S S', a left inverse, and how far from I the covariance is behind it.
 
     What does not move has no coordinate. A triangular factor, unlike one of eigenvectors, does not
@@ -139,7 +127,7 @@ def _white_coordinates(loop: Loop, slopes: NDArray, rate: float) -> tuple[NDArra
     return S, inverse, rounding
 
 
-def _root(loop: Loop, slopes: NDArray, rate: float, S: NDArray, inverse: NDArray) -> NDArray:
+def _root(loop: Loop, slopes: Matrix, rate: float, S: Matrix, inverse: Matrix) -> Matrix:
     """Return a root of the stationary covariance of the linear loop in the coordinates S.
 
     It tells small deviations from none, down to rounding; the covariance only their squares.
@@ -153,7 +141,7 @@ def _root(loop: Loop, slopes: NDArray, rate: float, S: NDArray, inverse: NDArray
         raise ArithmeticError(_ILL_CONDITIONED) from None
 
 
-def _error_coordinates(loop: Loop) -> tuple[NDArray, NDArray]:
+def _error_coordinates(loop: Loop) -> tuple[Matrix, Matrix]:
     """Return coordinates with the argument of the detector's sine for the phase, and their inverse.
 
     The phase may wander far, and the estimate with it; their difference does not.

@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -70,7 +71,7 @@ class Reader:
         result = readers[kind](fields)
         for name in self.functions:
             if name not in self.named:
-                known = ", ".join(map(repr, sorted(self.named))) or "none"
+                known = ", ".join(map(repr, sorted(self.named - {None}))) or "none"
                 raise ValueError(f"functions has {name!r}, but the file names {known}")
         return result
 
@@ -98,11 +99,10 @@ class Reader:
         """Return the nonlinearity of a table, of a system with n states."""
         _check_fields(path, table, ("B", "C", "D", "lipschitz"), ("function", "reference"))
         name = table.get("function")
-        if name is not None:
-            if not isinstance(name, str):
-                raise ValueError(f"{path}function must be a name, got {reprlib.repr(name)}")
-            self.named.add(name)
-        lipschitz = _number(f"{path}lipschitz", table["lipschitz"])
+        if not isinstance(name, str | None):
+            raise ValueError(f"{path}function must be a name, got {reprlib.repr(name)}")
+        self.named.add(name)
+        lipschitz = _numbers(f"{path}lipschitz", table["lipschitz"], 0)
         channel = _channel(table, path, n)
         more = {"function": self.functions.get(name), "reference": table.get("reference")}
         with _within(path):
@@ -112,7 +112,7 @@ class Reader:
         """Return the plant of a table, which `path` leads to."""
         _check_fields(path, table, ("delay", "order", "system"), ("J_21",))
         system = self.system(table["system"], f"{path}system.")
-        delay = _number(f"{path}delay", table["delay"])
+        delay = _numbers(f"{path}delay", table["delay"], 0)
         J_21 = _matrix(f"{path}J_21", table["J_21"]) if "J_21" in table else 1.0
         with _within(path):
             return compact(system, delay, table["order"], J_21=J_21)
@@ -121,22 +121,20 @@ class Reader:
         """Return the estimator of a table, a robust design where it has the parameters of one."""
         _check_fields("", table, (*GAINS, "plant"), ("design",))
         plant = self.plant(table["plant"], "plant.")
-        m, g, measurements = plant.system.m, plant.system.g, plant.system.l
         gains = {name: _matrix(name, table[name]) for name in GAINS}
-        n = len(gains["A_c"])
-        shapes = ((n, n), (n, measurements + g), (m + g, n), (m, n), (m, n))
+        n, m, g = len(gains["A_c"]), plant.system.m, plant.system.g
+        shapes = ((n, n), (n, plant.system.l + g), (m + g, n), (m, n), (m, n))
         for name, shape in zip(GAINS, shapes, strict=True):
             validation.matrix(name, gains[name], shape)
         estimator = Estimator(plant=plant, **gains)
-        return self.robust(table["design"], estimator) if "design" in table else estimator
-
-    def robust(self, table: object, estimator: Estimator) -> RobustSmoother:
-        """Return the robust design that an estimator is by its table."""
-        _check_fields("design.", table, ("tau", "multipliers", "cost", "bound"))
-        tau, bound = (_number(f"design.{name}", table[name]) for name in ("tau", "bound"))
-        multipliers = _vector("design.multipliers", table["multipliers"])
+        if "design" not in table:
+            return estimator
+        design = table["design"]
+        _check_fields("design.", design, ("tau", "multipliers", "cost", "bound"))
+        tau, bound = (_numbers(f"design.{name}", design[name], 0) for name in ("tau", "bound"))
+        multipliers = _numbers("design.multipliers", design["multipliers"], 1)
         with _within("design: "):
-            return recomputed(estimator, tau, multipliers, table["cost"], bound)
+            return recomputed(estimator, tau, multipliers, design["cost"], bound)
 
 
 def recomputed(
@@ -180,22 +178,20 @@ def _channel(table: dict, path: str, n: int) -> dict[str, Matrix]:
 
 def _matrix(path: str, value: object, columns: int = 0) -> Matrix:
     """Return a matrix from its list of rows; `columns` is for one without rows."""
-    if not isinstance(value, list):
-        raise ValueError(f"{path} must be a list of rows, got {reprlib.repr(value)}")
-    rows = [_vector(f"{path}[{i}]", row) for i, row in enumerate(value)]
+    rows = _numbers(path, value, 2)
     widths = sorted({len(row) for row in rows}) or [columns]
     if len(widths) > 1:
         raise ValueError(f"{path} must have rows of one length, got {widths[0]} and {widths[-1]}")
     return validation.matrix(path, np.array(rows).reshape(len(rows), widths[0]), (None, None))
 
 
-def _vector(path: str, value: object) -> list[float]:
-    if not isinstance(value, list):
-        raise ValueError(f"{path} must be a list of numbers, got {reprlib.repr(value)}")
-    return [_number(f"{path}[{i}]", entry) for i, entry in enumerate(value)]
-
-
-def _number(path: str, value: object) -> float:
+def _numbers(path: str, value: object, depth: int) -> Any:
+    """Return a float, or of depth 1 a list of floats, or of depth 2 a list of rows of floats."""
+    if depth > 0:
+        if not isinstance(value, list):
+            what = ("numbers", "rows")[depth - 1]
+            raise ValueError(f"{path} must be a list of {what}, got {reprlib.repr(value)}")
+        return [_numbers(f"{path}[{i}]", entry, depth - 1) for i, entry in enumerate(value)]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{path} must be a number, got {reprlib.repr(value)}")
     try:

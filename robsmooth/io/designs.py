@@ -36,6 +36,7 @@ from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.channels import Nonlinearity
 from robsmooth.systems.system import UncertainSystem
 
+_FIRST = "# Of robsmooth: time in seconds, rates in 1/s, matrices by rows."
 _ABOUT = {
     "system": """\
 # dx = (A x + sum_s B xi_s + sum_i B mu_i) dt + B1 dW,    w = C0 x
@@ -78,38 +79,24 @@ def save(
     OSError
         Where the file cannot be written.
 
-    See Also
-    --------
-    load : Reads the file.
-
     Examples
     --------
     >>> import tempfile
-    >>> from pathlib import Path
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder, "filter.toml")
-    ...     rs.save(rs.baselines.kalman_bucy(system), path)
-    ...     print("kind = " in path.read_text())
-    True
+    ...     rs.save(rs.homodyne.PAPER.uncertain_system(), folder + "/system.toml")
+    ...     rs.load(folder + "/system.toml").A
+    array([[-9140.]])
     """
     path, language = _language(path)
-    content = {"format": FORMAT, "kind": "", "units": "SI"}
-    if isinstance(value, UncertainSystem):
-        content |= {"kind": "system", **_system_fields(value)}
-    elif isinstance(value, AugmentedSystem):
-        content |= {"kind": "plant", **_plant_fields(value)}
-    elif isinstance(value, Estimator):
-        content |= {"kind": "estimator", **_estimator_fields(value)}
-    else:
-        raise TypeError(
-            "value must be an UncertainSystem, AugmentedSystem or Estimator, "
-            f"got {type(value).__name__}"
-        )
-    files.write_text(path, _toml_document(content) if language == "toml" else _json(content) + "\n")
+    for kind, (made, fields) in _KINDS.items():
+        if isinstance(value, made):
+            content = {"format": FORMAT, "kind": kind, "units": "SI", **fields(value)}
+            toml = [_FIRST, *_toml(content, "", kind)]
+            lines = toml if language == "toml" else [_json(content)]
+            return files.write_text(path, "\n".join([*lines, ""]))
+    kinds = "an UncertainSystem, AugmentedSystem or Estimator"
+    raise TypeError(f"value must be {kinds}, got {type(value).__name__}")
 
 
 def load(
@@ -141,24 +128,14 @@ def load(
     OSError
         Where the file cannot be read.
 
-    See Also
-    --------
-    save : Writes the file.
-
     Examples
     --------
     >>> import tempfile
-    >>> from pathlib import Path
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder, "system.toml")
-    ...     rs.save(system, path)
-    ...     loaded = rs.load(path)
-    >>> loaded.A
-    array([[-1.]])
+    ...     rs.save(rs.homodyne.PAPER.uncertain_system(), folder + "/system.json")
+    ...     rs.load(folder + "/system.json").n
+    1
     """
     path, language = _language(path)
     functions = {} if functions is None else functions
@@ -201,10 +178,9 @@ def _system_fields(system: UncertainSystem) -> dict:
 
 
 def _plant_fields(plant: AugmentedSystem) -> dict:
-    fields = {"delay": plant.delay, "order": plant.order}
-    if plant.system.g:
-        fields["J_21"] = plant.J_21
-    return fields | {"system": _system_fields(plant.system)}
+    J_21 = {"J_21": plant.J_21} if plant.system.g else {}
+    system = _system_fields(plant.system)
+    return {"delay": plant.delay, "order": plant.order, **J_21, "system": system}
 
 
 def _estimator_fields(estimator: Estimator) -> dict:
@@ -218,73 +194,62 @@ def _estimator_fields(estimator: Estimator) -> dict:
     return fields | {"plant": _plant_fields(estimator.plant)}
 
 
+_KINDS = {
+    "system": (UncertainSystem, _system_fields),
+    "plant": (AugmentedSystem, _plant_fields),
+    "estimator": (Estimator, _estimator_fields),
+}
+
+
 def _function_names(nonlinearities: Sequence[Nonlinearity]) -> list[str | None]:
     """Return the names of the functions, after checking that each stands for one function."""
+    named: dict[str, int] = {}
     names: list[str | None] = []
-    for i, channel in enumerate(nonlinearities):
-        function = channel.function
-        if function is None:
-            names.append(None)
-            continue
+    for i, function in enumerate(channel.function for channel in nonlinearities):
         called = getattr(function, "__name__", type(function).__qualname__)  # NumPy's, before 2.2
-        name = getattr(function, "__qualname__", called)
-        for j, other in enumerate(names):
-            if other == name and nonlinearities[j].function != function:
-                raise ValueError(
-                    f"nonlinearities[{j}].function and nonlinearities[{i}].function must have "
-                    f"names of their own to be saved, got two different ones called {name!r}"
-                )
+        name = None if function is None else getattr(function, "__qualname__", called)
         names.append(name)
+        first = named.setdefault(name, i)
+        if nonlinearities[first].function != function:
+            raise ValueError(
+                f"nonlinearities[{first}].function and nonlinearities[{i}].function must have "
+                f"names of their own to be saved, got two different ones called {name!r}"
+            )
     return names
 
 
 # --- fields to text -------------------------------------------------------------------------------
 
 
-def _toml_document(content: Mapping) -> str:
-    first = "# Of robsmooth: time in seconds, rates in 1/s, matrices by rows."
-    return "\n".join([first, *_toml(content, "", content["kind"])]) + "\n"
-
-
 def _toml(table: Mapping, prefix: str, kind: str) -> Iterator[str]:
     """Give the lines of a table: its values, then the tables in it."""
     if kind in _ABOUT:
         yield _ABOUT[kind]
-    tables = {}
+    tables = {name: value for name, value in table.items() if isinstance(value, dict | list)}
     for name, value in table.items():
-        if isinstance(value, dict | list):
-            tables[name] = value
-        else:
-            yield f"{name} = {_text(value)}"
+        if name not in tables:
+            yield f"{name} = {_json(value)}"
     for name, value in tables.items():
+        opening, closing = ("[[", "]]") if isinstance(value, list) else ("[", "]")
         for member in value if isinstance(value, list) else [value]:
-            yield ""
-            yield f"[[{prefix}{name}]]" if isinstance(value, list) else f"[{prefix}{name}]"
+            yield f"\n{opening}{prefix}{name}{closing}"
             yield from _toml(member, f"{prefix}{name}.", name)
 
 
 def _json(value: object, indent: str = "") -> str:
-    if not isinstance(value, dict | list):
-        return _text(value, indent)
-    inner = indent + "  "
-    opening, closing = "{}" if isinstance(value, dict) else "[]"
-    members = (
-        [f'"{name}": {_json(member, inner)}' for name, member in value.items()]
-        if isinstance(value, dict)
-        else [_json(member, inner) for member in value]
-    )
-    return opening + ",".join(f"\n{inner}{m}" for m in members) + f"\n{indent}{closing}"
-
-
-def _text(value: str | float | np.ndarray, indent: str = "") -> str:
-    """Return a value as both languages write it, a matrix with one row a line."""
+    """Return a value as JSON, without names as TOML, too; a matrix has one row a line."""
     if isinstance(value, str):
         printable = "".join(c if c.isprintable() else "?" for c in value)
         return json.dumps(printable, ensure_ascii=False)
-    value = np.asarray(value)
-    if value.ndim < 2:
-        return repr(value.tolist())
-    rows = [_text(row) for row in value]
-    if len(rows) < 2:
-        return "[" + "".join(rows) + "]"
-    return "[" + ",".join(f"\n{indent}  {row}" for row in rows) + f"\n{indent}]"
+    inner = indent + "  "
+    brackets = "{}" if isinstance(value, dict) else "[]"
+    if isinstance(value, dict):
+        members = [f'"{name}": {_json(member, inner)}' for name, member in value.items()]
+    elif isinstance(value, list):
+        members = [_json(member, inner) for member in value]
+    elif np.ndim(value) == 2 and len(value) > 1:
+        members = map(repr, value.tolist())
+    else:
+        return repr(np.asarray(value).tolist())
+    body = ",".join(f"\n{inner}{member}" for member in members)
+    return f"{brackets[0]}{body}\n{indent}{brackets[1]}"

@@ -7,9 +7,8 @@ in memory at a time.
 
 import csv
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from tokenize import TokenError
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from robsmooth._support import validation
 from robsmooth._support.files import atomic_path
 from robsmooth._support.progress import progress_bar
+from robsmooth._support.validation import Matrix
 from robsmooth.estimators.discrete import OUTPUTS, DiscreteSmoother
 
 CHUNK = 65_536  # rows
@@ -29,7 +29,7 @@ DRIFT = 1e-3  # by how much the record's clock may differ from dt's
 
 Column = int | str
 Columns = Column | Sequence[Column]
-Write = Callable[[NDArray[np.float64], NDArray[np.float64]], None]
+Write = Callable[[Matrix, Matrix], None]
 
 
 def smooth_record(
@@ -55,21 +55,20 @@ def smooth_record(
     smoother : DiscreteSmoother
         Made by ``estimator.discretize(dt)``.
     source : path
-        The record, in a file that ends in ``.csv`` or ``.npy``. In a CSV file, nan and empty cells
-        are missing measurements; a first line without any number is a header. In an NPY file nan
-        is missing, and an array (N,) is a column; it may not hold objects.
+        A ``.csv`` file, where nan and empty cells are missing measurements and a first line without
+        any number is a header, or a ``.npy`` file with an array (N, columns) or (N,) of numbers,
+        where nan is missing.
     target : path
-        For the estimates, ``.csv`` or ``.npy``. A CSV file begins with a column ``time``, that of
-        w in the row, in seconds as `DiscreteSmoother.times` tells it, before ``w[0]``, ``w[1]``...
-        An NPY file has the (N, m) array that `DiscreteSmoother.run` returns.
+        For the estimates. A ``.csv`` file has the columns ``time``, s, of w as
+        `DiscreteSmoother.times` tells it, then ``w[0]``, ``w[1]``...; a ``.npy`` file has the
+        (N, m) array that `DiscreteSmoother.run` returns.
     columns : int, str or sequence of them, optional
         The l columns that are measurements: indices, or names from a CSV file's header. All that
         are not named otherwise, by default.
     reference : int, str or sequence of them, optional
         The g columns with the reference of the nonlinearities, as in `DiscreteSmoother.run`.
     time : int or str, optional
-        A column with times, s, to be checked against the smoother's dt: a row that is missing, or
-        a wrong dt, is refused.
+        A column with times, s: a row that is missing, or a wrong dt, is refused.
     output : {"smoothed", "filtered"}
         Which estimates to write.
     delimiter : str
@@ -94,22 +93,14 @@ def smooth_record(
     OSError
         Where a file cannot be opened or written.
 
-    See Also
-    --------
-    DiscreteSmoother.run : The same for an array.
-
     Examples
     --------
-    >>> import tempfile
-    >>> from pathlib import Path
+    >>> import os, tempfile
     >>> import numpy as np
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
-    >>> smoother = rs.baselines.fixed_lag_smoother(system, delay=0.2, order=2).discretize(0.1)
+    >>> smoother = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system()).discretize(1e-7)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     source, target = Path(folder, "y.npy"), Path(folder, "w.csv")
+    ...     source, target = os.path.join(folder, "y.npy"), os.path.join(folder, "w.csv")
     ...     np.save(source, np.zeros((100, 1)))
     ...     rs.smooth_record(smoother, source, target)
     100
@@ -123,21 +114,19 @@ def smooth_record(
     source, target = Path(source), Path(target)
     if target.resolve() == source.resolve():
         raise ValueError(f"target must be another file than source, got {target} for both")
-    record = _choice("source", source, _RECORDS)(source, delimiter)
-    writer = _choice("target", target, _WRITERS)
-    layout = _layout(record, smoother, columns, reference, time)
+    for name, path in (("source", source), ("target", target)):
+        if path.suffix.lower() not in _RECORDS:
+            raise ValueError(f"{name} must end in {' or '.join(_RECORDS)}, got {path.name!r}")
+    record = _RECORDS[source.suffix.lower()](source, delimiter)
+    writer = _WRITERS[target.suffix.lower()]
+    layout = _Layout(record, smoother, columns, reference, time)
     before = smoother.state, smoother.samples
     bar = progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress)
     try:
-        with (
-            bar,
-            atomic_path(target) as temporary,
-            writer(temporary, smoother.m, delimiter) as write,
-        ):
+        with bar, atomic_path(target) as path, writer(path, smoother.m, delimiter) as write:
             rows = 0
             for values, size in record.chunks(layout.indices, chunk):
-                layout.check(values, rows, smoother.dt)
-                y, known = layout.parts(values)
+                y, known = layout.parts(values, rows)
                 estimates = smoother.run(y, reference=known, output=output)
                 write(smoother.times(len(estimates), output), estimates)
                 rows += len(values)
@@ -151,79 +140,65 @@ def smooth_record(
 # --- which column is what ------------------------------------------------------------------------
 
 
-@dataclass(eq=False)
 class _Layout:
     """The columns that are used: measurements, reference and time, in this order."""
 
-    record: "_Csv | _Npy"
-    measurements: list[int]
-    reference: list[int]
-    time: list[int]
-    first_time: float = field(default=np.nan, init=False)
-    last_time: float = field(default=np.nan, init=False)
+    def __init__(
+        self,
+        record: "_Csv | _Npy",
+        smoother: DiscreteSmoother,
+        columns: Columns | None,
+        reference: Columns | None,
+        time: Column | None,
+    ):
+        known = [] if reference is None else _indices("reference", record, reference)
+        times = [] if time is None else _indices("time", record, time)
+        if columns is None:
+            measurements = [i for i in range(record.width) if i not in (*known, *times)]
+        else:
+            measurements = _indices("columns", record, columns)
+        for name, found, wanted, what in (
+            ("columns", measurements, smoother.l, "measurements"),
+            ("reference", known, smoother.g, "nonlinearities"),
+            ("time", times, 1, "time"),
+        ):
+            if len(found) != wanted and (found or name == "columns"):
+                raise ValueError(
+                    f"{name} must name {wanted} of the columns of {record.path}, one for each of "
+                    f"the {what}, got {len(found)} ({', '.join(map(record.name, found))})"
+                )
+        self.record, self.dt = record, smoother.dt
+        self.indices = [*measurements, *known, *times]
+        self.ends = np.cumsum([len(measurements), len(known)])
 
-    @property
-    def indices(self) -> list[int]:
-        return [*self.measurements, *self.reference, *self.time]
-
-    def parts(self, values: NDArray[np.float64]) -> tuple[NDArray, NDArray | None]:
-        """Return measurements and reference."""
-        y, known, _ = np.split(values, np.cumsum([len(self.measurements), len(self.reference)]), 1)
-        return y, known if self.reference else None
-
-    def check(self, values: NDArray[np.float64], row: int, dt: float) -> None:
-        """Refuse what is not a number or not in time, in a chunk that begins at this row."""
+    def parts(self, values: Matrix, row: int) -> tuple[Matrix, Matrix | None]:
+        """Return measurements and reference of a chunk that begins at a row, after its check."""
+        y, known, times = np.split(values, self.ends, axis=1)
         wrong = ~np.isfinite(values)
-        wrong[:, : len(self.measurements)] &= ~np.isnan(values[:, : len(self.measurements)])
+        wrong[:, : y.shape[1]] &= ~np.isnan(y)
         if wrong.any():
             i, j = np.argwhere(wrong)[0]
             place = self.record.place(row + i, self.indices[j])
             raise ValueError(f"{place}: {values[i, j]} where there must be a finite number")
-        if self.time and len(values):
-            self._check_times(values[:, -1], row, dt)
+        if times.size:
+            self._check_times(times[:, 0], row)
+        return y, known if known.shape[1] else None
 
-    def _check_times(self, times: NDArray[np.float64], row: int, dt: float) -> None:
+    def _check_times(self, times: Matrix, row: int) -> None:
         if row == 0:
-            self.first_time, self.last_time = times[0], times[0] - dt
-        late = np.diff(times, prepend=self.last_time) / dt - 1.0
+            self.first_time, self.last_time = times[0], times[0] - self.dt
+        late = np.diff(times, prepend=self.last_time) / self.dt - 1.0
         count = row + np.arange(len(times))
-        drift = (times - self.first_time) / dt - count
+        drift = (times - self.first_time) / self.dt - count
         wrong = (np.abs(late) >= TIMING) | (np.abs(drift) >= TIMING + DRIFT * count)
         if wrong.any():
             i = int(wrong.argmax())
             raise ValueError(
-                f"{self.record.place(row + i, self.time[0])}: the time {times[i]:.9g} s is "
+                f"{self.record.place(row + i, self.indices[-1])}: the time {times[i]:.9g} s is "
                 f"{1 + late[i]:.6g} samples after that of the row before and {drift[i]:+.6g} "
-                f"samples off the times of the record's begin with dt = {dt:g} s"
+                f"samples off the times of the record's begin with dt = {self.dt:g} s"
             )
         self.last_time = times[-1]
-
-
-def _layout(
-    record: "_Csv | _Npy",
-    smoother: DiscreteSmoother,
-    columns: Columns | None,
-    reference: Columns | None,
-    time: Column | None,
-) -> _Layout:
-    """Find the columns, and check that there are as many as the smoother wants."""
-    known = [] if reference is None else _indices("reference", record, reference)
-    times = [] if time is None else _indices("time", record, time)
-    if columns is None:
-        measurements = [i for i in range(record.width) if i not in (*known, *times)]
-    else:
-        measurements = _indices("columns", record, columns)
-    for name, found, wanted, what in (
-        ("columns", measurements, smoother.l, "measurements"),
-        ("reference", known, smoother.g, "nonlinearities"),
-        ("time", times, 1, "time"),
-    ):
-        if len(found) != wanted and (found or name == "columns"):
-            raise ValueError(
-                f"{name} must name {wanted} of the columns of {record.path}, one for each of the "
-                f"{what}, got {len(found)} ({', '.join(map(record.name, found))})"
-            )
-    return _Layout(record, measurements, known, times)
 
 
 def _indices(name: str, record: "_Csv | _Npy", columns: Columns) -> list[int]:
@@ -243,12 +218,6 @@ def _index(name: str, record: "_Csv | _Npy", column: Column) -> int:
     if index >= record.width:
         raise ValueError(f"{name}: {record.path} has {record.width} columns, there is no {index}")
     return index
-
-
-def _choice(name: str, path: Path, kinds: dict) -> Callable:
-    if path.suffix.lower() not in kinds:
-        raise ValueError(f"{name} must end in {' or '.join(kinds)}, got {path.name!r}")
-    return kinds[path.suffix.lower()]
 
 
 # --- records -------------------------------------------------------------------------------------
@@ -285,7 +254,7 @@ class _Npy:
     def place(self, row: int, column: int) -> str:
         return f"{self.path}, row {row}, {self.name(column)}"
 
-    def chunks(self, columns: list[int], rows: int) -> Iterator[tuple[NDArray[np.float64], int]]:
+    def chunks(self, columns: list[int], rows: int) -> Iterator[tuple[Matrix, int]]:
         """Yield the chosen columns of the next rows, and their number."""
         for start in range(0, self.size, rows):
             part = self._open()[start : start + rows].reshape(-1, self.width)
@@ -321,53 +290,47 @@ class _Csv:
         line = row + 1 + bool(self.header)
         return f"{self.path}, line {line}, {self.name(column)}"
 
-    def chunks(self, columns: list[int], rows: int) -> Iterator[tuple[NDArray[np.float64], int]]:
+    def chunks(self, columns: list[int], rows: int) -> Iterator[tuple[Matrix, int]]:
         """Yield the chosen columns of the next lines, and the size of these in bytes."""
-        number = 1  # of the next line
-        ended = False  # by blank lines
+        begin = 1 + bool(self.header)  # number of the next line
         with self._open() as file:
-            if self.header:
-                file.readline()
-                number += 1
-            while lines := list(islice(file, rows)):
-                size, count = sum(map(len, lines)), len(lines)
-                while lines and not lines[-1].strip("\r\n "):
-                    lines.pop()
-                if ended and lines:
-                    raise self._blank(number)
-                ended = ended or len(lines) < count
-                yield self._parsed(lines, number, columns), size
-                number += len(lines)
+            lines = islice(self._lines(file), begin - 1, None)
+            while part := list(islice(lines, rows)):
+                yield self._parsed(part, begin, columns), sum(map(len, part))
+                begin += len(part)
 
-    def _parsed(self, lines: list[str], number: int, columns: list[int]) -> NDArray[np.float64]:
+    def _lines(self, file: Iterable[str]) -> Iterator[str]:
+        """Yield the lines of a file, of which only the last may be blank."""
+        blank = 0
+        for number, line in enumerate(file, 1):
+            if not line.strip("\r\n ".replace(self.delimiter, "")):
+                blank = blank or number
+            elif blank:
+                raise ValueError(
+                    f"{self.path}, line {blank}: blank; a row of gaps has its nan or commas"
+                )
+            else:
+                yield line
+
+    def _parsed(self, lines: list[str], number: int, columns: list[int]) -> Matrix:
         """Return the numbers of some lines, the first of which has this number."""
-        simple = lines and all(
-            line.count(self.delimiter) == self.width - 1 and not line.isspace() for line in lines
-        )
-        try:
-            if simple:  # NumPy's parser is faster by far, but knows no empty cells
+        with suppress(ValueError):  # NumPy's parser is faster by far, but knows no empty cells
+            if all(line.count(self.delimiter) == self.width - 1 for line in lines):
                 return np.loadtxt(
                     lines, delimiter=self.delimiter, usecols=columns, comments=None, ndmin=2
                 )
-        except ValueError:
-            pass
         values = np.empty((len(lines), len(columns)))
         for i, line in enumerate(lines):
             cells = self._cells(line, number + i)
-            if not cells:
-                raise self._blank(number + i)
+            place = f"{self.path}, line {number + i}"
             if len(cells) != self.width:
                 raise ValueError(
-                    f"{self.path}, line {number + i}: {len(cells)} cells, where the first line has "
-                    f"{self.width}"
+                    f"{place}: {len(cells)} cells, where the first line has {self.width}"
                 )
             for j, column in enumerate(columns):
                 cell = cells[column].strip()
                 if cell and not _is_number(cell):
-                    raise ValueError(
-                        f"{self.path}, line {number + i}, {self.name(column)}: {cell!r} is not a "
-                        "number"
-                    )
+                    raise ValueError(f"{place}, {self.name(column)}: {cell!r} is not a number")
                 values[i, j] = float(cell or "nan")
         return values
 
@@ -376,9 +339,6 @@ class _Csv:
             return next(csv.reader([line], delimiter=self.delimiter), [])
         except csv.Error as error:
             raise ValueError(f"{self.path}, line {number}: {error}") from None
-
-    def _blank(self, number: int) -> ValueError:
-        return ValueError(f"{self.path}, line {number}: blank; a row of gaps has its nan or commas")
 
 
 def _is_number(cell: str) -> bool:
@@ -395,22 +355,17 @@ def _is_number(cell: str) -> bool:
 @contextmanager
 def _npy_writer(path: Path, outputs: int, _delimiter: str) -> Iterator[Write]:
     """Give what appends rows to an NPY file."""
-    rows = 0
+    layout = {"descr": "<f8", "fortran_order": False, "shape": (0, outputs)}
     with open(path, "wb") as file:
 
-        def write_header() -> None:  # it has room for any number of rows
-            file.seek(0)
-            layout = {"descr": "<f8", "fortran_order": False, "shape": (rows, outputs)}
-            npy.write_array_header_1_0(file, layout)
-
-        def write(_times: NDArray[np.float64], estimates: NDArray[np.float64]) -> None:
-            nonlocal rows
+        def write(_times: Matrix, estimates: Matrix) -> None:
             file.write(estimates.astype("<f8").tobytes())
-            rows += len(estimates)
+            layout["shape"] = (layout["shape"][0] + len(estimates), outputs)
 
-        write_header()
+        npy.write_array_header_1_0(file, layout)
         yield write
-        write_header()
+        file.seek(0)
+        npy.write_array_header_1_0(file, layout)  # it has room for any number of rows
 
 
 @contextmanager
@@ -420,7 +375,7 @@ def _csv_writer(path: Path, outputs: int, delimiter: str) -> Iterator[Write]:
         names = ["time", *(f"w[{i}]" for i in range(outputs))]
         file.write(delimiter.join(names) + "\n")
 
-        def write(times: NDArray[np.float64], estimates: NDArray[np.float64]) -> None:
+        def write(times: Matrix, estimates: Matrix) -> None:
             rows = zip(times.tolist(), estimates.tolist(), strict=True)
             file.writelines(
                 delimiter.join([f"{time:.15g}", *map(repr, row)]) + "\n" for time, row in rows

@@ -104,14 +104,12 @@ def predicted(
     design: Estimator, change: str, factor: float, values: HomodyneParameters
 ) -> StatisticalLinearisation:
     """Predict the errors of a design in a loop with one number multiplied, a key of CHANGES."""
-    name = CHANGES[change]
+    name, slope, plant = CHANGES[change], values.equivalent_slope, design.plant
     if name is None:
-        slope = partial(values.equivalent_slope, gain=factor)
-        return statistical_linearisation(design, slope)
-    system = design.plant.system
-    noisier = replace(system, **{name: math.sqrt(factor) * getattr(system, name)})
-    elsewhere = replace(design, plant=replace(design.plant, system=noisier))
-    return statistical_linearisation(elsewhere, values.equivalent_slope)
+        return statistical_linearisation(design, partial(slope, gain=factor))
+    noise = {name: math.sqrt(factor) * getattr(plant.system, name)}
+    noisier = replace(plant, system=replace(plant.system, **noise))
+    return statistical_linearisation(replace(design, plant=noisier), slope)
 
 
 def factor_for(

@@ -9,9 +9,10 @@ knows nothing of that.
 import itertools
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.smoother import RobustSmoother, design_equations
+from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.delay import DelayModel
 
@@ -59,23 +60,16 @@ def read_published(path: Path) -> dict:
         if not isinstance(entries, list) or not entries:
             raise ValueError(f"{path.name} has no [[{section}]]")
         for entry in entries:
-            for field in required:
-                if field not in entry:
-                    name = entry.get("id", "without id")
-                    raise ValueError(f"{path.name}: [[{section}]] {name} lacks {field!r}")
-    texts = {
-        f"{entry['id']}{index}": text
-        for entry in content["quantity"]
-        for index, text in each_entry(entry["printed"])
-    } | {
-        f"{field} of {statement['id']}": statement[field]
-        for statement in content["statement"]
-        for field in statement
-        if field not in _REQUIRED["statement"]
-    }
-    for name, text in texts.items():
-        if not (isinstance(text, str) and _NUMBER.fullmatch(text)):
-            raise ValueError(f"{path.name}: {name} must be a number in quotes, got {text!r}")
+            name = entry.get("id", "without id")
+            if missing := [field for field in required if field not in entry]:
+                raise ValueError(f"{path.name}: [[{section}]] {name} lacks {missing[0]!r}")
+            if section == "quantity":
+                texts = {f"{name}{index}": text for index, text in each_entry(entry["printed"])}
+            else:
+                texts = {f"{key} of {name}": entry[key] for key in entry if key not in required}
+            for key, text in texts.items():
+                if not (isinstance(text, str) and _NUMBER.fullmatch(text)):
+                    raise ValueError(f"{path.name}: {key} must be a number in quotes, got {text!r}")
     return content
 
 
@@ -107,13 +101,8 @@ def printed_multipliers() -> np.ndarray:
 
 
 def each_entry(value: str | list) -> Iterator[tuple[tuple[int, ...], str]]:
-    """Yield index and text of a number or of each entry of a matrix."""
-    if isinstance(value, list):
-        for i, row in enumerate(value):
-            for j, text in enumerate(row):
-                yield (i, j), text
-    else:
-        yield (), value
+    """Return index and text of a number or of each entry of a matrix."""
+    return np.ndenumerate(np.array(value, dtype=object))
 
 
 def last_digit(text: str) -> float:
@@ -140,7 +129,7 @@ def rounding_box() -> list[tuple[float, np.ndarray]]:
     names = ("tau", *LAMBDA)
     half = np.array([last_digit(printed_text(name)) / 2 for name in names])
     middle = np.array([printed(name) for name in names])
-    corners = [middle + half * np.array(signs) for signs in itertools.product((-1, 1), repeat=5)]
+    corners = [middle + half * signs for signs in itertools.product((-1, 1), repeat=5)]
     return [(corner[0], corner[1:]) for corner in (middle, *corners)]
 
 
@@ -200,30 +189,25 @@ def corrected_smoother() -> RobustSmoother:
 
 
 @cache
-def ngcf() -> RobustSmoother:
-    """Return the nonlinear guaranteed cost filter of the example."""
-    return baselines.ngcf(homodyne.PAPER.uncertain_system())
-
-
-@cache
-def kalman_filter() -> Estimator:
-    """Return the example's Kalman-Bucy filter, for which the adaptive loop runs the copies."""
-    return baselines.kalman_bucy(homodyne.PAPER.uncertain_system(), copies=True)
-
-
-def designs() -> dict[str, Estimator]:
+def designs() -> Mapping[str, Estimator]:
     """Return the designs compared throughout, by the names that figures and tables use."""
-    return {
+    system = homodyne.PAPER.uncertain_system()
+    found = {
         "smoother, as printed": recomputed_estimator(),
         "smoother, corrected": corrected_smoother(),
-        "NGCF": ngcf(),
-        "Kalman-Bucy": kalman_filter(),
+        "NGCF": baselines.ngcf(system),
+        "Kalman-Bucy": baselines.kalman_bucy(system, copies=True),  # which the adaptive loop runs
     }
+    return MappingProxyType(found)
 
 
-def boundary_multipliers(vanishing: float) -> list[float]:
-    """Return the example's lambda on the edge of its constraint, with lambda_3 = lambda_4 given."""
-    return [1.0, 0.5 - vanishing / 2, vanishing, vanishing]
+def design_near_edge(best: RobustSmoother, tau: float, vanishing: float) -> RobustSmoother:
+    """Return the example's design with lambda on the edge of its constraint.
+
+    It has the plant and the cost of another, and lambda_3 = lambda_4 given.
+    """
+    multipliers = [1.0, 0.5 - vanishing / 2, vanishing, vanishing]
+    return design_smoother(best.plant, tau, multipliers, best.cost)
 
 
 def x_discriminant(tau: float, multipliers: np.ndarray) -> float:

@@ -88,7 +88,7 @@ def about() -> Table:
     """Return what a notebook was run with: versions, revision, lock and machine."""
     facts = provenance.collect()
     revision = facts["revision"]
-    rows = [(name, version) for name, version in facts["versions"].items()]
+    rows = [*facts["versions"].items()]
     if revision:
         changed = ", with changes" if revision["dirty"] else ""
         rows.append(("git revision", revision["commit"][:12] + changed))

@@ -43,10 +43,7 @@ def _mean_square(stored: Mapping[str, float]) -> MeanSquare:
 
 
 def write(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) -> None:
-    """Write the Monte Carlo results of the designs to a folder, with their provenance beside them.
-
-    The results file has nothing in it that differs from run to run; the seed is for the provenance.
-    """
+    """Write what does not differ from run to run to a folder, and the provenance beside it."""
     path = Path(data) / FILE
     cases = {
         name: {key: value for key, value in result.to_dict().items() if key not in _NOT_RESULTS}

@@ -17,18 +17,7 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
-from robsmooth.paper import results, statements
-from robsmooth.paper.published import (
-    LAMBDA,
-    agrees,
-    corrected_smoother,
-    data_folder,
-    each_entry,
-    flipped_design,
-    paper_plant,
-    published,
-    rounding_box,
-)
+from robsmooth.paper import published, results, statements
 
 REPRODUCED = "reproduced"
 WITH_FLIPPED_SIGN = "reproduced with the sign flipped"
@@ -50,20 +39,14 @@ class Verdict:
 
     Attributes
     ----------
-    name : str
-        What it is, e.g. ``"A_c[0, 1]"`` (row and column from zero).
-    place : str
-        Where it stands in the paper.
-    printed : str
-        As printed.
+    name, place, printed : str
+        What it is, e.g. ``"A_c[0, 1]"`` (from zero), where it stands in the paper, and its digits.
     value : float or str or None
         Recomputed, in the printed unit; words for a statement; None where nothing can be computed.
     relative_difference : float or None
         Of value from printed, by the size of printed, where that makes sense.
-    verdict : str
-        One of "reproduced", "reproduced with the sign flipped", "not reproduced", "not checkable".
-    reason : str
-        Why, as far as known, where it does not simply reproduce.
+    verdict, reason : str
+        One of `OUTCOMES`, and why, as far as known, where it does not simply reproduce.
     """
 
     name: str
@@ -104,16 +87,14 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     Parameters
     ----------
     data_dir : path, optional
-        Folder with the Monte Carlo results, monte_carlo.json; by default the project's own data/,
-        which `make figures` writes.
+        Folder with monte_carlo.json; by default the project's own data/.
     kinds : sequence of str
         Which quantities and statements to judge, as data/published.toml sorts them; all by default.
 
     Returns
     -------
     list of Verdict
-        In the order of the paper; a matrix gives one for each entry. A notebook shows it as a
-        table.
+        In the order of the paper, one for each entry of a matrix. A notebook shows a table.
 
     Raises
     ------
@@ -124,26 +105,24 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
         validation.choice("kinds", kind, KINDS)
     simulation = None
     if "simulation" in kinds:
-        simulation = results.read(Path(data_dir) if data_dir else data_folder())
-    checks = statements.checks(simulation)
-    recompute = {
-        "model": _model,
-        "optimum": _optimum,
-        "design": _design,
-        "simulation": partial(_simulated, simulation),
-    }
+        simulation = results.read(Path(data_dir) if data_dir else published.data_folder())
+    recompute = {"model": _model, "optimum": _optimum, "design": _design}
+    recompute["simulation"] = partial(_simulated, simulation)
     recomputed = {kind: values() for kind, values in recompute.items() if kind in kinds}
+    quantities, claims = (
+        [entry for entry in published.published()[section] if entry["kind"] in kinds]
+        for section in ("quantity", "statement")
+    )
     found = Verdicts()
-    for entry in published()["quantity"]:
-        if entry["kind"] in kinds:
-            values = [each[entry["id"]] for each in recomputed.get(entry["kind"], [])]
-            found.extend(_verdicts_on(entry, values))
-    for entry in published()["statement"]:
-        if entry["kind"] in kinds:
-            holds, value, reason = checks[entry["id"]]()
-            verdict = REPRODUCED if holds else NOT_REPRODUCED
-            statement = entry["id"], entry["place"], entry["text"]
-            found.append(Verdict(*statement, value, None, verdict, reason))
+    for entry in quantities:
+        values = [each[entry["id"]] for each in recomputed.get(entry["kind"], [])]
+        found.extend(_verdicts_on(entry, values))
+    checks = statements.checks(simulation)
+    for entry in claims:
+        holds, value, reason = checks[entry["id"]]()
+        verdict = REPRODUCED if holds else NOT_REPRODUCED
+        statement = entry["id"], entry["place"], entry["text"]
+        found.append(Verdict(*statement, value, None, verdict, reason))
     return found
 
 
@@ -172,7 +151,7 @@ def _merged(verdicts: Iterable[Verdict]) -> Iterator[Verdict]:
 
 
 def _model() -> list[Values]:
-    plant = paper_plant()
+    plant = published.paper_plant()
     system = plant.system
     noise = plant.D21_bar @ plant.D21_bar.T
     values = {
@@ -197,17 +176,17 @@ def _model() -> list[Values]:
 
 
 def _optimum() -> list[Values]:
-    best = corrected_smoother()
+    best = published.corrected_smoother()
     least = best.limit or best  # the infimum is not attained
-    multipliers = dict(zip(LAMBDA, least.multipliers, strict=True))
+    multipliers = dict(zip(published.LAMBDA, least.multipliers, strict=True))
     return [{"least V": least.bound, "tau": least.tau, **multipliers}]
 
 
 def _design() -> list[Values]:
     """Return the values for the printed tau and lambda, then for others that print the same."""
     found = []
-    for tau, multipliers in rounding_box():
-        estimator, bound = flipped_design(tau, multipliers)
+    for tau, multipliers in published.rounding_box():
+        estimator, bound = published.flipped_design(tau, multipliers)
         matrices = {name: getattr(estimator, name) for name in ("A_c", "B_c", "C_c")}
         found.append(matrices | {"V at the printed tau, lambda": bound})
     return found
@@ -225,7 +204,7 @@ def _verdicts_on(entry: dict, values: Sequence[float | Matrix]) -> Iterator[Verd
     first is shown. Without a value it cannot be checked.
     """
     unit = f" {entry['unit']}" if "unit" in entry else ""
-    for index, text in each_entry(entry["printed"]):
+    for index, text in published.each_entry(entry["printed"]):
         name = entry["id"] + (str(list(index)) if index else "")
         quantity = name, entry["place"], text + unit
         if not values:
@@ -237,7 +216,7 @@ def _verdicts_on(entry: dict, values: Sequence[float | Matrix]) -> Iterator[Verd
         value = 0.0 if abs(candidates[0]) < zero else candidates[0]
         number = float(text)
         difference = (value - number) / abs(number) if number else None
-        if agrees(text, min(candidates), max(candidates), zero):
+        if published.agrees(text, min(candidates), max(candidates), zero):
             verdict = WITH_FLIPPED_SIGN if entry["kind"] == "design" else REPRODUCED
             yield Verdict(*quantity, value, difference, verdict, "")
         else:

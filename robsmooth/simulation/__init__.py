@@ -1,11 +1,10 @@
 """Simulation of any uncertain system in the loop with its estimator, nonlinearities and all.
 
 `loop` joins the two into one equation, `integrator` takes the steps, and `simulate` makes errors,
-sample paths and a check of the theory's constraints of them, in the classes of `results`.
+sample paths and a check of the theory's constraints of them, in the classes of `statistics`.
 
-A detector may be steered by an estimate, its *reference* (`Nonlinearity`). That of the paper's
-example is: ``simulate(estimator)`` closes the loop of Section IV for it, of which `monte_carlo` is
-a faster simulation.
+That of the paper's example, Section IV, has a detector that is steered by an estimate, its
+*reference* (`Nonlinearity`): `monte_carlo` is a faster simulation of it.
 
 **How long a step may be.** The scheme is exact for a linear loop, and of the second order in the
 step for a nonlinear one. In units of the loop's response time, in which the nonlinearities'
@@ -20,7 +19,6 @@ step           where the theory's constraints   where they fail for a seventh of
 1              below 0.5%                       -44%
 =============  ===============================  ==================================
 
-The first are scalar loops with a restoring sine or tanh and the pendulum of notebook 06, the others
-its mirror with the estimator there and with a Kalman-Bucy filter. The standard error of a default
-run is between 0.3% and 2%. A step above 1/4 gives a warning.
+The first are scalar loops with a sine or tanh and the pendulum of notebook 06, the others its
+mirror. The standard error of a default run is 0.3% to 2%. A step above 1/4 gives a warning.
 """

@@ -19,8 +19,6 @@ References
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.random import SFC64, Generator, SeedSequence
@@ -29,61 +27,30 @@ from scipy.linalg import block_diag
 
 from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root
-from robsmooth._support.validation import Matrix
 from robsmooth.simulation.loop import NonlinearLoop
 
 CHUNK = 64  # steps for which noise is drawn ahead, and between two looks for divergence
 GROWTH = 1e6  # of an output, from the first chunk on: divergence
 
 
-@dataclass(frozen=True, eq=False)
 class ExponentialIntegrator:
     """The scheme of the module's docstring for one loop and step.
 
-    Attributes
-    ----------
-    loop : NonlinearLoop
-    step : float
-        s.
-    transition, first, second, noise : arrays
-        e^{F h}, K_1, K_2, and a lower triangular root of the covariance of eta.
-    readout : array
-        Rows that are recorded: w, its two estimates, zeta-tilde, the reference in it and, where
-        `measured`, the means of dy/dt over the step.
+    Where `measured`, y is integrated along with the state, and read out.
     """
 
-    loop: NonlinearLoop
-    step: float
-    transition: Matrix
-    first: Matrix
-    second: Matrix
-    noise: Matrix
-    readout: Matrix
-
-    @classmethod
-    def of(cls, loop: NonlinearLoop, step: float, measured: bool = False) -> Self:
-        """Prepare the steps; `measured` has y integrated along with the state."""
+    def __init__(self, loop: NonlinearLoop, step: float, measured: bool = False):
         N = loop.order
         size = len(loop.drift) if measured else N
         F = np.hstack([loop.linear_drift[:size], np.zeros((size, size - N))])
+        self.loop, self.step = loop, step
+        self.transition, self.first, self.second = responses(F, loop.inputs[:size], step)
+        self.transition[:, N:] = 0.0  # the integral of y begins anew with each step
+        self.noise = noise_root(F, loop.noise[:size], step)
+        # w, its two estimates, zeta-tilde, the reference in it, and the mean of dy/dt
         of_state = np.vstack([loop.readout, loop.arguments, loop.reference])
-        transition, first, second = responses(F, loop.inputs[:size], step)
-        transition[:, N:] = 0.0  # the integral of y begins anew with each step
-        return cls(
-            loop=loop,
-            step=step,
-            transition=transition,
-            first=first,
-            second=second,
-            noise=noise_root(F, loop.noise[:size], step),
-            readout=block_diag(of_state, np.eye(size - N) / step),
-        )
-
-    @property
-    def _arguments(self) -> slice:
-        """Rows of the records that are zeta-tilde."""
-        first = len(self.loop.readout)
-        return slice(first, first + len(self.loop.arguments))
+        self.readout = block_diag(of_state, np.eye(size - N) / step)
+        self._arguments = slice(len(loop.readout), len(loop.readout) + len(loop.arguments))
 
     def advance(self, time: float, z: NDArray, zeta: NDArray, noise: NDArray) -> NDArray:
         """Return the states (., paths) a step after `time`; `zeta` is zeta-tilde at `time`."""
@@ -101,19 +68,9 @@ class ExponentialIntegrator:
     ) -> Iterator[tuple[int, NDArray[np.float64]]]:
         """Take `before` steps to time zero, and `steps` more, from a stationary start.
 
-        A path depends on the seed and its number alone.
-
-        Yields
-        ------
-        first : int
-            How many steps from time zero the first record is.
-        records : (at most CHUNK, rows of `readout`, paths) array
-            What `readout` gives after each step.
-
-        Raises
-        ------
-        RuntimeError
-            Where a path diverges.
+        Yields what `readout` gives after each step, (at most CHUNK, rows of `readout`, paths), and
+        how many steps from time zero the first of these is. A path depends on the seed and its
+        number alone. One that diverges is a RuntimeError.
         """
         N, measured = self.loop.order, len(self.transition) - self.loop.order
         of_state = [_generator(seed, path, 0) for path in paths]

@@ -13,9 +13,8 @@ With :math:`z = [x; \hat x_p]` and the paper's channels, uncertainties, nonlinea
 
 where :math:`\tilde B_c = [B_y\ B_\mu]`. Below them are the rows of the measurement y, on which
 nothing depends. In :math:`R` are the references, rows of the estimator's state: a nonlinearity acts
-on :math:`\nu_i - r_i`, and its copy on :math:`\tilde\nu_i - r_i`. The homodyne loop of
-`robsmooth.homodyne.loop` is this equation with one reference, :math:`2\alpha\gamma` times the phase
-of the local oscillator.
+on :math:`\nu_i - r_i`, and its copy on :math:`\tilde\nu_i - r_i`. In the homodyne loop there is
+one, :math:`2\alpha\gamma` times the phase of the local oscillator.
 
 :math:`\Delta` holds the constant uncertainties and, for each nonlinearity and each copy, the slope
 that is statistically equivalent to it in the loop (`robsmooth._numerics.linearisation`). What is
@@ -26,7 +25,7 @@ but the nearer the linear loop, the better the start and the smaller the error o
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -44,54 +43,35 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import Reference, matrices, reference_outputs
 from robsmooth.systems.augmented import AugmentedSystem
 
+Uncertainties = Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]]
+
 _SLOPE_TOLERANCE = 1e-6  # relative to the Lipschitz constant
 _ZERO_DEVIATION = 1e-9  # a deviation below this, relative to its terms, is rounding
 _DRAWS = 64  # of the state, at which functions are compared with their slopes
 
 
 class Function(NamedTuple):
-    """Part of xi-tilde that is a function: of the rows `outputs` of zeta-tilde, to rows `inputs`.
+    """Part of xi-tilde that is a function."""
 
-    It takes the time and (len(outputs), paths), and gives (len(inputs), paths); each output makes
-    its own input where it is elementwise.
-    """
-
-    inputs: list[int]
-    outputs: list[int]
-    function: Callable[[float, NDArray], NDArray]
-    elementwise: bool
+    inputs: list[int]  # rows of xi-tilde
+    outputs: list[int]  # rows of zeta-tilde
+    function: Callable[[float, NDArray], NDArray]  # of t and (outputs, paths), (inputs, paths)
+    elementwise: bool  # whether each output makes its own input
 
 
 @dataclass(frozen=True, eq=False)
 class NonlinearLoop:
-    """The equation of the module's docstring.
+    """The equation of the module's docstring."""
 
-    Attributes
-    ----------
-    drift, inputs, noise : arrays of N + l rows
-        F, G and B, and the rows of y below them.
-    arguments : (h + 2g, N) array
-        L - R.
-    reference : (h + 2g, N) array
-        R.
-    readout : (3m, N) array
-        Rows of w, of its filtered estimate, and of its smoothed estimate.
-    delta : (r + 2g, h + 2g) array
-        Delta.
-    functions : tuple of Function
-    lipschitz : (h + 2g,) array
-        What bounds the input that an output makes: a Lipschitz constant, or one.
-    """
-
-    drift: Matrix
-    inputs: Matrix
-    noise: Matrix
-    arguments: Matrix
-    reference: Matrix
-    readout: Matrix
-    delta: Matrix
+    drift: Matrix  # (N + l, N): F and the rows of y below it
+    inputs: Matrix  # (N + l, r + 2g): G, the same
+    noise: Matrix  # (N + l, q + g): B, the same
+    arguments: Matrix  # (h + 2g, N): L - R
+    reference: Matrix  # (h + 2g, N): R
+    readout: Matrix  # (3m, N): rows of w, of its filtered and of its smoothed estimate
+    delta: Matrix  # (r + 2g, h + 2g): Delta
     functions: tuple[Function, ...]
-    lipschitz: Matrix
+    lipschitz: Matrix  # (h + 2g,): bounds the input that an output makes: a constant, or one
 
     @property
     def order(self) -> int:
@@ -118,8 +98,7 @@ class NonlinearLoop:
 
         The largest of the root mean square drift of an argument over its size, and of the gain from
         one argument, through its function, to the drift of another. Without functions the first, of
-        the outputs. It belongs to the stationary loop: the `response_rate` of the homodyne loop,
-        which belongs to the response to an impulse, is another, if of the same size.
+        the outputs. (The `response_time` of the homodyne loop is that to an impulse.)
         """
         root, N = self.stationary_root, self.order
         size = np.linalg.norm(self.arguments @ root, axis=1)
@@ -136,7 +115,7 @@ class NonlinearLoop:
         rates = np.max(speeds, axis=0)[moving] / own[moving]
         return float(rates.max(initial=0.0)) or self.slowest_rate
 
-    @cached_property
+    @property
     def is_linear(self) -> bool:
         """Whether all functions are the slopes that stand in for them, where the loop is at all."""
         draws = np.random.default_rng(0).standard_normal((self.order, _DRAWS))
@@ -164,38 +143,29 @@ class NonlinearLoop:
 
 def nonlinear_loop(
     smoother: Estimator,
-    uncertainties: Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]] = (),
+    uncertainties: Uncertainties = (),
     loop: str = "real",
     reference: Reference = "system",
 ) -> NonlinearLoop:
-    """Join a plant and its estimator; see `simulate` for the arguments.
-
-    Raises
-    ------
-    UnstableLoopError
-        Where the loop is not stable without its nonlinearities.
-    ValueError, TypeError
-        For a bad argument, or a nonlinearity without a function.
-    """
+    """Join a plant and its estimator; see `simulate` for the arguments."""
     validation.instance("smoother", smoother, Estimator)
     plant, system = smoother.plant, smoother.plant.system
-    constants, functions = _uncertainties(plant, uncertainties)
+    delta, functions = _uncertainties(plant, uncertainties)
     drift, noise, inputs, outputs = matrices(smoother, loop, reference)
     functions += _nonlinearities(smoother, outputs)
 
     n, measurements, g = system.n, system.l, system.g
     kept = np.r_[:n, plant.n : len(drift)]  # nothing depends on the model of the delay
     measured = np.pad(plant.C2_tilde[:measurements], ((0, 0), (0, len(smoother.A_c))))
-    no_x = np.zeros((len(outputs), n))
     bounds = [c.lipschitz for c in system.nonlinearities]
     joined = NonlinearLoop(
         drift=np.vstack([drift[kept], measured])[:, kept],
         inputs=np.vstack([inputs[kept], plant.D21_tilde[:measurements]]),
         noise=np.vstack([noise[kept], plant.D21_bar[:measurements]]),
         arguments=outputs[:, kept],
-        reference=np.hstack([no_x, reference_outputs(smoother, reference)]),
+        reference=np.pad(reference_outputs(smoother, reference), ((0, 0), (n, 0))),
         readout=block_diag(system.C0, np.vstack([smoother.C_f, smoother.C_a])),
-        delta=plant.structured_delta(constants),
+        delta=delta,
         functions=tuple(functions),
         lipschitz=np.array([1.0] * (sum(plant.output_sizes) - 2 * g) + 2 * bounds),
     )
@@ -213,109 +183,73 @@ def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
     They are iterated from slopes of zero; where that leads to a linear loop that is not stable,
     they are the last ones before.
     """
-    pairs = [
-        (part.function, row, column)
-        for part in loop.functions
-        if part.elementwise
-        for row, column in zip(part.inputs, part.outputs, strict=True)
-    ]
-    functions = [lambda v, part=part: part(0.0, v[None])[0] for part, _, _ in pairs]
-    places = [row for _, row, _ in pairs], [column for _, _, column in pairs]
+    parts = [part for part in loop.functions if part.elementwise]
+    rows = [row for part in parts for row in part.inputs]
+    columns = [column for part in parts for column in part.outputs]
+    functions = [partial(part.function, 0.0) for part in parts for _ in part.inputs]
 
     def variances(slopes: NDArray) -> NDArray:
         nonlocal loop
         delta = loop.delta.copy()
-        delta[places] = slopes
+        delta[rows, columns] = slopes
         following = replace(loop, delta=delta)
         if not following.slowest_rate > 0.0:
             raise UnstableLoopError("the statistically linearised loop is not stable")
         loop = following
-        deviations = np.linalg.norm(loop.arguments[places[1]] @ loop.stationary_root, axis=1)
-        return deviations**2
+        return np.linalg.norm(loop.arguments[columns] @ loop.stationary_root, axis=1) ** 2
 
     def slopes(variances: NDArray) -> NDArray:
         each = zip(functions, variances, strict=True)
         return np.array([linearisation.of_function(psi, variance) for psi, variance in each])
 
+    start, unit = np.zeros(len(rows)), loop.lipschitz[columns]
     with suppress(UnstableLoopError):
         found = linearisation.equivalent_slopes(
-            np.zeros(len(pairs)),
-            variances,
-            slopes,
-            tolerance=_SLOPE_TOLERANCE,
-            unit=loop.lipschitz[places[1]],
+            start, variances, slopes, tolerance=_SLOPE_TOLERANCE, unit=unit
         )
         variances(found)
     return loop
 
 
-# --- the functions --------------------------------------------------------------------------------
-
-
-def _uncertainties(plant: AugmentedSystem, given: Sequence) -> tuple[list, list[Function]]:
-    """Split the uncertainties into constants, zero where they are functions, and functions."""
-    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray):
-        raise TypeError(
-            f"uncertainties must be a sequence of numbers, matrices or functions, got {given!r}"
-        )
-    if len(given) not in (0, plant.system.k):
-        raise ValueError(f"uncertainties must have {plant.system.k} entries, got {len(given)}")
-    constants, functions = [], []
-    channels = zip(given, _ranges(plant.input_sizes), _ranges(plant.output_sizes), strict=False)
+def _uncertainties(plant: AugmentedSystem, given: Uncertainties) -> tuple[Matrix, list[Function]]:
+    """Return the Delta of those uncertainties that are constants, and those that are functions."""
+    values = list(given) if np.iterable(given) else []
+    constants = [0.0 if callable(value) else value for value in values]
+    delta, functions = plant.structured_delta(constants or given), []
+    channels = zip(values, _ranges(plant.input_sizes), _ranges(plant.output_sizes), strict=False)
     for s, (value, inputs, outputs) in enumerate(channels):
-        name = f"uncertainties[{s}]"
         if callable(value):
-            _check_uncertainty(name, value, inputs, outputs)
+            shape = np.shape(value(0.0, np.zeros((len(outputs), 2))))
+            if shape != (len(inputs), 2):
+                raise ValueError(
+                    f"uncertainties[{s}] must map (t, zeta) with zeta of shape ({len(outputs)}, "
+                    f"paths) to shape ({len(inputs)}, paths), got {shape} for 2 paths"
+                )
             functions.append(Function(inputs, outputs, value, elementwise=False))
-            constants.append(0.0)
-            continue
-        if np.ndim(value) == 0:
-            block = validation.real(name, value) * np.eye(len(inputs), len(outputs))
-        else:
-            block = validation.matrix(name, value, (len(inputs), len(outputs)))
-        norm = np.linalg.norm(block, 2)
+        norm = np.linalg.norm(delta[np.ix_(inputs, outputs)], 2)
         if norm > 1.0 + 1e-12:
             raise ValueError(
-                f"{name} must have norm at most 1 to be admissible, got {norm:.6g}; a function "
-                "(t, zeta) -> xi is simulated all the same"
+                f"uncertainties[{s}] must have norm at most 1 to be admissible, got {norm:.6g}; a "
+                "function (t, zeta) -> xi is simulated all the same"
             )
-        constants.append(block)
-    return constants, functions
-
-
-def _check_uncertainty(
-    name: str, function: Callable, inputs: list[int], outputs: list[int]
-) -> None:
-    """Check an uncertainty's function by the shape that it gives."""
-    shape = np.shape(function(0.0, np.zeros((len(outputs), 2))))
-    if shape != (len(inputs), 2):
-        raise ValueError(
-            f"{name} must map (t, zeta) with zeta of shape ({len(outputs)}, paths) to shape "
-            f"({len(inputs)}, paths), got {shape} for 2 paths"
-        )
+    return delta, functions
 
 
 def _nonlinearities(smoother: Estimator, arguments: Matrix) -> list[Function]:
     """Return the functions of the nonlinearities, and of those copies that have any effect."""
-    plant, system = smoother.plant, smoother.plant.system
-    inputs, outputs = sum(plant.input_sizes), sum(plant.output_sizes)
-    g, functions = system.g, []
+    plant, system, functions = smoother.plant, smoother.plant.system, []
+    g = system.g
+    r, h = sum(plant.input_sizes) - 2 * g, sum(plant.output_sizes) - 2 * g
     for i, nonlinearity in enumerate(system.nonlinearities):
         if nonlinearity.function is None:
             raise ValueError(
                 f"nonlinearities[{i}] has no function: a design does without, but a simulation "
                 "needs Nonlinearity(..., function=psi)"
             )
-        copied = arguments[outputs - g + i].any() and smoother.B_c[:, system.l + i].any()
-        back = [2 * g - i, g - i] if copied else [2 * g - i]  # rows from the end
-        functions.append(
-            Function(
-                [inputs - row for row in back],
-                [outputs - row for row in back],
-                _elementwise(nonlinearity.function),
-                elementwise=True,
-            )
-        )
+        copied = arguments[h + g + i].any() and smoother.B_c[:, system.l + i].any()
+        places = [i, g + i] if copied else [i]
+        inputs, outputs = [r + j for j in places], [h + j for j in places]
+        functions.append(Function(inputs, outputs, _elementwise(nonlinearity.function), True))
     return functions
 
 

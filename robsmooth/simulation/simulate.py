@@ -3,11 +3,10 @@
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
 from robsmooth._support import validation
@@ -17,14 +16,14 @@ from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import Reference
 from robsmooth.simulation.integrator import ExponentialIntegrator
-from robsmooth.simulation.loop import NonlinearLoop, nonlinear_loop
-from robsmooth.simulation.results import (
+from robsmooth.simulation.loop import NonlinearLoop, Uncertainties, nonlinear_loop
+from robsmooth.simulation.statistics import (
     InadmissibleWarning,
+    Moments,
     SamplePaths,
     SimulatedError,
     SimulationResult,
 )
-from robsmooth.simulation.statistics import Moments
 from robsmooth.systems.augmented import AugmentedSystem
 
 BLOCK = 512  # paths side by side
@@ -40,7 +39,7 @@ _CONSTRAINT_TOLERANCE = 1e-6  # relative: one that holds with equality is not vi
 def simulate(
     smoother: Estimator,
     *,
-    uncertainties: Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]] = (),
+    uncertainties: Uncertainties = (),
     reference: Reference = "system",
     loop: str = "real",
     runs: int = 256,
@@ -53,14 +52,7 @@ def simulate(
 
     The errors are :math:`w(t) - C_f\hat x_p(t)` and :math:`w(t - \delta) - C_a\hat x_p(t)`. Paths
     start in the stationary state of the statistically linearised loop, forget the difference for a
-    while, and are then averaged over time. The scheme is exact for a linear loop with any step, and
-    of the second order in the step for the nonlinearities.
-
-    A detector that is steered by an estimate shows its nonlinearity the difference to that, the
-    *reference*: :math:`\mu_i = \psi_i(\nu_i - r_i)` in the system, and
-    :math:`\psi_i(\tilde\nu_i - r_i)` in the copy, with :math:`r_i` a row of the estimator's state.
-    The paper's example has one (`HomodyneParameters.uncertain_system`): its errors are those of
-    `monte_carlo` and `stationary_errors`.
+    while, and are then averaged over time.
 
     Parameters
     ----------
@@ -69,29 +61,24 @@ def simulate(
         arrays, or a numba function of a number.
     uncertainties : sequence of k numbers, (r_s, h_s) arrays or functions
         Constants of norm at most one, as in `AugmentedSystem.structured_delta`, or functions
-        ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s, zero where averaging
+        ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s from where averaging
         begins. Left out: zero.
     reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
-        By default, each nonlinearity's own (`Nonlinearity`). "filtered" and "smoothed" are
-        that estimate of every argument :math:`\nu_i`, which must be a combination of w. The rows of
-        an array read any other reference out of the estimator's state. None is no reference, not
-        even where a nonlinearity has one of its own.
+        What is taken off the nonlinearities' arguments, and the copies' (`Nonlinearity`): each
+        one's own reference; that estimate of every argument :math:`\nu_i`, which must be a
+        combination of w; rows that read any other out of the estimator's state; or nothing.
     loop : {"real", "theory"}
-        Whether the design's fictitious noise drives the copies, as in the theory; a real loop has
-        none.
-    runs : int
-        Independent paths.
+        Whether the design's fictitious noise drives the copies, as in the theory.
+    runs : int, independent paths
     duration : float, optional
         Of a path, without the warm-up, s; rounded to whole steps. Default: 100 times the slowest
         time constant of the linearised loop.
     step : float, optional
-        s; must divide the lag into whole steps. Default: the largest such step that is at most a
-        fifth of the loop's response time, that in which the nonlinearities' arguments change or act
-        on each other. `robsmooth.nonlinear` has the bias that this makes.
+        s; must divide the lag into whole steps. Default: the largest such step up to a fifth of the
+        loop's response time, of which `robsmooth.simulation` tells, and the bias that it makes.
     seed : int
         At least 0. A path depends on it, the path's number and the step alone.
-    progress : bool
-        Show a progress bar.
+    progress : bool, whether to show a bar
 
     Returns
     -------
@@ -100,7 +87,7 @@ def simulate(
     Warns
     -----
     InadmissibleWarning
-        Where a constraint of the theory does not hold all the time.
+        Where a constraint of the theory, (eqIQC1) to (eqIQC4), does not hold all the time.
     LongStepWarning
         Where the step is above 1/4 of the response time, and the loop is not linear.
 
@@ -113,62 +100,47 @@ def simulate(
     ValueError, TypeError
         For an argument that is not as described, before anything is simulated.
 
-    See Also
-    --------
-    sample_paths : The first of the paths.
-    monte_carlo : A faster simulation of the paper's example.
-    error_covariance : The errors of a linear loop, without simulation.
-
-    References
-    ----------
-    Section II, equations (eqsystem), (eqIQC1) to (eqIQC4) and (eqcontrol).
-
     Examples
     --------
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
+    >>> system = rs.UncertainSystem(A=[[-1]], B1=[[1, 0]], C0=[[1]], C2=[[1]], D21=[[0, 0.1]])
     >>> smoother = rs.baselines.fixed_lag_smoother(system, delay=0.2, order=2)
     >>> result = rs.simulate(smoother, runs=64, duration=20.0)
-    >>> exact = rs.error_covariance(smoother, smoother.plant.structured_delta([], []))[0, 0]
+    >>> exact = rs.error_covariance(smoother, smoother.plant.structured_delta())[0, 0]
     >>> bool(abs(result.smoothed.mean_square - exact) < 4 * result.smoothed.standard_error)
     True
     """
     started = time.perf_counter()
     joined = nonlinear_loop(smoother, uncertainties, loop, reference)
-    runs, seed = _counts(runs, seed)
     progress = validation.boolean("progress", progress)
-    plan = _plan(joined, smoother.plant.delay, duration, step, TIME_CONSTANTS)
-    integrator = ExponentialIntegrator.of(joined, plan.step)
-    plant = smoother.plant
-    m, constraints = plant.system.m, len(plant.M_i)
-    errors, checks = Moments(2 * (m * m + 1)), np.zeros((3, constraints))
-    with progress_bar(
-        total=runs * plan.all_steps, unit="step", unit_scale=True, shown=progress
-    ) as bar:
-        for first in range(0, runs, BLOCK):
-            paths = range(first, min(first + BLOCK, runs))
-            of_errors, of_checks = _averages(integrator, plant, plan, seed, paths, bar)
-            errors.add(of_errors)
-            checks += of_checks.sum(axis=2) / runs
+    run = _Run(smoother, joined, runs, duration, step, seed, TIME_CONSTANTS)
+    m, checks = run.plant.system.m, np.zeros((3, len(run.plant.M_i)))
+    products, traces = Moments((2, m, m)), Moments(2)
+    path_steps = run.runs * (run.before + run.steps)
+    with progress_bar(total=path_steps, unit="step", unit_scale=True, shown=progress) as bar:
+        for first in range(0, run.runs, BLOCK):
+            paths = range(first, min(first + BLOCK, run.runs))
+            of_errors, of_checks = run.averages(paths, bar)
+            products.add(of_errors)
+            traces.add(np.einsum("eiip->ep", of_errors))
+            checks += of_checks.sum(axis=2) / run.runs
 
     used, allowed, violated = checks
     result = SimulationResult(
-        smoothed=_error(errors, m * m + 1, m),
-        filtered=_error(errors, 0, m),
-        constraints=np.divide(used, allowed, out=np.zeros(constraints), where=used > 0.0),
-        violated=violated,
-        equivalent_delta=joined.delta.copy(),
-        runs=runs,
-        path_steps=runs * plan.all_steps,
+        smoothed=_error(products, traces, 1),
+        filtered=_error(products, traces, 0),
+        constraints=frozen(np.divide(used, allowed, out=0.0 * used, where=used > 0.0)),
+        violated=frozen(violated),
+        equivalent_delta=frozen(joined.delta.copy()),
+        runs=run.runs,
+        path_steps=path_steps,
         wall_time=time.perf_counter() - started,
-        duration=plan.steps * plan.step,
-        warm_up=plan.before * plan.step,
-        step=plan.step,
-        seed=seed,
+        duration=run.steps * run.step,
+        warm_up=run.before * run.step,
+        step=run.step,
+        seed=run.seed,
     )
-    _warn(plant, result)
+    _warn(run.plant, result)
     return result
 
 
@@ -176,7 +148,7 @@ def simulate(
 def sample_paths(
     smoother: Estimator,
     *,
-    uncertainties: Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]] = (),
+    uncertainties: Uncertainties = (),
     reference: Reference = "system",
     loop: str = "real",
     runs: int = 3,
@@ -205,195 +177,127 @@ def sample_paths(
     UnstableLoopError, RuntimeError, ValueError, TypeError
         As in `simulate`.
 
-    See Also
-    --------
-    simulate : The averages of many such paths.
-    DiscreteSmoother.run : Estimates from the record y of a path.
-
     Examples
     --------
     >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem(
-    ...     A=[[-1.0]], B1=[[1.0, 0.0]], C0=[[1.0]], C2=[[1.0]], D21=[[0.0, 0.1]]
-    ... )
-    >>> smoother = rs.baselines.fixed_lag_smoother(system, delay=0.2, order=2)
-    >>> rs.sample_paths(smoother, runs=2, duration=5.0)
-    SamplePaths(2 paths of 125 steps of 0.04 s, lag=0.2 s, 1 measurements, 1 outputs)
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> rs.sample_paths(kalman, runs=2, duration=1e-4)
+    SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
     joined = nonlinear_loop(smoother, uncertainties, loop, reference)
-    runs, seed = _counts(runs, seed)
-    plan = _plan(joined, smoother.plant.delay, duration, step, TIME_CONSTANTS / 5)
-    integrator = ExponentialIntegrator.of(joined, plan.step, measured=True)
-    parts = list(_simulated_records(integrator, smoother.plant, plan, seed, range(runs)))
-    whole = _Records(*(np.concatenate(chunks) for chunks in zip(*parts, strict=True)))
-    series = {
-        name: frozen(np.moveaxis(getattr(whole, name), 2, 0))
-        for name in ("y", "reference", "w", "filtered", "delayed", "smoothed")
-    }
-    return SamplePaths(time=whole.time, step=plan.step, delay=smoother.plant.delay, **series)
-
-
-# --- what is simulated ----------------------------------------------------------------------------
-
-
-class _Plan(NamedTuple):
-    """How long, in steps: before time zero, from there on, and the lag."""
-
-    step: float
-    before: int
-    steps: int
-    lag: int
-
-    @property
-    def all_steps(self) -> int:
-        """Steps of a path."""
-        return self.before + self.steps
-
-
-def _counts(runs: int, seed: int) -> tuple[int, int]:
-    return validation.integer("runs", runs, low=1), validation.integer("seed", seed, low=0)
-
-
-def _plan(
-    loop: NonlinearLoop,
-    delay: float,
-    duration: float | None,
-    step: float | None,
-    time_constants: float,
-) -> _Plan:
-    """Check duration and step, or fill in defaults."""
-    slowest = loop.slowest_rate
-    if duration is None:
-        duration = time_constants / slowest
-    duration = validation.positive("duration", duration)
-    response_time = 1.0 / loop.argument_rate()
-    default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
-    step = validation.positive("step", default if step is None else step)
-    warm_up = WARM_UP_TIME_CONSTANTS / slowest + delay
-    plan = _Plan(
-        step, math.ceil(warm_up / step), steps_in(duration, step), whole_steps(delay, step)
+    run = _Run(smoother, joined, runs, duration, step, seed, TIME_CONSTANTS / 5, measured=True)
+    parts = list(run.records(range(run.runs)))
+    names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
+    series = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    return SamplePaths(
+        time=np.concatenate([part["time"] for part in parts]),
+        step=run.step,
+        delay=smoother.plant.delay,
+        **{name: frozen(np.moveaxis(values, 2, 0)) for name, values in series.items()},
     )
-    if not loop.is_linear:  # else the scheme is exact
-        warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
-    return plan
 
 
-class _Records(NamedTuple):
-    """Some consecutive records of all paths, each (steps, rows, paths), from time zero on."""
+class _Run:
+    """A loop, and for how many steps it runs: before time zero, from there on, and in the lag."""
 
-    time: NDArray  # (steps,), s
-    w: NDArray
-    filtered: NDArray
-    delayed: NDArray
-    smoothed: NDArray
-    zeta: NDArray  # less the reference
-    subtracted: NDArray  # the reference in zeta
-    y: NDArray
-    reference: NDArray
+    def __init__(
+        self,
+        smoother: Estimator,
+        loop: NonlinearLoop,
+        runs: int,
+        duration: float | None,
+        step: float | None,
+        seed: int,
+        time_constants: float,
+        measured: bool = False,
+    ):
+        self.plant, delay, slowest = smoother.plant, smoother.plant.delay, loop.slowest_rate
+        self.runs = validation.integer("runs", runs, low=1)
+        self.seed = validation.integer("seed", seed, low=0)
+        if duration is None:
+            duration = time_constants / slowest
+        duration = validation.positive("duration", duration)
+        response_time = 1.0 / loop.argument_rate()
+        default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
+        self.step = step = validation.positive("step", default if step is None else step)
+        self.before = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + delay) / step)
+        self.steps, self.lag = steps_in(duration, step), whole_steps(delay, step)
+        if not loop.is_linear:  # else the scheme is exact
+            warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
+        self.integrator = ExponentialIntegrator(loop, step, measured)
 
+    def records(self, paths: range, bar=None) -> Iterator[dict[str, NDArray]]:
+        """Simulate paths, and yield what is from time zero on, (steps, rows, paths), by its name.
 
-def _simulated_records(
-    integrator: ExponentialIntegrator,
-    plant: AugmentedSystem,
-    plan: _Plan,
-    seed: int,
-    paths: range,
-    bar=None,
-) -> Iterator[_Records]:
-    """Simulate paths; leave out what is before time zero."""
-    m, g, arguments = plant.system.m, plant.system.g, len(integrator.loop.arguments)
-    rows = np.cumsum([m, m, m, arguments, arguments])
-    of_detectors = slice(arguments - 2 * g, arguments - g)
-    past, last = np.zeros((plan.lag, m, len(paths))), np.zeros((1, g, len(paths)))
-    for first, records in integrator.records(seed, paths, plan.before, plan.steps):
-        w, filtered, smoothed, zeta, subtracted, y = np.split(records, rows, axis=1)
-        outputs = np.concatenate([past, w])
-        past = outputs[len(w) :]
-        references = np.concatenate([last, subtracted[:, of_detectors]])
-        last = references[-1:]
-        means = (references[1:] + references[:-1]) / 2
-        times = integrator.step * np.arange(first, first + len(w))
-        parts = (times, w, filtered, outputs[: len(w)], smoothed, zeta, subtracted, y, means)
-        yield _Records(*(part[max(0, 1 - first) :] for part in parts))
-        if bar is not None:
-            bar.update(len(records) * len(paths))
+        The reference was subtracted from zeta-tilde to give "zeta".
+        """
+        m, g = self.plant.system.m, self.plant.system.g
+        arguments = len(self.integrator.loop.arguments)
+        names = ("w", "filtered", "smoothed", "zeta", "subtracted", "y")
+        rows = np.cumsum([m, m, m, arguments, arguments])
+        of_detectors = slice(arguments - 2 * g, arguments - g)
+        past, last = np.zeros((self.lag, m, len(paths))), np.zeros((1, g, len(paths)))
+        whole = self.integrator.records(self.seed, paths, self.before, self.steps)
+        for first, records in whole:
+            part = dict(zip(names, np.split(records, rows, axis=1), strict=True))
+            outputs = np.concatenate([past, part["w"]])
+            part["delayed"], past = outputs[: len(records)], outputs[len(records) :]
+            references = np.concatenate([last, part["subtracted"][:, of_detectors]])
+            part["reference"], last = (references[1:] + references[:-1]) / 2, references[-1:]
+            part["time"] = self.step * np.arange(first, first + len(records))
+            yield {name: values[max(0, 1 - first) :] for name, values in part.items()}
+            if bar is not None:
+                bar.update(len(records) * len(paths))
 
+    def averages(self, paths: range, bar) -> tuple[NDArray, NDArray]:
+        """Return averages over time, (2, m, m, paths) and (3, k + 3g, paths).
 
-# --- what is made of it ---------------------------------------------------------------------------
+        They are of the products of filtered and smoothed errors, and of what `_constraints` has.
+        """
+        m, samples = self.plant.system.m, 0
+        products = np.zeros((2, m, m, len(paths)))
+        checks = np.zeros((3, len(self.plant.M_i), len(paths)))
+        for part in self.records(paths, bar):
+            errors = part["w"] - part["filtered"], part["delayed"] - part["smoothed"]
+            products += [np.einsum("tip,tjp->ijp", error, error) for error in errors]
+            for k in range(0, len(part["time"]), CHECK_EVERY):
+                checks += self._constraints(*(part[n][k] for n in ("time", "zeta", "subtracted")))
+                samples += 1
+        return products / self.steps, checks / samples
 
+    def _constraints(self, time: float, zeta: NDArray, subtracted: NDArray) -> NDArray:
+        """Return xi' M_i xi, zeta' N_i zeta, and whether the former is larger: (3, k + 3g, paths).
 
-def _averages(
-    integrator: ExponentialIntegrator,
-    plant: AugmentedSystem,
-    plan: _Plan,
-    seed: int,
-    paths: range,
-    bar,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Simulate paths and return their averages over time.
-
-    Returns
-    -------
-    errors : (2 (m^2 + 1), paths) array
-        The products of the filtered errors and their trace, then those of the smoothed errors.
-    checks : (3, k + 3g, paths) array
-        What `_constraints` returns.
-    """
-    m, samples = plant.system.m, 0
-    products = np.zeros((2, m, m, len(paths)))
-    checks = np.zeros((3, len(plant.M_i), len(paths)))
-    for part in _simulated_records(integrator, plant, plan, seed, paths, bar):
-        errors = (part.w - part.filtered, part.delayed - part.smoothed)
-        products += [np.einsum("tip,tjp->ijp", error, error) for error in errors]
-        for k in range(0, len(part.time), CHECK_EVERY):
-            checks += _constraints(
-                integrator.loop, plant, part.time[k], part.zeta[k], part.subtracted[k]
-            )
-            samples += 1
-    products /= plan.steps
-    traces = np.einsum("eiip->ep", products)[:, None]
-    with_traces = np.concatenate([products.reshape(2, m * m, -1), traces], axis=1)
-    return with_traces.reshape(2 * (m * m + 1), -1), checks / samples
-
-
-def _constraints(
-    loop: NonlinearLoop, plant: AugmentedSystem, time: float, zeta: NDArray, subtracted: NDArray
-) -> NDArray[np.float64]:
-    """Return what each constraint has at a time: (3, k + 3g, paths).
-
-    That is xi' M_i xi, zeta' N_i zeta, and whether the former is larger: the zeta of the second has
-    the whole arguments, with the reference that was `subtracted`, and that of the third has not.
-    """
-    xi = loop.delta @ zeta + loop.remainder(time, zeta)
-    whole = zeta + subtracted
-    used, allowed, allowed_less_reference = np.empty((3, len(plant.M_i), zeta.shape[1]))
-    for i, (M, N) in enumerate(zip(plant.M_i, plant.N_i, strict=True)):
-        used[i] = (xi * (M @ xi)).sum(axis=0)
-        allowed[i] = (whole * (N @ whole)).sum(axis=0)
-        allowed_less_reference[i] = (zeta * (N @ zeta)).sum(axis=0)
-    return np.array([used, allowed, used > (1 + _CONSTRAINT_TOLERANCE) * allowed_less_reference])
+        The second is of whole arguments, with the reference that was `subtracted`; the third not.
+        """
+        loop = self.integrator.loop
+        xi = loop.delta @ zeta + loop.remainder(time, zeta)
+        used = _energies(self.plant.M_i, xi)
+        whole, less = (_energies(self.plant.N_i, each) for each in (zeta + subtracted, zeta))
+        return np.array([used, whole, used > (1 + _CONSTRAINT_TOLERANCE) * less])
 
 
-def _error(errors: Moments, first: int, m: int) -> SimulatedError:
-    """Return what the rows of `_averages` from `first` on are the moments of."""
-    found = [errors.mean_square(first + i) for i in range(m * m + 1)]
+def _energies(forms: Sequence[Matrix], values: NDArray) -> NDArray[np.float64]:
+    """Return quadratic forms of values, (., paths): (forms, paths)."""
+    energies = [(values * (form @ values)).sum(axis=0) for form in forms]
+    return np.reshape(energies, (len(forms), values.shape[1]))
+
+
+def _error(products: Moments, traces: Moments, which: int) -> SimulatedError:
+    trace = traces.mean_square(which)
     return SimulatedError(
-        mean_square=found[-1].mean_square,
-        standard_error=found[-1].standard_error,
-        covariance=frozen(np.array([e.mean_square for e in found[:-1]]).reshape(m, m)),
-        covariance_error=frozen(np.array([e.standard_error for e in found[:-1]]).reshape(m, m)),
+        trace.mean_square,
+        trace.standard_error,
+        covariance=frozen(products.means[which]),
+        covariance_error=frozen(products.standard_errors[which]),
     )
 
 
 def _warn(plant: AugmentedSystem, result: SimulationResult) -> None:
     """Say which constraints do not hold all the time."""
-    i_of = range(plant.system.g)
-    names = [
-        *(f"uncertainties[{s}]" for s in range(plant.system.k)),
-        *(f"nonlinearities[{i}] less its copy" for i in i_of),
-        *(f"nonlinearities[{i}]" for i in i_of),
-        *(f"the copy of nonlinearities[{i}]" for i in i_of),
-    ]
+    names = [f"uncertainties[{s}]" for s in range(plant.system.k)]
+    for name in ("{} less its copy", "{}", "the copy of {}"):
+        names += [name.format(f"nonlinearities[{i}]") for i in range(plant.system.g)]
     found = [
         f"{name} for {violated:.2g} of the time ({used:.3g} in the mean)"
         for name, violated, used in zip(names, result.violated, result.constraints, strict=True)

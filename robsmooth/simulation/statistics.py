@@ -1,4 +1,4 @@
-r"""What is made of the paths' results: mean squares, standard errors and the count of slips.
+r"""What simulations return, and how it is made of the paths: errors, standard errors, slips.
 
 Paths are independent. Over N of them, with :math:`v_i` the result of path i,
 
@@ -25,6 +25,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from robsmooth._support import notation, validation
+from robsmooth._support.tables import Table
+from robsmooth._support.validation import Matrix
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -33,26 +37,18 @@ class MeanSquare:
 
     Attributes
     ----------
-    mean_square : float
-        In the squared unit of the estimated quantity: rad^2 for a phase.
-    standard_error : float
-        In the same unit; not a number for a single path.
+    mean_square, standard_error : float
+        In the squared unit of the estimated quantity: rad^2 for a phase. The second is not a
+        number for a single path.
     variance_reduction : float
         How many times as many paths it would take without control variates.
-
-    See Also
-    --------
-    simulate, monte_carlo : Return such errors.
 
     Examples
     --------
     >>> import robsmooth as rs
     >>> error = rs.MeanSquare(0.1, standard_error=0.002)
-    >>> print(error)
-    0.1 +- 0.002
-    >>> low, high = error.interval(0.95)
-    >>> round(low, 4), round(high, 4)
-    (0.0961, 0.1039)
+    >>> print(error, [round(end, 4) for end in error.interval(0.95)])
+    0.1 +- 0.002 [0.0961, 0.1039]
     """
 
     mean_square: float
@@ -74,22 +70,170 @@ class MeanSquare:
         return self.mean_square - reach, self.mean_square + reach
 
 
+class InadmissibleWarning(RuntimeWarning):
+    """The simulated loop left the region in which the theory's constraints hold.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import robsmooth as rs
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", rs.InadmissibleWarning)  # make it an error
+    """
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SimulatedError(MeanSquare):
+    """An error's covariance over the paths of `simulate`; its trace is the mean square.
+
+    Attributes
+    ----------
+    covariance, covariance_error : (m, m) arrays
+        Of the error, about zero, and the standard error of each entry, in the squared unit of w.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> system = rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.1]])
+    >>> result = rs.simulate(rs.baselines.kalman_bucy(system), runs=8, duration=5.0)
+    >>> result.filtered.covariance.shape, result.filtered.covariance_error.shape
+    ((1, 1), (1, 1))
+    """
+
+    covariance: Matrix
+    covariance_error: Matrix
+
+    def __repr__(self) -> str:
+        return f"SimulatedError({self}, covariance={notation.array(self.covariance)})"
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationResult:
+    """Errors of an estimator in the nonlinear loop, as `simulate` measures them.
+
+    Attributes
+    ----------
+    smoothed, filtered : SimulatedError
+        Of the estimates of w one lag back, and of w now, in the squared unit of w.
+    constraints : (k + 3g,) array
+        E[xi' M_i xi] / E[zeta' N_i zeta] of each of the theory's constraints, in the order of the
+        multipliers: at most one where the uncertainty is admissible. The theory has no reference:
+        in zeta are the nonlinearities' whole arguments.
+    violated : (k + 3g,) array
+        The fraction of time for which xi' M_i xi > zeta' N_i zeta, where in zeta are the arguments
+        less the reference: where a nonlinearity is Lipschitz in a region only, the time outside.
+    equivalent_delta : (r + 2g, h + 2g) array
+        The constant uncertainties, and statistically equivalent slopes for the nonlinearities: with
+        it, and the same reference, `error_covariance` predicts the errors.
+    runs, path_steps, seed : int
+        Independent paths, and the steps of all of them, the warm-up included.
+    duration, warm_up, step, wall_time : float
+        What of a path is averaged, what is simulated before, a step, and the time it took, s.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> system = rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.1]])
+    >>> result = rs.simulate(rs.baselines.kalman_bucy(system), runs=8, duration=5.0)
+    >>> result.filtered.standard_error < result.filtered.mean_square, result.runs
+    (True, 8)
+    """
+
+    smoothed: SimulatedError
+    filtered: SimulatedError
+    constraints: Floats
+    violated: Floats
+    equivalent_delta: Matrix
+    runs: int
+    path_steps: int
+    wall_time: float
+    duration: float
+    warm_up: float
+    step: float
+    seed: int
+
+    def __repr__(self) -> str:
+        return (
+            f"SimulationResult(smoothed {self.smoothed}, filtered {self.filtered}, {self._setting})"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, error._repr_latex_(), f"${notation.matrix(error.covariance)}$")
+            for name, error in (("smoothed", self.smoothed), ("filtered", self.filtered))
+        ]
+        columns = ("estimate", "mean square error", "covariance")
+        caption = f"The nonlinear loop, in the squared unit of $w$; {self._setting}."
+        return Table(columns, rows, caption).html()
+
+    @property
+    def _setting(self) -> str:
+        return (
+            f"constraints used to {self.constraints.max(initial=0.0):.3g}, violated for "
+            f"{self.violated.max(initial=0.0):.2%} of the time; {self.runs} runs of "
+            f"{self.duration:.4g} s, step {self.step:.4g} s, seed {self.seed}; "
+            f"{self.path_steps:.3g} path-steps in {self.wall_time:.2g} s"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SamplePaths:
+    """A few paths of the loop, of `sample_paths`, to look at and to try estimators on.
+
+    Attributes
+    ----------
+    time : (N,) array, the ends of the steps, s
+    y : (paths, N, l) array
+        The measured record: the mean of dy/dt over the step that ends at `time`.
+    reference : (paths, N, g) array
+        What was taken off the nonlinearities' arguments, zero where nothing was: the mean of its
+        values at the ends of the step, as `DiscreteSmoother.run` takes it beside y.
+    w, delayed : (paths, N, m) arrays
+        The outputs at `time`, and one lag before.
+    filtered, smoothed : (paths, N, m) arrays
+        The estimates of `w` and of `delayed`, made at `time`.
+    step, delay : float, s; the second is the lag of the smoothed estimates
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> rs.sample_paths(kalman, runs=2, duration=1e-4).y.shape
+    (2, 223, 1)
+    """
+
+    time: Floats
+    y: Floats
+    reference: Floats
+    w: Floats
+    filtered: Floats
+    delayed: Floats
+    smoothed: Floats
+    step: float
+    delay: float
+
+    def __repr__(self) -> str:
+        paths, steps, measurements = self.y.shape
+        return (
+            f"SamplePaths({paths} paths of {steps} steps of {self.step:.4g} s, "
+            f"lag={self.delay:g} s, {measurements} measurements, {self.w.shape[2]} outputs)"
+        )
+
+
 class Moments:
     """Means and variances of values that come in parts, whatever the parts' sizes."""
 
-    def __init__(self, variables: int):
-        self.count = 0
-        self.means = np.zeros(variables)
+    def __init__(self, variables: int | tuple[int, ...]):
+        self.count, self.means = 0, np.zeros(variables)
         self.squares = np.zeros(variables)  # sums of squared deviations from the mean
 
-    def add(self, values: NDArray[np.float64]) -> None:
+    def add(self, values: Floats) -> None:
         """Add values, (variables, paths)."""
-        if values.shape[1] == 0:
-            return
-        added = Moments(len(values))
-        added.count = values.shape[1]
-        added.means = values.mean(axis=1)
-        added.squares = ((values - added.means[:, None]) ** 2).sum(axis=1)
+        added = Moments(0)
+        added.count = values.shape[-1]
+        if added.count > 0:
+            added.means = values.mean(axis=-1)
+            added.squares = ((values - added.means[..., None]) ** 2).sum(axis=-1)
         self.merge(added)
 
     def merge(self, other: "Moments") -> None:
@@ -102,47 +246,35 @@ class Moments:
         self.means += shift * (other.count / count)
         self.count = count
 
-    def mean_square(self, variable: int, plain: int | None = None) -> MeanSquare:
-        """Mean and standard error of one of the variables.
+    @property
+    def standard_errors(self) -> Floats:
+        """Of the means; not numbers where there are less than two values."""
+        return np.sqrt(self.squares / (self.count - 1 if self.count > 1 else math.nan) / self.count)
 
-        `plain` is the same variable without control variates, to say what they are worth.
-        """
-        if self.count < 2:
-            mean = float(self.means[variable]) if self.count else math.nan
-            return MeanSquare(mean, math.nan)
-        squares = float(self.squares[variable])
-        error = math.sqrt(squares / (self.count - 1) / self.count)
-        without = float(self.squares[variable if plain is None else plain])
-        gain = without / squares if squares > 0 else 1.0
-        return MeanSquare(float(self.means[variable]), error, gain)
+    def mean_square(self, variable: int, plain: int | None = None) -> MeanSquare:
+        """Return that of a variable; `plain` is the same one without control variates."""
+        if self.count == 0:
+            return MeanSquare(math.nan, math.nan)
+        squares = self.squares[variable]
+        gain = 1.0 if plain is None or squares == 0 else self.squares[plain] / squares
+        error = self.standard_errors[variable]
+        return MeanSquare(float(self.means[variable]), float(error), float(gain))
 
     def state(self) -> dict:
         """All of it as JSON values, every bit."""
-        return {
-            "count": self.count,
-            "means": self.means.tolist(),
-            "squares": self.squares.tolist(),
-        }
+        return {**vars(self), "means": self.means.tolist(), "squares": self.squares.tolist()}
 
     @classmethod
     def from_state(cls, state: dict) -> "Moments":
         """Return what `state` was taken of."""
         moments = cls(0)
         moments.count = state["count"]
-        moments.means = np.array(state["means"])
-        moments.squares = np.array(state["squares"])
+        moments.means, moments.squares = np.array(state["means"]), np.array(state["squares"])
         return moments
 
 
-def control_weights(
-    values: NDArray[np.float64], controls: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Weights of the controls (controls, paths) that leave least of the values (values, paths).
-
-    Returns
-    -------
-    (values, controls) array
-    """
+def control_weights(values: Floats, controls: Floats) -> Floats:
+    """Return weights, (values, controls), of controls that leave least of values: (., paths)."""
     values = values - values.mean(axis=1, keepdims=True)
     controls = controls - controls.mean(axis=1, keepdims=True)
     scale = np.sqrt((controls**2).sum(axis=1))
@@ -156,12 +288,10 @@ class Tally:
     """All that is kept of the paths: moments of all and of those that never slipped, and slips."""
 
     def __init__(self, variables: int):
-        self.all = Moments(variables)
-        self.locked = Moments(variables)
-        self.slips = 0
-        self.slipped_paths = 0
+        self.all, self.locked = Moments(variables), Moments(variables)
+        self.slips, self.slipped_paths = 0, 0
 
-    def add(self, values: NDArray[np.float64], slips: NDArray[np.float64]) -> None:
+    def add(self, values: Floats, slips: Floats) -> None:
         """Add paths: the variables (variables, paths) and the slips (paths,)."""
         kept = slips == 0
         self.all.add(values)

@@ -27,10 +27,9 @@ from scipy.linalg import block_diag
 from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import table_of_values
-from robsmooth._support.validation import Matrix, frozen
-from robsmooth.systems.channels import set_fields
+from robsmooth._support.validation import Matrix, frozen, set_fields
 from robsmooth.systems.delay import DelayModel, pade_delay
-from robsmooth.systems.statespace import Blocks
+from robsmooth.systems.statespace import state_space
 from robsmooth.systems.system import UncertainSystem
 
 if TYPE_CHECKING:
@@ -52,40 +51,22 @@ class AugmentedSystem:
     delay_model : DelayModel
     J_21 : (g, g) array
         Intensity of the fictitious noise of the copies.
-    A_p : (n, n) array
-        Drift of the augmented state, 1/s.
-    B_p1 : (n, q + g) array
-        Noise intensity, with zero columns for the noise of the copies.
-    C_p0 : (m, n) array
-        The undelayed output w.
-    C_a : (m, n) array
-        The delayed output, :math:`w_a = [J_a C_0,\ H_a] x_p`.
-    B1_tilde : (n, r + 2g) array
-        Channel inputs into the state.
-    C1_tilde : (h + 2g, n) array
-        Channel outputs from the state.
-    D12_tilde : (h + 2g, m + g) array
-        Channel outputs from the estimator: the copies' arguments.
-    C2_tilde : (l + g, n) array
-        The measurement, then zero rows: the copies' outputs carry no state.
-    D21_tilde : (l + g, r + 2g) array
-        Channel inputs into the extended measurement.
-    D21_bar : (l + g, q + g) array
-        Noise of the extended measurement: D_21, then J_21 for the copies.
+    A_p, B_p1 : (n, n) and (n, q + g) arrays
+        Drift of the augmented state, 1/s, and its noise, with zero columns for that of the copies.
+    C_p0, C_a : (m, n) arrays
+        The undelayed output w, and the delayed one, :math:`w_a = [J_a C_0,\ H_a] x_p`.
+    B1_tilde, C1_tilde, D12_tilde : (n, r + 2g), (h + 2g, n) and (h + 2g, m + g) arrays
+        Channel inputs into the state; channel outputs from the state and from the estimator.
+    C2_tilde, D21_tilde, D21_bar : (l + g, n), (l + g, r + 2g) and (l + g, q + g) arrays
+        State, channel inputs and noise in the extended measurement: y, then the copies' outputs.
     M_i, N_i : tuples of k + 3g arrays
         The matrices of the quadratic constraints on the channel inputs and outputs.
-
-    See Also
-    --------
-    augment : makes it.
-    design_smoother, minimize_bound : robust designs for it.
 
     Examples
     --------
     >>> import robsmooth as rs
-    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-    >>> plant.n, plant.A_p.shape, len(plant.M_i)
-    (3, (3, 3), 4)
+    >>> rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2).A_p.shape
+    (3, 3)
     """
 
     system: UncertainSystem
@@ -108,8 +89,10 @@ class AugmentedSystem:
         system, model, n, g = self.system, self.delay_model, self.n, self.system.g
         B, C, D = system.stacked((*system.uncertainties, *system.nonlinearities))
         r, h = B.shape[1] + g, len(C) + g
+        A_p = block_diag(system.A, model.F)
+        A_p[system.n :, : system.n] = model.G @ system.C0
         matrices = {
-            "A_p": block_diag(system.A, model.F),
+            "A_p": A_p,
             "B_p1": _padded(system.B1, n, system.q + g),
             "C_p0": _padded(system.C0, system.m, n),
             "C_a": np.hstack([model.J @ system.C0, model.H]),
@@ -120,7 +103,6 @@ class AugmentedSystem:
             "D21_tilde": block_diag(D, np.eye(g)),
             "D21_bar": block_diag(system.D21, self.J_21),
         }
-        matrices["A_p"][system.n :, : system.n] = model.G @ system.C0
         set_fields(self, **{name: frozen(matrix) for name, matrix in matrices.items()})
         bounds = [c.lipschitz for c in system.nonlinearities]
         set_fields(self, M_i=_constraints(self.input_sizes, [1.0] * g))
@@ -163,20 +145,14 @@ class AugmentedSystem:
     def J(self) -> Matrix:
         """(r + 2g, q + g) solution of Assumption 1: [B_p1; D21_bar] = [B1_tilde; D21_tilde] J.
 
-        Raises
-        ------
-        InfeasibleDesignError
-            Where a noise does not enter through the uncertainty channels.
+        An `InfeasibleDesignError` names a noise that enters through no uncertainty channel.
         """
         channels = np.vstack([self.B1_tilde, self.D21_tilde])
         noise = np.vstack([self.B_p1, self.D21_bar])
-        size = np.maximum(
-            np.abs(channels).max(axis=1, initial=0.0), np.abs(noise).max(axis=1, initial=0.0)
-        )
+        size = np.abs(np.hstack([channels, noise])).max(axis=1, initial=0.0)[:, None]
         size[size == 0.0] = 1.0
-        channels, noise = channels / size[:, None], noise / size[:, None]
-        J = np.linalg.lstsq(channels, noise, rcond=None)[0]
-        misfit = np.abs(channels @ J - noise).max(axis=0)
+        J = np.linalg.lstsq(channels / size, noise / size, rcond=None)[0]
+        misfit = np.abs((channels @ J - noise) / size).max(axis=0)
         if misfit.max(initial=0.0) > _MISFIT:
             worst = int(misfit.argmax())
             raise InfeasibleDesignError(
@@ -198,8 +174,7 @@ class AugmentedSystem:
         Parameters
         ----------
         uncertainties : sequence of k floats or (r_s, h_s) arrays
-            The uncertainties; a float stands for itself on the diagonal of its block. Left out:
-            zero.
+            A float stands for itself on the diagonal of its block. Left out: zero.
         nonlinearities : sequence of g floats
             The slopes of the nonlinearities. The copies get the same. Left out: zero.
 
@@ -212,36 +187,21 @@ class AugmentedSystem:
         ValueError, TypeError
             For another number of entries, or one that is no number or block of its channel's size.
 
-        See Also
-        --------
-        error_covariance : the errors of an estimator under it.
-
         Examples
         --------
         >>> import robsmooth as rs
         >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-        >>> plant.structured_delta(nonlinearities=[-0.5])
-        array([[ 0. ,  0. ,  0. ],
-               [ 0. , -0.5,  0. ],
-               [ 0. ,  0. , -0.5]])
+        >>> plant.structured_delta(nonlinearities=[-0.5]).diagonal()
+        array([ 0. , -0.5, -0.5])
         """
-        uncertain = _entries("uncertainties", uncertainties, self.system.k)
-        slopes = _entries("nonlinearities", nonlinearities, self.system.g)
-        blocks = []
-        for (name, value), rows, columns in zip(
-            (*uncertain, *slopes, *slopes), self.input_sizes, self.output_sizes, strict=True
-        ):
-            if isinstance(value, list | tuple) or np.ndim(value) > 0:
-                blocks.append(validation.matrix(name, value, (rows, columns)))
-            else:
-                blocks.append(validation.real(name, value) * np.eye(rows, columns))
-        return block_diag(np.zeros((0, 0)), *blocks)
+        k, g = self.system.k, self.system.g
+        sizes = list(zip(self.input_sizes, self.output_sizes, strict=True))
+        blocks = _blocks("uncertainties", uncertainties, sizes[:k])
+        slopes = _blocks("nonlinearities", nonlinearities, sizes[k : k + g])
+        return block_diag(np.zeros((0, 0)), *blocks, *slopes, *slopes)
 
     def to_statespace(self) -> "control.StateSpace":
-        """Return the linear part as a python-control object, with its channels open.
-
-        The signals are those of `UncertainSystem.to_statespace`, and the output ``w_a`` of the
-        delay model.
+        """Return the linear part as `UncertainSystem.to_statespace` does, with the output ``w_a``.
 
         Returns
         -------
@@ -254,11 +214,10 @@ class AugmentedSystem:
         >>> plant.to_statespace().output_labels
         ['w[0]', 'y[0]', 'zeta_0[0]', 'nu[0]', 'w_a[0]']
         """
-        part = self.system.blocks
-        inputs = {name: _padded(B, self.n, B.shape[1]) for name, B in part.inputs.items()}
-        outputs = {name: _padded(C, len(C), self.n) for name, C in part.outputs.items()}
-        outputs["w_a"] = self.C_a
-        return Blocks(self.A_p, inputs, outputs, part.feedthrough).to_control()
+        inputs, outputs, feedthrough = self.system.signals()
+        inputs = {name: _padded(B, self.n, B.shape[1]) for name, B in inputs.items()}
+        outputs = {name: _padded(C, len(C), self.n) for name, C in outputs.items()}
+        return state_space(self.A_p, inputs, {**outputs, "w_a": self.C_a}, feedthrough)
 
     def __repr__(self) -> str:
         return (
@@ -267,18 +226,18 @@ class AugmentedSystem:
         )
 
     def _repr_html_(self) -> str:
-        matrices = [
-            ("$A_p$ (1/s)", self.A_p),
-            (r"$\tilde B_1$", self.B1_tilde),
-            ("$B_{p1}$", self.B_p1),
-            ("$C_{p0}$", self.C_p0),
-            ("$C_a$", self.C_a),
-            (r"$\tilde C_1$", self.C1_tilde),
-            (r"$\tilde C_2$", self.C2_tilde),
-            (r"$\tilde D_{21}$", self.D21_tilde),
-            (r"$\bar D_{21}$", self.D21_bar),
-        ]
-        rows = [(name, f"${notation.matrix(value)}$") for name, value in matrices]
+        names = {
+            "A_p": "$A_p$ (1/s)",
+            "B1_tilde": r"$\tilde B_1$",
+            "B_p1": "$B_{p1}$",
+            "C_p0": "$C_{p0}$",
+            "C_a": "$C_a$",
+            "C1_tilde": r"$\tilde C_1$",
+            "C2_tilde": r"$\tilde C_2$",
+            "D21_tilde": r"$\tilde D_{21}$",
+            "D21_bar": r"$\bar D_{21}$",
+        }
+        rows = [(text, f"${notation.matrix(getattr(self, name))}$") for name, text in names.items()]
         caption = (
             f"Augmented system: {self.n} states, of which {self.n - self.system.n} model the delay "
             f"of ${notation.number(self.delay)}$ s with order {self.order}."
@@ -300,8 +259,7 @@ def augment(
     order : int
         Pade order of the delay model, at least zero; order 0 has no delay states.
     J_21 : float or (g, g) array
-        Intensity of the fictitious noise that the theory adds to the copies of the nonlinearities,
-        positive definite; the paper's example has the identity.
+        Intensity of the fictitious noise of the copies, positive definite; the paper has 1.
 
     Returns
     -------
@@ -314,16 +272,10 @@ def augment(
     ValueError, TypeError
         For a bad delay, order or J_21.
 
-    See Also
-    --------
-    minimize_bound : the next step, the robust smoother with the least bound.
-    baselines.fixed_lag_smoother : the classical smoother, with a delay model of its own.
-
     Examples
     --------
     >>> import robsmooth as rs
-    >>> system = rs.homodyne.PAPER.uncertain_system()
-    >>> plant = rs.augment(system, delay=3.1e-6, order=2)
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> plant.delay, plant.order, plant.n
     (3.1e-06, 2, 3)
     """
@@ -335,10 +287,7 @@ def augment(
 def compact(
     system: UncertainSystem, delay: float, order: int, *, J_21: ArrayLike = 1.0
 ) -> AugmentedSystem:
-    """Do as `augment`, for a system that need not satisfy Assumption 1.
-
-    Estimators of other theories, a Kalman filter say, live on such a plant.
-    """
+    """Do as `augment`, for any noise: a Kalman filter, say, does not need Assumption 1."""
     validation.instance("system", system, UncertainSystem)
     if np.ndim(J_21) == 0:
         J_21 = validation.positive("J_21", J_21) * np.eye(system.g)
@@ -349,13 +298,7 @@ def compact(
 
 
 def check_noise(condition: str, D: Matrix) -> None:
-    """Check D D' > 0 in a form free of units: no measurement without noise of its own.
-
-    Raises
-    ------
-    InfeasibleDesignError
-        Of the given condition.
-    """
+    """Check D D' > 0 in a form free of units: no measurement without noise of its own."""
     intensity = D @ D.T
     size = np.sqrt(np.diag(intensity))
     if (size == 0.0).any():
@@ -379,37 +322,39 @@ def _padded(matrix: Matrix, rows: int, columns: int) -> Matrix:
 
 
 def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix, ...]:
-    """Return the matrices of the quadratic constraints, of channels of these sizes.
+    """Return the matrices of (eqIQC1) to (eqIQC4), of channels of these sizes.
 
-    In the order of (eqIQC1), (eqIQC2), (eqIQC3), (eqIQC4): the uncertainties, then for every
-    nonlinearity, times its bound, the difference to its copy, then the nonlinearities, then the
-    copies.
+    First come the uncertainties, then for every nonlinearity, times its bound, the difference to
+    its copy, then the nonlinearities, then the copies.
     """
-    k, g = len(sizes) - 2 * len(bounds), len(bounds)
+    g, k = len(bounds), len(sizes) - 2 * len(bounds)
     rows = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))[:-1]
-    own, copies = (
-        [bound * row for bound, row in zip(bounds, part, strict=True)]
-        for part in (rows[k : k + g], rows[k + g :])
-    )
+    own = [bound * row for bound, row in zip(bounds, rows[k : k + g], strict=True)]
+    copies = [bound * row for bound, row in zip(bounds, rows[k + g :], strict=True)]
     differences = [row - copy for row, copy in zip(own, copies, strict=True)]
-    factors = (*rows[:k], *differences, *own, *copies)
-    return tuple(frozen(factor.T @ factor) for factor in factors)
+    return tuple(frozen(F.T @ F) for F in (*rows[:k], *differences, *own, *copies))
 
 
 def _combination(weights: ArrayLike, matrices: Sequence[Matrix], size: int) -> Matrix:
     if len(weights) != len(matrices):
         raise ValueError(f"multipliers must have {len(matrices)} entries, got {len(weights)}")
-    return sum(
-        (w * matrix for w, matrix in zip(weights, matrices, strict=True)), np.zeros((size, size))
-    )
+    terms = (weight * matrix for weight, matrix in zip(weights, matrices, strict=True))
+    return sum(terms, np.zeros((size, size)))
 
 
-def _entries(name: str, given: Sequence, count: int) -> list[tuple[str, float | Matrix]]:
-    """Return what is given for each of `count` channels, with a name; zero where it is left out."""
+def _blocks(name: str, given: Sequence, sizes: Sequence[tuple[int, int]]) -> list[Matrix]:
+    """Return blocks of a Delta: a float is on the diagonal of its block, zero where left out."""
     try:
-        values = list(given) or [0.0] * count
+        values = list(given) or [0.0] * len(sizes)
     except TypeError:
-        raise TypeError(f"{name} must be a sequence of length {count}, got {given!r}") from None
-    if len(values) != count:
-        raise ValueError(f"{name} must have {count} entries, got {len(values)}")
-    return [(f"{name}[{index}]", value) for index, value in enumerate(values)]
+        message = f"{name} must be a sequence of length {len(sizes)}, got {given!r}"
+        raise TypeError(message) from None
+    if len(values) != len(sizes):
+        raise ValueError(f"{name} must have {len(sizes)} entries, got {len(values)}")
+    blocks = []
+    for i, (value, size) in enumerate(zip(values, sizes, strict=True)):
+        if isinstance(value, list | tuple) or np.ndim(value) > 0:
+            blocks.append(validation.matrix(f"{name}[{i}]", value, size))
+        else:
+            blocks.append(validation.real(f"{name}[{i}]", value) * np.eye(*size))
+    return blocks

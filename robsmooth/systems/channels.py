@@ -1,6 +1,7 @@
 """The channels of an uncertain system: where uncertainties and nonlinearities act on it."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Matrix, set_fields
 
 REFERENCES = ("filtered", "smoothed")
 
@@ -34,10 +35,6 @@ class Uncertainty:
     ValueError, TypeError
         For a matrix that is not 2-D, real and finite.
 
-    See Also
-    --------
-    UncertainSystem : what the channels are part of.
-
     Examples
     --------
     A rate of decay that is known to 10%, in a system of one state:
@@ -52,7 +49,7 @@ class Uncertainty:
     D: Matrix
 
     def __init__(self, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> None:
-        set_fields(self, **_matrices("Uncertainty", B, C, D))
+        _set_matrices(self, B, C, D)
 
     def __repr__(self) -> str:
         return f"Uncertainty({_text(self)})"
@@ -80,21 +77,15 @@ class Nonlinearity:
         :math:`\psi_i` itself, vectorised over arrays or compiled by numba, for scalars too. The
         design needs only the Lipschitz constant.
     reference : {None, "filtered", "smoothed"}
-        The estimate that the detector is steered by: the nonlinearity acts on :math:`\nu_i - r_i`,
-        and the copy on :math:`\tilde\nu_i - r_i`, with :math:`r_i` the filtered or the smoothed
-        estimate of :math:`\nu_i`. None: there is no reference. The loop is simulated so by
-        `simulate`; designs and their guarantees do not use it.
+        The estimate :math:`r_i` of :math:`\nu_i` that the detector is steered by: the nonlinearity
+        acts on :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. `simulate` uses it,
+        designs and their guarantees do not.
 
     Raises
     ------
     ValueError, TypeError
         For a matrix that is not 2-D, real and finite, a constant that is not positive, a function
         that is not callable, not vectorised or not zero at zero, or another reference.
-
-    See Also
-    --------
-    Uncertainty : a channel of which no copy is run.
-    UncertainSystem : what the channels are part of.
 
     Examples
     --------
@@ -122,13 +113,13 @@ class Nonlinearity:
         function: Callable[[Any], Any] | None = None,
         reference: str | None = None,
     ) -> None:
-        matrices = _matrices("Nonlinearity", B, C, D)
+        _set_matrices(self, B, C, D)
         lipschitz = validation.positive("Nonlinearity lipschitz", lipschitz)
         if function is not None:
             _check_function("Nonlinearity function", function)
         if reference is not None:
             validation.choice("Nonlinearity reference", reference, REFERENCES)
-        set_fields(self, **matrices, lipschitz=lipschitz, function=function, reference=reference)
+        set_fields(self, lipschitz=lipschitz, function=function, reference=reference)
 
     def __repr__(self) -> str:
         function = getattr(self.function, "__name__", type(self.function).__name__)
@@ -147,16 +138,8 @@ class Nonlinearity:
 Channel = Uncertainty | Nonlinearity
 
 
-def set_fields(frozen: object, **values: object) -> None:
-    """Set the fields of a frozen dataclass, as only its constructor may."""
-    for name, value in values.items():
-        object.__setattr__(frozen, name, value)
-
-
 def members(name: str, values: Iterable, kind: type) -> tuple:
     """Return a sequence of channels of one kind as a tuple."""
-    if isinstance(values, kind):
-        raise TypeError(f"{name} must be a sequence of {kind.__name__}, got a single one")
     try:
         result = tuple(values)
     except TypeError:
@@ -166,25 +149,24 @@ def members(name: str, values: Iterable, kind: type) -> tuple:
     return result
 
 
-def check_sizes(name: str, channels: Sequence[Channel], states: int, measurements: int) -> None:
-    """Check the channels' matrices against the system that they are part of."""
+def fitting(
+    name: str, values: Iterable, kind: type[Channel], states: int, measurements: int
+) -> tuple[Channel, ...]:
+    """Return channels of one kind, checked against the system that they are part of."""
+    channels = members(name, values, kind)
     for index, channel in enumerate(channels):
-        nonlinear = isinstance(channel, Nonlinearity)
-        inputs, outputs = (1, 1) if nonlinear else (channel.B.shape[1], None)
-        for letter, shape in (
-            ("B", (states, inputs)),
-            ("C", (outputs, states)),
-            ("D", (measurements, inputs)),
-        ):
+        inputs, outputs = (1, 1) if kind is Nonlinearity else (channel.B.shape[1], None)
+        shapes = {"B": (states, inputs), "C": (outputs, states), "D": (measurements, inputs)}
+        for letter, shape in shapes.items():
             validation.matrix(f"{name}[{index}].{letter}", getattr(channel, letter), shape)
+    return channels
 
 
-def _matrices(name: str, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> dict[str, Matrix]:
-    """Return the matrices of a channel by their names, each checked."""
-    return {
-        letter: validation.matrix(f"{name} {letter}", value, (None, None))
-        for letter, value in (("B", B), ("C", C), ("D", D))
-    }
+def _set_matrices(channel: Channel, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> None:
+    """Set the matrices of a channel, each checked."""
+    for letter, value in (("B", B), ("C", C), ("D", D)):
+        matrix = validation.matrix(f"{type(channel).__name__} {letter}", value, (None, None))
+        set_fields(channel, **{letter: matrix})
 
 
 def _text(channel: Channel) -> str:
@@ -195,9 +177,11 @@ def _check_function(name: str, function: Callable) -> None:
     """Check that a nonlinearity can be called as the library does, and is zero at zero."""
     if not callable(function):
         raise TypeError(f"{name} must be callable, got {function!r}")
-    # a scalar function that numba has compiled is called from compiled loops
-    scalar = hasattr(function, "py_func") and _takes_scalars(function)
-    at = 0.0 if scalar else np.zeros(2)
+    at = np.zeros(2)
+    if hasattr(function, "py_func"):  # numba has compiled it, and compiled loops call it
+        with suppress(Exception):
+            function(0.0)
+            at = 0.0
     try:
         values = np.asarray(function(at))
     except Exception as error:
@@ -218,11 +202,3 @@ def _check_function(name: str, function: Callable) -> None:
             f"{name} must be zero at zero, got {at_zero}: "
             "move the constant into the measurement or the state"
         )
-
-
-def _takes_scalars(function: Callable) -> bool:
-    try:
-        function(0.0)
-    except Exception:
-        return False
-    return True

@@ -3,7 +3,8 @@ r"""The finite-dimensional model of the delay (Section III).
 .. math:: \dot x_a = F_a x_a + G_a w, \qquad w_a = H_a x_a + J_a w
 
 with the transfer function of the Pade approximation :math:`[N/N]` of :math:`e^{-s\delta}`, for
-each output of `w` separately.
+each output of `w` separately (S. Chirarattananon and B. D. O. Anderson, "Stable fixed-lag
+smoothing of continuous time processes", IEEE Trans. Inf. Theory 20(1), 1974).
 
 The realisation comes from Lambert's continued fraction, not from polynomial coefficients, which
 span twelve decades at order 10. With :math:`z = s\delta/2`,
@@ -31,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.systems.statespace import Blocks
+from robsmooth.systems.statespace import state_space
 
 if TYPE_CHECKING:
     import control
@@ -78,60 +79,24 @@ class DelayModel:
 
     def to_statespace(self) -> "control.StateSpace":
         """Return the model as a python-control object, from ``w`` to ``w_a``."""
-        feedthrough = {("w_a", "w"): self.J}
-        return Blocks(self.F, {"w": self.G}, {"w_a": self.H}, feedthrough).to_control()
+        return state_space(self.F, {"w": self.G}, {"w_a": self.H}, {("w_a", "w"): self.J})
 
 
 def pade_delay(delay: float, order: int, channels: int = 1) -> DelayModel:
-    """Realise the Pade approximation of a delay in balanced coordinates.
+    """Realise the Pade approximation of the delay (s) of some signals, (eqdelay).
 
-    Parameters
-    ----------
-    delay : float
-        The delay in seconds, at least zero.
-    order : int
-        Order of the approximation, at least zero; order 0 (like a delay of zero) has no states and
-        passes the signal through.
-    channels : int
-        Number of signals to delay.
-
-    Returns
-    -------
-    DelayModel
-
-    Raises
-    ------
-    ValueError, TypeError
-        For a negative or non-finite delay, or an order that is not an integer of at least zero.
-
-    References
-    ----------
-    Section III, equation (eqdelay), and S. Chirarattananon and B. D. O. Anderson, "Stable fixed-lag
-    smoothing of continuous time processes", IEEE Trans. Inf. Theory 20(1), 1974.
+    Order 0, like a delay of zero, has no states and passes the signals through.
     """
     delay = validation.real("delay", delay, low=0.0)
     order = validation.integer("order", order, low=0)
     channels = validation.integer("channels", channels, low=1)
-    states = order if delay > 0.0 else 0
-    F, b, J = _unit_delay(states)
-    if states:
-        F, G = F / delay, b[:, None] / delay
-    else:
-        G = np.zeros((0, 1))
-    H = -J * b[None, :]
+    N = order if delay > 0.0 else 0
+    elements = np.sqrt(2.0 * np.arange(1, N + 1) - 1.0)
+    ladder = np.eye(N, k=-1) - np.eye(N, k=1)
+    ladder[:1, :1] = -1.0  # the bilinear map from tanh to the delay closes the ladder on itself
+    driven = 2.0 * elements[:, None] * np.linalg.inv(ladder)
+    F, b, J = driven * elements, driven @ np.eye(N, 1), (-1.0) ** N
+    unit = delay or 1.0
     each = np.eye(channels)
-    F, G, H = np.kron(each, F), np.kron(each, G), np.kron(each, H)
+    F, G, H = np.kron(each, F / unit), np.kron(each, b / unit), np.kron(each, -J * b.T)
     return DelayModel(F=F, G=G, H=H, J=J * each, delay=delay, order=order)
-
-
-def _unit_delay(order: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return (F, b, J) of the Pade model of a unit delay: the ladder of the module docstring."""
-    if order == 0:
-        return np.zeros((0, 0)), np.zeros(0), 1.0
-    elements = np.sqrt(2.0 * np.arange(1, order + 1) - 1.0)
-    ladder = np.eye(order, k=-1) - np.eye(order, k=1)
-    ladder[0, 0] = -1.0  # the bilinear map from tanh to the delay closes the ladder on itself
-    inverse = np.linalg.inv(ladder)
-    F = 2.0 * elements[:, None] * inverse * elements
-    b = 2.0 * elements * inverse[:, 0]
-    return F, b, (-1.0) ** order

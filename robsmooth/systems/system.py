@@ -25,21 +25,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Matrix
-from robsmooth.systems.channels import (
-    Nonlinearity,
-    Uncertainty,
-    check_sizes,
-    members,
-    set_fields,
-)
-from robsmooth.systems.interchange import noise_factor, parts_of_statespace
-from robsmooth.systems.statespace import Blocks, check_continuous
+from robsmooth._support.validation import Matrix, set_fields
+from robsmooth.systems import statespace
+from robsmooth.systems.channels import Channel, Nonlinearity, Uncertainty, fitting, members
+from robsmooth.systems.statespace import Feedthrough, Signals
 
 if TYPE_CHECKING:
     import control
 
 _SHOWN = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
+_ASYMMETRY = 1e-12  # of a correlation matrix, and how far below zero its eigenvalues may be
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -68,10 +63,6 @@ class UncertainSystem:
     ValueError, TypeError
         For any matrix that is not 2-D, real, finite and of the shape above.
 
-    See Also
-    --------
-    augment : the next step, a system with the model of a delay.
-
     Examples
     --------
     A sensor's gain is known to 5%, the decay of what it measures to 10%:
@@ -80,9 +71,8 @@ class UncertainSystem:
     >>> decay = rs.Uncertainty(B=[[1.0]], C=[[0.1]], D=[[0.0]])
     >>> gain = rs.Uncertainty(B=[[0.0]], C=[[0.05]], D=[[1.0]])
     >>> A, B1, C0, C2, D21 = [[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]]
-    >>> system = rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties=[decay, gain])
-    >>> system.n, system.l, system.k
-    (1, 1, 2)
+    >>> rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties=[decay, gain]).k
+    2
     """
 
     A: Matrix
@@ -111,17 +101,14 @@ class UncertainSystem:
         C0 = validation.matrix("C0", C0, (None, n))
         C2 = validation.matrix("C2", C2, (None, n))
         for name, value in (("C0", C0), ("C2", C2)):
-            if value.shape[0] == 0:
+            if len(value) == 0:
                 raise ValueError(f"{name} must have at least one row, got shape {value.shape}")
         D21 = validation.matrix("D21", D21, (C2.shape[0], B1.shape[1]))
         set_fields(self, A=A, B1=B1, C0=C0, C2=C2, D21=D21)
-        channels = {
-            "uncertainties": members("uncertainties", uncertainties, Uncertainty),
-            "nonlinearities": members("nonlinearities", nonlinearities, Nonlinearity),
-        }
-        for name, given in channels.items():
-            check_sizes(name, given, states=n, measurements=C2.shape[0])
-        set_fields(self, **channels)
+        sizes = n, C2.shape[0]
+        uncertainties = fitting("uncertainties", uncertainties, Uncertainty, *sizes)
+        nonlinearities = fitting("nonlinearities", nonlinearities, Nonlinearity, *sizes)
+        set_fields(self, uncertainties=uncertainties, nonlinearities=nonlinearities)
 
     @classmethod
     def from_plant(
@@ -151,13 +138,9 @@ class UncertainSystem:
         Parameters
         ----------
         plant : control.StateSpace
-            In continuous time, with the noise as its p inputs and the l measurements as its
-            outputs.
-        process_noise : float or (p, p) array
-            Q, the intensity (two-sided spectral density) of the noise; a float is that of each
-            input.
-        measurement_noise : float or (l, l) array
-            R, likewise.
+            In continuous time: p inputs are noises, l outputs are measurements.
+        process_noise, measurement_noise : float, or (p, p) and (l, l) arrays
+            Q and R, intensities (two-sided spectral densities); a float is that of each signal.
         outputs : (m, n) array, optional
             :math:`C_0`, what to estimate of the state. Default: C, the measurements without noise.
         process_uncertainty, measurement_uncertainty : (h, n) arrays, optional
@@ -173,12 +156,8 @@ class UncertainSystem:
         Raises
         ------
         ValueError, TypeError
-            For a plant in discrete time, a static gain or another kind of object, a noise
-            intensity that is not a covariance, and whatever the class itself refuses.
-
-        See Also
-        --------
-        from_statespace : for a plant whose signals have names.
+            For a plant in discrete time, without a state or of another kind, a noise intensity
+            that is no covariance, and whatever the class itself refuses.
 
         Examples
         --------
@@ -188,13 +167,13 @@ class UncertainSystem:
         >>> rs.UncertainSystem.from_plant(plant, process_noise=1.0, measurement_noise=0.01).D21
         array([[0. , 0.1]])
         """
-        check_continuous("plant", plant)
-        process = noise_factor("process_noise", process_noise, plant.ninputs)
-        measurement = noise_factor("measurement_noise", measurement_noise, plant.noutputs)
+        statespace.check_continuous("plant", plant)
+        process = _noise_factor("process_noise", process_noise, plant.ninputs)
+        measurement = _noise_factor("measurement_noise", measurement_noise, plant.noutputs)
         B, D = plant.B @ process, plant.D @ process
         no_B, none = np.zeros((plant.nstates, plant.noutputs)), np.zeros((1, plant.nstates))
-        given = (process_uncertainty, measurement_uncertainty)
-        C_0, C_1 = (none if C is None else C for C in given)
+        C_0 = none if process_uncertainty is None else process_uncertainty
+        C_1 = none if measurement_uncertainty is None else measurement_uncertainty
         channels = (Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement))
         return cls(
             A=plant.A,
@@ -219,15 +198,9 @@ class UncertainSystem:
         Parameters
         ----------
         sys : control.StateSpace
-            In continuous time. Inputs: unit white noises ``W[0]``, ..., uncertainties ``xi_0[0]``,
-            ... of each channel, nonlinearities ``mu[0]``, ... Outputs: ``w``, ``y``, ``zeta_0``,
-            ... and ``nu`` likewise, in any order. Only y may have feedthrough.
-        lipschitz : (g,) sequence
-            The nonlinearities' constants, which a linear system does not hold.
-        functions : (g,) sequence of callables or None, optional
-            The nonlinearities themselves.
-        references : (g,) sequence of str or None, optional
-            Their references, as in `Nonlinearity`.
+            In continuous time. Its signals may come in any order; only y may have feedthrough.
+        lipschitz, functions, references : (g,) sequences, optional
+            Of the nonlinearities, as in `Nonlinearity`: what a linear system does not hold.
 
         Returns
         -------
@@ -236,13 +209,7 @@ class UncertainSystem:
         Raises
         ------
         ValueError, TypeError
-            For signals of other names or that do not match, other feedthrough, and whatever the
-            class itself refuses.
-
-        See Also
-        --------
-        to_statespace : the way back.
-        from_plant : for a plant that is not so named.
+            For other signals or feedthrough, and whatever the class itself refuses.
 
         Examples
         --------
@@ -251,7 +218,44 @@ class UncertainSystem:
         >>> rs.UncertainSystem.from_statespace(system.to_statespace(), lipschitz=[1.0]).g
         1
         """
-        return cls(**parts_of_statespace(sys, lipschitz, functions, references))
+        statespace.check_continuous("sys", sys)
+        inputs = statespace.components("sys's input", sys.input_labels)
+        outputs = statespace.components("sys's output", sys.output_labels)
+        k = _number_of_uncertainties(inputs, outputs)
+        for i, j in np.argwhere(sys.D):
+            if i not in outputs["y"]:
+                names = f"{sys.input_labels[j]!r} to {sys.output_labels[i]!r}"
+                raise ValueError(f"sys must have feedthrough to 'y' only, got {names}")
+
+        def channel(signal: str, output: str) -> tuple[Matrix, Matrix, Matrix]:
+            columns, rows = inputs.get(signal, []), outputs.get(output, [])
+            return sys.B[:, columns], sys.C[rows], sys.D[np.ix_(outputs["y"], columns)]
+
+        B1, C0, D21 = channel("W", "w")
+        mu, nu, D = channel("mu", "nu")
+        constants = validation.array("lipschitz", lipschitz, ndim=1)
+        named = {"lipschitz": constants}
+        for name, given in (("functions", functions), ("references", references)):
+            named[name] = [None] * len(constants) if given is None else given
+            validation.instance(name, named[name], Sequence)
+        for name, given in {"sys's output 'nu'": nu, **named}.items():
+            if len(given) != mu.shape[1]:
+                raise ValueError(
+                    f"{name} must have as many entries as sys's input 'mu', {mu.shape[1]}, "
+                    f"got {len(given)}"
+                )
+        return cls(
+            A=sys.A,
+            B1=B1,
+            C0=C0,
+            C2=sys.C[outputs["y"]],
+            D21=D21,
+            uncertainties=[Uncertainty(*channel(f"xi_{s}", f"zeta_{s}")) for s in range(k)],
+            nonlinearities=[
+                Nonlinearity(mu[:, [i]], nu[[i]], D[:, [i]], *of_function)
+                for i, of_function in enumerate(zip(*named.values(), strict=True))
+            ],
+        )
 
     def to_statespace(
         self,
@@ -260,25 +264,20 @@ class UncertainSystem:
     ) -> "control.StateSpace":
         """Return the linear part as a python-control object, with its channels open.
 
-        Its signals have the components ``W[0]``, ``W[1]``, ...: python-control's ``interconnect``
-        joins it with an estimator's object by their names, and ``sys["y[0]", "W[1]"]`` is a part.
+        A signal has the components ``W[0]``, ``W[1]``, ...: python-control's ``interconnect``
+        joins it to that of an estimator by its name, and ``sys["y[0]", "W[1]"]`` is a part.
 
         Parameters
         ----------
-        inputs : str or sequence of str, optional
-            Which to keep, of the white noises ``W`` (of unit intensity), the uncertainties
-            ``xi_0``, ``xi_1``, ... and the nonlinearities' values ``mu``. Default: all.
-        outputs : str or sequence of str, optional
-            Which to keep, of ``w`` (to estimate), ``y`` (the measurement dy/dt), the uncertainties'
-            bounds ``zeta_0``, ... and the nonlinearities' arguments ``nu``. Default: all.
+        inputs, outputs : str or sequence of str, optional
+            Which to keep. Inputs are the white noises ``W`` (of unit intensity), the uncertainties
+            ``xi_0``, ... and the nonlinearities' values ``mu``. Outputs are ``w`` (to estimate),
+            ``y`` (the measurement dy/dt), the uncertainties' bounds ``zeta_0``, ... and the
+            nonlinearities' arguments ``nu``. Default: all.
 
         Returns
         -------
         control.StateSpace
-
-        See Also
-        --------
-        from_statespace : the way back.
 
         Examples
         --------
@@ -287,32 +286,22 @@ class UncertainSystem:
         >>> system.to_statespace(inputs="W", outputs="y").input_labels
         ['W[0]', 'W[1]']
         """
-        return self.blocks.select(inputs, outputs).to_control()
+        drives, reads, feedthrough = self.signals()
+        drives = statespace.chosen("inputs", inputs, drives)
+        reads = statespace.chosen("outputs", outputs, reads)
+        return statespace.state_space(self.A, drives, reads, feedthrough)
 
-    @property
-    def blocks(self) -> Blocks:
-        """The linear part by its named signals, as `to_statespace` lists them."""
-        mu, nu, mu_to_y = self.stacked(self.nonlinearities)
-        channels = list(enumerate(self.uncertainties))
-        return Blocks(
-            self.A,
-            inputs={"W": self.B1, **{f"xi_{s}": c.B for s, c in channels}, "mu": mu},
-            outputs={
-                "w": self.C0,
-                "y": self.C2,
-                **{f"zeta_{s}": c.C for s, c in channels},
-                "nu": nu,
-            },
-            feedthrough={
-                ("y", "W"): self.D21,
-                **{("y", f"xi_{s}"): c.D for s, c in channels},
-                ("y", "mu"): mu_to_y,
-            },
-        )
+    def signals(self) -> tuple[Signals, Signals, Feedthrough]:
+        """Inputs, outputs and feedthrough of the linear part by name, for `state_space`."""
+        channels = [("W", "w", self.B1, self.C0, self.D21)]
+        for s, c in enumerate(self.uncertainties):
+            channels.append((f"xi_{s}", f"zeta_{s}", c.B, c.C, c.D))
+        channels.append(("mu", "nu", *self.stacked(self.nonlinearities)))
+        inputs = {name: B for name, _, B, _, _ in channels}
+        outputs = {"w": self.C0, "y": self.C2} | {name: C for _, name, _, C, _ in channels}
+        return inputs, outputs, {("y", name): D for name, _, _, _, D in channels}
 
-    def stacked(
-        self, channels: Sequence[Uncertainty | Nonlinearity]
-    ) -> tuple[Matrix, Matrix, Matrix]:
+    def stacked(self, channels: Sequence[Channel]) -> tuple[Matrix, Matrix, Matrix]:
         """Return B, C and D of some of the system's channels side by side."""
         return (
             np.hstack([np.zeros((self.n, 0)), *(channel.B for channel in channels)]),
@@ -358,26 +347,25 @@ class UncertainSystem:
 
     def _repr_latex_(self) -> str:
         """Return the equations of the class with this system's numbers."""
-        mu = [(c, rf"\mu_{{{i}}}") for i, c in enumerate(self.nonlinearities, 1)]
-        xi = [(c, rf"\xi_{{{s}}}") for s, c in enumerate(self.uncertainties, 1)]
-        shown = mu[:_SHOWN] + xi[:_SHOWN]
-        dots = r"\cdots" if max(len(mu), len(xi)) > _SHOWN else ""
-
-        def equation(left: str, of_state: Matrix, channel: str, noise: Matrix) -> str:
-            inputs = [notation.product(getattr(c, channel), symbol) for c, symbol in shown]
-            drift = notation.total([notation.product(of_state, "x"), *inputs, dots])
-            drift = rf"\left[{drift}\right]dt" if drift != "0" else ""
-            return f"{left} &= {notation.total([drift, notation.product(noise, 'dW')])}"
+        mu = [(c, rf"\mu_{{{i}}}") for i, c in enumerate(self.nonlinearities[:_SHOWN], 1)]
+        xi = [(c, rf"\xi_{{{s}}}") for s, c in enumerate(self.uncertainties[:_SHOWN], 1)]
+        dots = r"\cdots" if max(self.k, self.g) > _SHOWN else ""
 
         def of_x(C: Matrix) -> str:
             return notation.product(C, "x") or "0"
+
+        def equation(left: str, of_state: Matrix, channel: str, noise: Matrix) -> str:
+            inputs = [notation.product(getattr(c, channel), symbol) for c, symbol in mu + xi]
+            drift = notation.total([notation.product(of_state, "x"), *inputs, dots])
+            drift = rf"\left[{drift}\right]dt" if drift != "0" else ""
+            return f"{left} &= {notation.total([drift, notation.product(noise, 'dW')])}"
 
         lines = [
             equation("dx", self.A, "B", self.B1) + r"\qquad(t\text{ in s})",
             equation("dy", self.C2, "D", self.D21),
             f"w &= {of_x(self.C0)}",
         ]
-        for i, (c, symbol) in enumerate(mu[:_SHOWN], 1):
+        for i, (c, symbol) in enumerate(mu, 1):
             nu, argument, estimate = rf"\nu_{{{i}}}", rf"\nu_{{{i}}}", ""
             if c.reference is not None:
                 argument = rf"{nu} - r_{{{i}}}"
@@ -386,9 +374,51 @@ class UncertainSystem:
                 rf"{symbol} &= \psi_{{{i}}}({argument}),\quad {nu} = {of_x(c.C)},\quad "
                 rf"\beta_{{{i}}} = {notation.number(c.lipschitz)}{estimate}"
             )
-        for s, (c, symbol) in enumerate(xi[:_SHOWN], 1):
-            zeta = rf"\zeta_{{{s}}}"
+        for c, symbol in xi:
+            zeta = symbol.replace("xi", "zeta")
             lines.append(
                 rf"\lVert{symbol}\rVert &\le \lVert{zeta}\rVert,\quad {zeta} = {of_x(c.C)}"
             )
         return "$$\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}$$"
+
+
+def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
+    """Return the symmetric square root of a noise's intensity."""
+    if np.ndim(intensity) == 0:
+        return np.sqrt(validation.real(name, intensity, low=0.0)) * np.eye(size)
+    intensity = validation.matrix(name, intensity, (size, size))
+    unit = np.sqrt(np.abs(np.diag(intensity)))
+    unit[unit == 0.0] = 1.0
+    correlation = intensity / np.outer(unit, unit)  # signals may have very different units
+    if np.abs(correlation - correlation.T).max(initial=0.0) > _ASYMMETRY:
+        raise ValueError(f"{name} must be symmetric")
+    eigenvalues, vectors = np.linalg.eigh(correlation)
+    if eigenvalues.min(initial=0.0) < -_ASYMMETRY:
+        raise ValueError(
+            f"{name} must be nonnegative definite, got one whose correlation matrix has the "
+            f"eigenvalue {eigenvalues.min():.3g}"
+        )
+    root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T
+    return unit[:, None] * root
+
+
+def _number_of_uncertainties(inputs: Iterable[str], outputs: Iterable[str]) -> int:
+    """Check that a system's signals are those of the class, and count its uncertainties."""
+    k = 0
+    while f"xi_{k}" in inputs or f"zeta_{k}" in outputs:
+        k += 1
+    for kind, signals, known, channel in (
+        ("input", inputs, ["W", "mu"], "xi"),
+        ("output", outputs, ["w", "y", "nu"], "zeta"),
+    ):
+        for name in signals:
+            if name not in [*known, *(f"{channel}_{s}" for s in range(k))]:
+                raise ValueError(
+                    f"sys's {kind} {name!r} must be one of {', '.join(known)}, {channel}_0, "
+                    f"{channel}_1, ..., numbered from 0 without a gap; for a plant that is not so "
+                    "named there is from_plant"
+                )
+    for name in ("w", "y"):
+        if name not in outputs:
+            raise ValueError(f"sys must have an output {name!r}, got {', '.join(outputs)}")
+    return k

@@ -4,13 +4,13 @@ A process a notebook: several through one process have been seen to hang. paperm
 enough: it takes `sys.exit(0)` in a cell for success, so the executed copy is read instead.
 """
 
-import json
 import os
 import re
 import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # the extra [notebooks]
     from nbformat import NotebookNode
 
 _ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
+_LAST_ERROR = re.compile(r".*^([\w.]*(?:Error|Exception|Exit)\b.*)", re.DOTALL | re.MULTILINE)
 _ADDED_BY_PAPERMILL = {"injected-parameters", "papermill-error-cell-tag"}
 
 
@@ -46,31 +47,26 @@ class Execution:
         time_limit: float,
     ) -> None:
         """Start; the run may take `time_limit` seconds, and one cell of it half as long."""
-        self.executed = executed
+        import yaml  # papermill needs it, too
+
         self.started = time.perf_counter()
-        self._time_limit = time_limit
-        self._timed_out = False
-        self._said, self._log = scratch / "said.txt", scratch / "log.txt"
-        job = {
-            "notebook": str(notebook),
-            "executed": str(executed),
-            "folder": str(notebook.parent),
-            "parameters": dict(parameters),
-            "cell_limit": max(1, round(time_limit / 2)),
-        }
+        self._executed, self._log = executed, scratch / "log.txt"
+        self._time_limit, self._timed_out = time_limit, False
         executed.parent.mkdir(parents=True, exist_ok=True)
         executed.unlink(missing_ok=True)
-        with open(self._said, "wb") as said, open(self._log, "wb") as log:
+        command = [sys.executable, "-P", "-m", "papermill", "--no-progress-bar"]
+        command += ["--kernel=python3", "--language=python", "--log-level=ERROR"]
+        command += [f"--cwd={notebook.parent}", f"--execution-timeout={max(1, time_limit / 2):.0f}"]
+        command += ["--parameters_yaml", yaml.safe_dump(dict(parameters), sort_keys=False)]
+        with open(self._log, "wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", str(Path(__file__).with_name("worker.py"))],
-                stdin=subprocess.PIPE,
-                stdout=said,
+                [*command, _literal(notebook), _literal(executed)],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
                 stderr=log,
                 env=_environment(scratch),
                 start_new_session=True,  # Ctrl-C is ours to hand on
             )
-        with self._process.stdin as stdin:
-            stdin.write(json.dumps(job).encode())
 
     @property
     def seconds(self) -> float:
@@ -89,54 +85,49 @@ class Execution:
         import psutil
 
         # The kernel has a session of its own, so a signal to the process group would miss it.
-        try:
+        family = []
+        with suppress(psutil.NoSuchProcess):
             worker = psutil.Process(self._process.pid)
             family = [worker, *worker.children(recursive=True)]
-        except psutil.NoSuchProcess:
-            family = []
         for process in family:
-            try:
+            with suppress(psutil.NoSuchProcess):
                 process.kill()
-            except psutil.NoSuchProcess:
-                continue
         self._process.wait()
         psutil.wait_procs(family, timeout=10)
 
     def failure(self) -> Failure | None:
         """Why the finished run failed, or None where every cell was run and none failed."""
-        reason, cells = self._reason(), self._cells()
+        limit = f"the time limit of {self._time_limit:g} s for the notebook was reached"
+        limit = limit if self._timed_out else ""
+        log = self._log.read_text(errors="replace").strip()
+        # What papermill itself says of an error in a cell stands in the cell, too.
+        found = None if "PapermillExecutionError" in log else _LAST_ERROR.match(log)
+        error = found[1] if found else ""
+        cells = self._cells()
         for number, cell in cells:
-            if traceback := _traceback(cell):
-                return Failure(number, reason or traceback)
-            if not _completed(cell):
-                return Failure(number, reason or "the cell was not run to its end")
-        if reason or self._process.returncode or not cells:
-            log = self._log.read_text(errors="replace").strip().splitlines()
-            return Failure(None, reason or "\n".join(log[-20:]) or "its process died")
+            traceback = _traceback(cell)
+            if traceback or not _completed(cell):
+                reason = limit or error or traceback or "the cell was not run to its end"
+                return Failure(number, reason)
+        if limit or self._process.returncode or not cells:
+            last = "\n".join(log.splitlines()[-20:])
+            return Failure(None, limit or error or last or "its process died")
         return None
 
-    def _reason(self) -> str:
-        if self._timed_out:
-            return f"the time limit of {self._time_limit:g} s for the notebook was reached"
-        return self._said.read_text(errors="replace").strip()
-
-    def _cells(self) -> "list[tuple[int | None, NotebookNode]]":
+    def _cells(self) -> "list[tuple[int, NotebookNode]]":
         """Code cells of the executed copy that hold code, with their numbers in the source."""
-        number, found = 0, []
-        for cell in self._executed_cells():
-            added = _ADDED_BY_PAPERMILL.intersection(cell.metadata.get("tags", []))
-            number += not added
-            if cell.cell_type == "code" and cell.source.strip():
-                found.append((number, cell))
-        return found
-
-    def _executed_cells(self) -> "list[NotebookNode]":
         import nbformat
 
         try:
-            return nbformat.read(self.executed, as_version=4).cells
+            cells = nbformat.read(self._executed, as_version=4).cells
         except (FileNotFoundError, nbformat.reader.NotJSONError):  # killed before or while saving
             return []
+        number, found = 0, []
+        for cell in cells:
+            number += not _ADDED_BY_PAPERMILL.intersection(cell.metadata.get("tags", []))
+            if cell.cell_type == "code" and cell.source.strip():
+                found.append((number, cell))
+        return found
 
 
 def _traceback(cell: "NotebookNode") -> str:
@@ -148,6 +139,11 @@ def _traceback(cell: "NotebookNode") -> str:
 def _completed(cell: "NotebookNode") -> bool:
     # papermill marks even the cell that its kernel died in as completed: go by the kernel's reply.
     return "shell.execute_reply" in cell.metadata.get("execution", {})
+
+
+def _literal(path: Path) -> str:
+    """`path` with the braces that papermill would take for a template's escaped."""
+    return str(path).replace("{", "{{").replace("}", "}}")
 
 
 def _environment(scratch: Path) -> dict[str, str]:

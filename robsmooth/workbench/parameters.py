@@ -1,11 +1,7 @@
 """A notebook's parameters: read from its tagged cell, checked against what that cell allows.
 
-The cell tagged `parameters` holds one typed, commented value a line; the comment may open with the
-values allowed, an interval (with `inf`, too) or a set::
-
-    runs: int = 50_000  # [1, 1e9] runs of the Monte Carlo
-    lag: float = 3.1e-6  # (0, 1e-3] s, delay of the smoothed estimate
-    profile: str = "paper"  # {paper, quick} scale of the run
+The cell tagged `parameters` holds lines such as `lag: float = 3.1e-6  # (0, 1e-3] s, of smoothing`.
+The comment may open with what is allowed: an interval (with `inf`, too), or a set `{one, other}`.
 
 papermill itself only warns of an unknown name and checks no type. Its own reader of this cell is
 not used: it skips a line whose comment holds an equals sign.
@@ -23,9 +19,8 @@ TYPES = {"bool": bool, "int": int, "float": float, "str": str}
 # Set by the pipeline, for each run anew, and of no influence on the results. Every notebook has the
 # folders that figures, and data, are written to; the others may be there: the address of a Dask
 # scheduler, and a folder to resume an interrupted run from.
-FOLDERS = ("output_dir", "data_dir")
 OPTIONAL = ("scheduler", "checkpoint_dir")
-SET_BY_PIPELINE = FOLDERS + OPTIONAL
+SET_BY_PIPELINE = ("output_dir", "data_dir", *OPTIONAL)
 
 _INTERVAL = re.compile(r"([\[(])\s*([^\s,]+)\s*,\s*([^\s,]+?)\s*([\])])\s*")
 _CHOICES = re.compile(r"\{\s*([^{}]+?)\s*\}\s*")
@@ -41,16 +36,15 @@ class Interval:
 
     low: float
     high: float
-    low_included: bool
-    high_included: bool
+    ends: str  # as in "(]"
 
     def __contains__(self, value: float) -> bool:
-        above = value >= self.low if self.low_included else value > self.low
-        below = value <= self.high if self.high_included else value < self.high
+        above = value > self.low or (value == self.low and "[" in self.ends)
+        below = value < self.high or (value == self.high and "]" in self.ends)
         return above and below
 
     def __str__(self) -> str:
-        left, right = "(["[self.low_included], ")]"[self.high_included]
+        left, right = self.ends
         return f"{left}{self.low:g}, {self.high:g}{right}"
 
 
@@ -66,51 +60,41 @@ class Parameter:
 
     def check(self, value: object, where: str) -> object:
         """Return `value` in this parameter's type, or raise a `PipelineError` that says why not."""
+        allowed, wanted = self.allowed, ""
         if self.type == "float" and type(value) is int:
             value = float(value)
         if type(value) is not TYPES[self.type]:
-            given = f"{value!r} ({type(value).__name__})"
-            raise PipelineError(f"{where}: {self.name} must be of type {self.type}, not {given}")
-        if isinstance(value, float) and not math.isfinite(value):
-            raise PipelineError(f"{where}: {self.name} must be finite, not {value}")
-        if isinstance(self.allowed, Interval) and value not in self.allowed:
-            raise PipelineError(f"{where}: {self.name} must be in {self.allowed}, not {value}")
-        if isinstance(self.allowed, tuple) and str(value) not in self.allowed:
-            allowed = ", ".join(self.allowed)
-            raise PipelineError(f"{where}: {self.name} must be one of {allowed}, not {value}")
+            wanted, value = f"of type {self.type}", f"{value!r} ({type(value).__name__})"
+        elif isinstance(value, float) and not math.isfinite(value):
+            wanted = "finite"
+        elif isinstance(allowed, Interval) and value not in allowed:
+            wanted = f"in {allowed}"
+        elif isinstance(allowed, tuple) and str(value) not in allowed:
+            wanted = f"one of {', '.join(allowed)}"
+        if wanted:
+            raise PipelineError(f"{where}: {self.name} must be {wanted}, not {value}")
         return value
 
 
 def read(notebook: Path) -> dict[str, Parameter]:
-    """Parameters of a notebook by name, their defaults checked.
-
-    Raises
-    ------
-    PipelineError
-        Unless the file is a notebook with exactly one code cell tagged `parameters` that holds
-        nothing but `name: type = value  # comment` lines, `output_dir` and `data_dir` among them.
-    """
+    """Parameters of a notebook by name; the cell, its lines and their defaults are checked."""
     import nbformat
 
     try:
         cells = nbformat.read(notebook, as_version=4).cells
     except (OSError, ValueError, AttributeError, nbformat.ValidationError) as error:
         raise PipelineError(f"{notebook.name}: not a readable notebook ({error})") from error
-    tagged = [
-        cell
-        for cell in cells
-        if cell.cell_type == "code" and "parameters" in cell.metadata.get("tags", [])
-    ]
+    code = [cell for cell in cells if cell.cell_type == "code"]
+    tagged = [cell.source for cell in code if "parameters" in cell.metadata.get("tags", [])]
     if len(tagged) != 1:
-        message = f"{notebook.name}: exactly one code cell must be tagged parameters, not"
-        raise PipelineError(f"{message} {len(tagged)}")
-    parameters = {parameter.name: parameter for parameter in _lines(tagged[0].source, notebook)}
+        message = "exactly one code cell must be tagged parameters, not"
+        raise PipelineError(f"{notebook.name}: {message} {len(tagged)}")
+    parameters = {parameter.name: parameter for parameter in _lines(tagged[0], notebook)}
     for parameter in parameters.values():
         parameter.check(parameter.default, f"{notebook.name}, default")
+    types = dict.fromkeys(OPTIONAL, "str") | {name: each.type for name, each in parameters.items()}
     for name in SET_BY_PIPELINE:
-        if name not in parameters and name in OPTIONAL:
-            continue
-        if name not in parameters or parameters[name].type != "str":
+        if types.get(name) != "str":
             raise PipelineError(f"{notebook.name}: the parameters cell must hold {name}: str")
     return parameters
 
@@ -123,15 +107,13 @@ def check(
         if name in SET_BY_PIPELINE:
             raise PipelineError(f"{where}: {name} is set by the pipeline and cannot be given")
         if name not in parameters:
-            raise unknown(
-                f"{where}: parameter", name, sorted(set(parameters) - set(SET_BY_PIPELINE))
-            )
+            raise unknown(f"{where}: parameter", name, {*parameters} - {*SET_BY_PIPELINE})
     return {name: parameters[name].check(value, where) for name, value in values.items()}
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> PipelineError:
     """Error for a name that is none of `known`, with the nearest of them if one is near."""
-    known = list(known)
+    known = sorted(known)
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known) or 'none'}"
     return PipelineError(f"{what} {name} is unknown; {hint}")
@@ -145,23 +127,17 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
         raise PipelineError(f"{where}: line {error.lineno} is not Python") from error
     for statement in statements:
         match statement:
-            case ast.AnnAssign(ast.Name(name), ast.Name(type_), ast.expr() as value) if (
-                type_ in TYPES
-            ):
+            case ast.AnnAssign(ast.Name(name), ast.Name(kind), value) if value and kind in TYPES:
                 line = source.splitlines()[statement.end_lineno - 1].encode()
                 comment = line[statement.end_col_offset :].decode().strip().lstrip("# ")
                 try:
-                    default = ast.literal_eval(value)
-                    allowed, help_ = _allowed(comment)
+                    parameter = Parameter(name, kind, ast.literal_eval(value), *_allowed(comment))
                 except ValueError as error:
                     raise PipelineError(f"{where}: {name}: {error}") from error
-                yield Parameter(name, type_, default, allowed, help_)
+                yield parameter
             case _:
-                form = "name: type = value  # comment"
-                types = ", ".join(TYPES)
-                raise PipelineError(
-                    f"{where}: line {statement.lineno} must read {form}, with type one of {types}"
-                )
+                form = f"name: type = value  # comment, with type one of {', '.join(TYPES)}"
+                raise PipelineError(f"{where}: line {statement.lineno} must read {form}")
 
 
 def _allowed(comment: str) -> tuple[Interval | tuple[str, ...] | None, str]:
@@ -171,8 +147,7 @@ def _allowed(comment: str) -> tuple[Interval | tuple[str, ...] | None, str]:
         return choices, comment[found.end() :]
     if found := _INTERVAL.match(comment):
         left, low, high, right = found.groups()
-        interval = Interval(float(low), float(high), left == "[", right == "]")
-        return interval, comment[found.end() :]
+        return Interval(float(low), float(high), left + right), comment[found.end() :]
     if comment[:1] in set("([{"):
         raise ValueError(f"the comment must open with [low, high] or {{one, other}}, not {comment}")
     return None, comment

@@ -8,6 +8,7 @@ import os
 import platform
 import subprocess
 import time
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -22,17 +23,12 @@ SOURCES = ("robsmooth", "notebooks", "data/published.toml", "pyproject.toml", LO
 
 
 def collect(seed: int | None = None, started: float | None = None, **extra: object) -> dict:
-    """Describe this run.
-
-    Parameters
-    ----------
-    seed : int, optional
-        Seed of the run's random numbers.
-    started : float, optional
-        `time.perf_counter()` when the run began; gives the run time.
-    **extra
-        Anything else to record, under its own name; it must have a JSON form.
-    """
+    """Describe a run: its seed, its `time.perf_counter()` at the start, and what else is given."""
+    versions: dict[str, str | None] = {"python": platform.python_version()}
+    versions |= dict.fromkeys(PACKAGES)
+    for name in PACKAGES:
+        with suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
     return {
         **extra,
         "seed": seed,
@@ -40,8 +36,8 @@ def collect(seed: int | None = None, started: float | None = None, **extra: obje
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
         "revision": revision(),
         "lock_sha256": sha256(ROOT / LOCK) if (ROOT / LOCK).is_file() else None,
-        "versions": {"python": platform.python_version(), **_versions()},
-        "machine": machine(),
+        "versions": versions,
+        "machine": _machine(),
     }
 
 
@@ -54,20 +50,16 @@ def write(result: str | os.PathLike[str], **about: object) -> Path:
 
 def revision(root: Path = ROOT) -> dict | None:
     """Git revision of `root` and whether its sources differ from it; None where there is none."""
-
-    def git(*arguments: str) -> str:
-        return _output("git", "-C", str(root), *arguments)
-
-    try:
-        inside, commit = git("rev-parse", "--show-prefix", "HEAD").split("\n")[:2]
-        if inside:  # `root` is a folder of some other project
-            return None
-        return {"commit": commit, "dirty": bool(git("status", "--porcelain", "--", *SOURCES))}
-    except (OSError, subprocess.CalledProcessError):
-        return None
+    git = ("git", "-C", str(root))
+    with suppress(OSError, subprocess.CalledProcessError):
+        inside, commit = _output(*git, "rev-parse", "--show-prefix", "HEAD").split("\n")[:2]
+        if not inside:  # else `root` is a folder of some other project
+            changes = _output(*git, "status", "--porcelain", "--", *SOURCES)
+            return {"commit": commit, "dirty": bool(changes)}
+    return None
 
 
-def machine() -> dict:
+def _machine() -> dict:
     """Processor, cores this process may use, and platform."""
     usable = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))(0)
     system = (platform.system(), platform.machine(), *platform.libc_ver())
@@ -89,26 +81,11 @@ def _output(*command: str) -> str:
 
 
 def _processor() -> str:
-    try:
+    with suppress(OSError, subprocess.CalledProcessError):
         if platform.system() == "Darwin":
-            command = ["sysctl", "-n", "machdep.cpu.brand_string"]
-            return subprocess.run(
-                command, check=True, capture_output=True, text=True
-            ).stdout.strip()
+            return _output("sysctl", "-n", "machdep.cpu.brand_string").strip()
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             name, _, model = line.partition(":")
             if name.strip() == "model name":
                 return model.strip()
-    except (OSError, subprocess.CalledProcessError):
-        pass
     return platform.machine()
-
-
-def _versions() -> dict[str, str | None]:
-    versions = dict.fromkeys(PACKAGES)
-    for name in PACKAGES:
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return versions

@@ -19,8 +19,7 @@ from robsmooth import (
     homodyne,
 )
 from robsmooth.analysis import lag
-from robsmooth.analysis.lag import lag_sweep
-from robsmooth.analysis.lag_choice import best_lag, choose_lag
+from robsmooth.analysis.lag import best_lag, choose_lag, lag_sweep
 from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.baselines import optimal_fixed_lag_error, optimal_two_sided_error

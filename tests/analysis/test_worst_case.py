@@ -20,8 +20,11 @@ from robsmooth import (
     homodyne,
 )
 from robsmooth.analysis.constraints import analysis_bound
-from robsmooth.analysis.worst_case import mean_square_and_gradient, worst_case
-from robsmooth.analysis.worst_dynamic_case import worst_dynamic_case
+from robsmooth.analysis.worst_case import (
+    mean_square_and_gradient,
+    worst_case,
+    worst_dynamic_case,
+)
 from robsmooth.estimators import baselines
 from robsmooth.estimators.loop import LOOPS, OUTPUTS, open_loop
 from tests.helpers.loops import looking_at_nothing

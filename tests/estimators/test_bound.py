@@ -1,5 +1,7 @@
 """The least bound: certificates that nothing is below it, its structure, its invariances."""
 
+import re
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -18,8 +20,8 @@ from robsmooth import (
     homodyne,
     minimize_bound,
 )
-from robsmooth.estimators import bound as bound_module
-from robsmooth.estimators.bound import VANISHING, best_tau
+from robsmooth.estimators.bound import VANISHING, Face, _quotients, best_tau
+from robsmooth.estimators.bound_function import BoundFunction
 from robsmooth.estimators.conditions import multiplier_level
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.homodyne.certificate import scalar_bound
@@ -370,7 +372,7 @@ def test_where_the_measurement_is_worth_nothing_the_least_bound_ignores_it():
 
 def test_multipliers_that_are_zero_at_an_attained_minimum_are_zero():
     # The copy is of no use to this system: the least bound is that of a filter without one.
-    plant = augment(random_system(np.random.default_rng(5), g=1, size=0.03), 0.5, 1)
+    plant = augment(random_system(np.random.default_rng(14), g=1, size=0.03), 0.5, 1)
     best = minimize_bound(plant)
     assert best.bound_infimum is None is best.limit
     assert best.multipliers[2] == 0.0
@@ -395,21 +397,84 @@ def test_a_measurement_too_uncertain_to_use_is_an_infimum_as_its_multiplier_vani
 def test_feasible_points_are_found_by_way_of_a_smaller_uncertainty(monkeypatch):
     plant = augment(two_channels(0.9, 0.9), 0.0, 0)
     best = minimize_bound(plant)
-    paths = []
-    monkeypatch.setattr(bound_module, "_feasible", lambda problem, sample: [])
-    with pytest.raises(InfeasibleDesignError, match="one was is 0 of that given"):
+    monkeypatch.setattr(Face, "starts", lambda *_: [])
+    with pytest.raises(InfeasibleDesignError, match=r"with which one was is 0 \("):
         minimize_bound(plant)
     monkeypatch.undo()
+    starts, sizes = Face.starts, []
 
-    def few(problem, sample):
+    def few(face, count, rng):
         # nothing is found for the whole uncertainty
-        paths.append(problem)
-        return feasible(problem, sample) if len(paths) > 1 else []
+        sizes.append(np.linalg.norm(face.v.problem.C1))
+        return starts(face, count, rng) if sizes[-1] < 0.9 * max(sizes) else []
 
-    feasible = bound_module._feasible
-    monkeypatch.setattr(bound_module, "_feasible", few)
+    monkeypatch.setattr(Face, "starts", few)
     assert minimize_bound(plant).bound == pytest.approx(best.bound, rel=1e-9)
-    assert len(paths) > 1
+    assert min(sizes) < 0.9 * max(sizes)
+
+
+def test_what_no_search_finds_is_not_said_to_fail():
+    plant = augment(two_channels(5.0, 5.0), 0.0, 0)
+    with pytest.raises(InfeasibleDesignError) as caught:
+        minimize_bound(plant)
+    assert " fails" not in str(caught.value)
+    fraction = float(re.search(r"one was is ([0-9.]+) \(", str(caught.value)).group(1))
+    minimize_bound(augment(two_channels(5.0 * fraction * 0.99, 5.0 * fraction * 0.99), 0.0, 0))
+    with pytest.raises(InfeasibleDesignError):
+        minimize_bound(augment(two_channels(5.0 * fraction * 1.1, 5.0 * fraction * 1.1), 0.0, 0))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("units", [(1.0, 1.0, 1.0), (1e6, 1e-6, 1.0), (1e-7, 1.0, 1e8)])
+def test_a_design_is_found_whatever_the_units_of_the_states(units, capfd):
+    # without uncertainty the bound is half the Kalman-Bucy filter's error
+    B = np.array([[1.0, 0, 0, 0], [0, 0.3, 0, 0], [0, 0.2, 1.5, 0]])
+    D21 = np.array([[0.0, 0, 0, 0.7]])
+    system = UncertainSystem(
+        A=[[-1.0, 2, 0], [0, -3, 1], [-0.5, 0, -2]],
+        B1=B,
+        C0=[[0.0, 1, 0]],
+        C2=[[1.0, 0, 1]],
+        D21=D21,
+        uncertainties=[Uncertainty(B, np.zeros((1, 3)), D21)],
+    )
+    other = in_units(system, x=np.array(units)[:, None], w=1.0, y=1.0, zeta=1.0)
+    assert minimize_bound(augment(other, 0.3, 3)).bound == pytest.approx(0.0226948403613, rel=1e-8)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("theta", [1e-300, 1e-160, 1e-80, 1e80, 1e160, 1e300])
+@pytest.mark.parametrize("cost", COSTS)
+def test_points_whose_numbers_overflow_are_refused_in_silence(example, capfd, theta, cost):
+    v = BoundFunction.of(example, cost, np.ones(4, dtype=bool))
+    for scale in (
+        np.ones(4),
+        np.array([1.0, 1e-100, 1.0, 1e100]),
+        np.array([1e-100, 1.0, 1.0, 1.0]),
+    ):
+        with np.errstate(over="ignore"):
+            point = np.minimum(theta * scale, 1e300)
+        with suppress(InfeasibleDesignError):
+            value, gradient = v(point, np.zeros(4))
+            assert np.isfinite(value) and np.isfinite(gradient).all()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_slopes_of_the_constraint_are_those_of_differences():
+    rng = np.random.default_rng(0)
+    roots, vectors = rng.standard_normal((3, 4, 4)), rng.standard_normal((5, 4))
+    levels = roots @ roots.transpose(0, 2, 1)
+    multipliers, step = np.array([1.0, 0.5, 0.2]), 1e-6
+    quotients, slopes = _quotients(multipliers, levels, vectors)
+    largest = np.linalg.eigvalsh(np.tensordot(multipliers, levels, 1))[-1]
+    assert (quotients <= largest * (1 + 1e-12)).all()
+    for i, direction in enumerate(np.eye(3)):
+        low, high = (
+            _quotients(multipliers + sign * step * direction, levels, vectors)[0]
+            for sign in (-1, 1)
+        )
+        assert_allclose((high - low) / (2 * step), slopes[:, i], atol=1e-7)
 
 
 def test_an_infeasible_problem_is_an_error_that_names_a_condition():

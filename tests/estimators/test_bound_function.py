@@ -7,7 +7,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import sqrtm
 
 from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne
-from robsmooth.estimators.bound_function import bound_function
+from robsmooth.estimators.bound_function import BoundFunction
 from robsmooth.estimators.limit import limiting_smoother
 from tests.helpers.limits import CASES, limit_of
 from tests.helpers.strategies import feasible_design, random_system
@@ -45,7 +45,7 @@ def differences(function, point, step=1e-4):
 
 
 def all_positive(plant, cost):
-    return bound_function(plant, cost, np.ones(len(plant.M_i), dtype=bool))
+    return BoundFunction.of(plant, cost, np.ones(len(plant.M_i), dtype=bool))
 
 
 def check(v, theta, rates, bound, tau):
@@ -77,7 +77,7 @@ def test_value_is_that_of_the_design_and_gradient_that_of_differences(seed, cost
 def test_the_same_in_the_limit(case, cost):
     plant, zero, rates = CASES[case]
     limit = limit_of(plant, zero, cost, rates)
-    v = bound_function(plant, cost, limit.multipliers > 0.0)
+    v = BoundFunction.of(plant, cost, limit.multipliers > 0.0)
     speeds = np.array(rates or (limit.multipliers == 0.0), dtype=float)
     check(v, limit.tau / v.time * limit.multipliers, speeds, limit.bound, limit.tau)
 

@@ -16,7 +16,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.stats import binom
 
 from robsmooth import homodyne, statistical_linearisation
-from robsmooth._numerics.steps import LongStepWarning
+from robsmooth._support.errors import LongStepWarning
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run
@@ -25,7 +25,7 @@ from robsmooth.homodyne.montecarlo.kernels import SLIP, TURN
 from robsmooth.homodyne.montecarlo.layout import draws_of_splitting
 from robsmooth.homodyne.montecarlo.noise import BLOCK
 from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK, time_average
-from robsmooth.homodyne.montecarlo.schemes import SplittingStep, control_slopes
+from robsmooth.homodyne.montecarlo.schemes import control_slopes, splitting_coefficients
 from robsmooth.paper import published
 from tests.helpers.loops import (
     PARAMETERS,
@@ -58,15 +58,14 @@ def test_linear_part_of_a_step_is_exact(estimator, step):
     loop = homodyne_loop(PARAMETERS, estimator)
     slopes = control_slopes(loop)
     drift, B = loop.linearised_drift(*slopes), loop.noise_gains()
-    scheme = SplittingStep.of(loop, step, slopes)
-    transition, root, *_ = scheme.coefficients
+    transition, root, *_, start = splitting_coefficients(loop, step, slopes)
     assert_allclose(transition, expm(drift * step), rtol=1e-10, atol=1e-12)
     expected = integrated_noise(drift, B @ B.T, step)
     size = np.sqrt(np.diag(expected))
     assert_allclose(
         root @ root.T / np.outer(size, size), expected / np.outer(size, size), atol=1e-8
     )
-    P = scheme.start @ scheme.start.T  # stationary: a step does not change it
+    P = start @ start.T  # stationary: a step does not change it
     assert_allclose(transition @ P @ transition.T + root @ root.T, P, rtol=1e-9, atol=1e-15)
 
 
@@ -75,7 +74,7 @@ def test_linear_part_of_a_step_is_exact(estimator, step):
 def test_noise_of_a_long_step_leaves_the_stationary_covariance(estimator, step):
     loop = homodyne_loop(PARAMETERS, estimator)
     drift, B = loop.linearised_drift(), loop.noise_gains()
-    transition, root, *_ = SplittingStep.of(loop, step, (1.0, 1.0)).coefficients
+    transition, root, *_ = splitting_coefficients(loop, step, (1.0, 1.0))
     P = solve_continuous_lyapunov(drift, -B @ B.T)
     size = np.sqrt(np.diag(P))
     expected = P - expm(drift * step) @ P @ expm(drift * step).T
@@ -89,8 +88,7 @@ def plain_splitting(loop, given, draws):
     """The scheme as its equations are written: the outputs of BLOCK paths."""
     h, schedule = given.step, given.schedule
     slopes = np.array(control_slopes(loop))
-    scheme = given.coefficients
-    transition, root, *_ = scheme.coefficients
+    transition, root, *_, start = given.coefficients
     m = root.shape[1]
     draws = draws.reshape(-1, m, BLOCK).astype(float)
     gains = np.column_stack([loop.sine_gain, loop.copy_gain])
@@ -110,7 +108,7 @@ def plain_splitting(loop, given, draws):
         DF_F = gains @ ((np.cos(v) - slopes[:, None]) * (jacobian_rows @ F))
         return x + part * h * F + 0.5 * (part * h) ** 2 * DF_F
 
-    y = scheme.start @ draws[0][: 1 + loop.order]
+    y = start @ draws[0][: 1 + loop.order]
     x = y[1:].copy()
     outputs = np.zeros((6, BLOCK))
     turns, nearest = np.zeros((2, BLOCK))
@@ -170,7 +168,7 @@ def test_kernel_agrees_with_the_scheme_as_it_is_written(estimator, options):
 def test_control_has_the_moments_that_it_is_said_to_have(estimator):
     given = simulation(estimator, runs=20_000, duration=1e-5, seed=1)
     values = given.simulate(0, given.blocks).transpose(1, 0, 2).reshape(6, -1)
-    for row, mean in zip(values[2:5], given.coefficients.control, strict=True):
+    for row, mean in zip(values[2:5], given.control, strict=True):
         assert_within(row.mean(), mean, row.std() / math.sqrt(row.size))
 
 

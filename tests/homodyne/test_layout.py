@@ -7,7 +7,7 @@ from numpy.testing import assert_array_equal
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo import layout
 from robsmooth.homodyne.montecarlo.noise import BLOCK
-from robsmooth.homodyne.montecarlo.schemes import EulerStep, SplittingStep
+from robsmooth.homodyne.montecarlo.schemes import euler_coefficients, splitting_coefficients
 from tests.helpers.loops import PARAMETERS, kalman_filter, printed_smoother
 
 each_order = pytest.mark.parametrize(
@@ -19,10 +19,10 @@ each_order = pytest.mark.parametrize(
 def test_coefficients_lie_where_their_indices_say(estimator):
     loop = homodyne_loop(PARAMETERS, estimator)
     n, m = loop.order, layout.draws_of_splitting(loop.order)
-    splitting = SplittingStep.of(loop, 1e-7, (0.9, 0.8)).coefficients
+    splitting = splitting_coefficients(loop, 1e-7, (0.9, 0.8))
     assert splitting.root.shape == (1 + n, m)
     for coefficients, indices in (
-        (EulerStep.of(loop, 1e-7).coefficients, layout.euler_indices(n)),
+        (euler_coefficients(loop, 1e-7), layout.euler_indices(n)),
         (splitting, layout.splitting_indices(n, m)),
     ):
         flat = layout.flat(coefficients, np.float64)

@@ -28,8 +28,8 @@ DELAY = published.DELAY
 SIGMAS = 4.5
 DESIGNS = {
     "smoother": published.recomputed_estimator(),
-    "NGCF": published.ngcf(),
-    "Kalman-Bucy": published.kalman_filter(),
+    "NGCF": published.designs()["NGCF"],
+    "Kalman-Bucy": published.designs()["Kalman-Bucy"],
 }
 
 
@@ -352,7 +352,7 @@ def test_default_degree_meets_its_tolerance_and_is_the_least_that_does():
 
 def test_large_estimators_get_a_lower_degree_and_say_how_good_it_is():
     # Nine states: the filter, and eight first-order lags of its estimate in a row.
-    filter_ = published.kalman_filter()
+    filter_ = published.designs()["Kalman-Bucy"]
     chain = np.eye(8, k=-1) - np.eye(8)
     A = block_diag(filter_.A_c, 8 / DELAY * chain)
     A[1, 0] = 8 / DELAY
@@ -430,7 +430,7 @@ def test_direction_that_hardly_moves_is_as_good_as_still(kappa):
 
 def test_nothing_is_estimated_without_error_where_there_is_no_noise():
     still = types.SimpleNamespace(**{**vars(PAPER), "kappa": 0.0})
-    result = stationary_errors(still, published.ngcf(), shot_noise=0.0)
+    result = stationary_errors(still, published.designs()["NGCF"], shot_noise=0.0)
     assert (result.smoothed, result.filtered) == (0.0, 0.0)
     assert (truncation(result) == 0.0).all()
 
@@ -545,13 +545,13 @@ def test_truncation_error_of_random_loops_is_within_its_estimate(seed, n, option
 @pytest.mark.parametrize("degree", [None, 4, 8])
 def test_loop_that_slips_is_an_error(noise, degree):
     with pytest.raises(ArithmeticError, match=r"so noisy that it slips.* use monte_carlo instead"):
-        stationary_errors(PAPER, published.ngcf(), degree, shot_noise=noise)
+        stationary_errors(PAPER, published.designs()["NGCF"], degree, shot_noise=noise)
 
 
 @pytest.mark.parametrize("noise", [17.75, 30.0, 1000.0])
 def test_loop_out_of_lock_is_unstable(noise):
     with pytest.raises(UnstableLoopError, match="the loop is not in lock"):
-        stationary_errors(PAPER, published.ngcf(), shot_noise=noise)
+        stationary_errors(PAPER, published.designs()["NGCF"], shot_noise=noise)
 
 
 def test_unstable_estimator_is_named():
@@ -606,4 +606,4 @@ def test_too_many_states_are_an_error():
 )
 def test_bad_options_are_errors(options, error, message):
     with pytest.raises(error, match=message):
-        stationary_errors(PAPER, published.ngcf(), **options)
+        stationary_errors(PAPER, published.designs()["NGCF"], **options)

@@ -17,8 +17,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
-from robsmooth._numerics.steps import LongStepWarning
-from robsmooth._support.errors import UnstableLoopError
+from robsmooth._support.errors import LongStepWarning, UnstableLoopError
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo import (
     LossOfLockWarning,
@@ -449,6 +448,12 @@ def test_step_that_does_not_divide_the_delay_is_told_what_would():
         ({"duration": math.inf}, ValueError, "duration must be finite"),
         ({"duration": "1ms"}, TypeError, "duration must be a real number"),
         ({"duration": 1e-6}, ValueError, r"at least the smoother's delay, 3.1e-06 s, got 1e-06"),
+        ({"duration": 1e-6, "step": 3.1e-7}, ValueError, "at least the smoother's delay"),
+        (
+            {"duration": 1e-6, "step": 3.1e-8, "protocol": "paper"},
+            ValueError,
+            "at least the smoother's delay",
+        ),
         ({"step": 0.0}, ValueError, "step must be"),
         ({"step": math.nan}, ValueError, "step must be finite"),
         ({"step": 1 + 0j}, TypeError, "step must be a real number"),

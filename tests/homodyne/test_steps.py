@@ -19,7 +19,6 @@ from robsmooth.homodyne.montecarlo.protocols import (
     PROTOCOLS,
     SILENT_EULER,
     SILENT_SPLITTING,
-    response_time,
 )
 from robsmooth.homodyne.montecarlo.schemes import longest_stable_step
 from robsmooth.paper import published
@@ -28,7 +27,7 @@ from tests.helpers.loops import SIGMAS
 PAPER = rs.homodyne.PAPER
 SYSTEM = PAPER.uncertain_system()
 FILTER = rs.baselines.kalman_bucy(SYSTEM, copies=True)
-RESPONSE = response_time(homodyne_loop(PAPER, FILTER))
+RESPONSE = homodyne_loop(PAPER, FILTER).response_time()
 
 each_protocol = pytest.mark.parametrize(
     ("protocol", "silent"), [("paper", SILENT_EULER), ("ergodic", SILENT_SPLITTING)]
@@ -130,7 +129,7 @@ def test_an_undamped_mode_and_an_unstable_one_set_no_limit_to_the_step():
         sine_gain=np.zeros(1),
         copy_gain=np.zeros(1),
     )
-    assert longest_stable_step(still) == response_time(still) == np.inf
+    assert longest_stable_step(still) == still.response_time() == np.inf
     assert longest_stable_step(replace(still, drift=np.ones((1, 1)))) == np.inf
     assert PROTOCOLS["paper"].default_step(still, 1e-3) == 1e-8
 
@@ -169,7 +168,7 @@ def test_the_default_step_never_warns_and_is_never_refused(speed, noise, lag, or
 @pytest.mark.parametrize("name", ["Kalman-Bucy", "smoother, as printed"])
 def test_bias_of_the_longest_silent_step_of_ergodic_is_below_a_ten_thousandth(name):
     design = published.designs()[name]
-    response = response_time(homodyne_loop(PAPER, design))
+    response = homodyne_loop(PAPER, design).response_time()
     delay = design.plant.delay
     step = SILENT_SPLITTING * response
     step = delay / np.ceil(delay / step) if delay else step
@@ -195,7 +194,7 @@ def test_bias_of_the_longest_silent_step_of_paper_is_half_the_step():
 def test_slip_rate_of_ergodic_is_as_much_too_low_as_is_documented(fraction, low, high):
     noisy = replace(PAPER, kappa=10 * PAPER.kappa)
     estimator = rs.baselines.kalman_bucy(noisy.uncertain_system(), copies=True)
-    response = response_time(homodyne_loop(noisy, estimator))
+    response = homodyne_loop(noisy, estimator).response_time()
     rates = []
     for step in (0.05 * response, fraction * response):
         with pytest.warns(rs.LossOfLockWarning):

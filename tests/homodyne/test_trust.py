@@ -290,7 +290,7 @@ def test_a_checkpoint_that_cannot_be_one_is_refused_before_anything_is_simulated
     notes = tmp_path / "notes.txt"
     notes.write_text("of a user\n")
     for checkpoint, error, message in [
-        (tmp_path, CheckpointError, "is not a checkpoint of robsmooth: give another path"),
+        (tmp_path, CheckpointError, "not a checkpoint of this version of robsmooth: give another"),
         (notes, CheckpointError, "is not a checkpoint"),
         (notes / "run", CheckpointError, "cannot be opened"),
         ("", TypeError, "checkpoint must be the path of a file"),

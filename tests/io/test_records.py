@@ -253,6 +253,12 @@ def test_blank_lines_at_the_end_do_not_matter(tmp_path, chunk):
     assert_array_equal(found, discrete().run([[1.0, 2.0], [3.0, 4.0]]))
 
 
+@pytest.mark.parametrize("chunk", [1, 2, 1000])
+def test_a_row_of_gaps_between_spaces_is_no_blank_line(tmp_path, chunk):
+    found = smoothed(tmp_path, "y.csv", "1 2\n \n3 4\n", delimiter=" ", chunk=chunk)
+    assert_array_equal(found, discrete().run([[1.0, 2.0], [np.nan, np.nan], [3.0, 4.0]]))
+
+
 NPY_ERRORS = {
     "objects": (np.array([[1.0, None]], dtype=object), ValueError, "are never unpickled"),
     "words": (np.array([["a", "b"]]), TypeError, "must hold real numbers, got entries of <U1"),

@@ -13,7 +13,7 @@ from matplotlib.text import Text
 
 from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne, sample_paths
 from robsmooth.analysis.lag import lag_sweep
-from robsmooth.analysis.worst_dynamic_case import worst_dynamic_case
+from robsmooth.analysis.worst_case import worst_dynamic_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.homodyne.certificate import scalar_bound
@@ -23,6 +23,7 @@ from robsmooth.homodyne.study import QUANTITIES, Study
 from robsmooth.paper import figures, predictions
 from robsmooth.paper.figures import diagrams
 from robsmooth.paper.figures.maps import shade
+from robsmooth.paper.figures.style import FORMATS
 from tests.helpers import looks
 
 SLOPES = np.linspace(-1.0, 0.0, 11)
@@ -89,17 +90,17 @@ MAKERS = {
     ),
     "errors_by_method": lambda: figures.paper.errors_by_method(BY_METHOD),
     "loss_of_lock": lambda: figures.paper.loss_of_lock(NOISY),
-    "where_smoothing_pays": lambda: figures.beyond.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
-    "two_landscapes": lambda: figures.landscapes.two_landscapes(BESTS, points=5),
-    "all_designs": lambda: figures.landscapes.all_designs(
+    "where_smoothing_pays": lambda: figures.maps.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
+    "two_landscapes": lambda: figures.maps.two_landscapes(BESTS, points=5),
+    "all_designs": lambda: figures.maps.all_designs(
         homodyne.PAPER, LIMITS["filtered"], (0.485, 1.13e-6)
     ),
     "lag_and_order": lambda: figures.beyond.lag_and_order(SWEEPS, 3.1e-6),
     "worst_spectra": lambda: figures.beyond.worst_spectra(DYNAMIC, (1, 1)),
     "side_by_side": lambda: figures.beyond.side_by_side(COMPARED, (0.0, -1.0), limit=0.085),
-    "sample_path": lambda: figures.own.sample_path(PATHS, "µs", 1e6, "phase (rad)"),
-    "gap": lambda: figures.own.gap(PATHS, PATHS.smoothed[0], slice(40, 60)),
-    "smoother_response": lambda: figures.own.smoother_response(OMEGA, 1 / (1 + 1j * OMEGA), 0.5),
+    "sample_path": lambda: figures.beyond.sample_path(PATHS, "µs", 1e6, "phase (rad)"),
+    "gap": lambda: figures.beyond.gap(PATHS, PATHS.smoothed[0], slice(40, 60)),
+    "smoother_response": lambda: figures.beyond.smoother_response(OMEGA, 1 / (1 + 1j * OMEGA), 0.5),
 }
 
 
@@ -123,7 +124,7 @@ def saved(request, tmp_path_factory):
             figures.save_figure(MAKERS[request.param](), folder, request.param)
     plt.close("all")
     return tuple(
-        {suffix: (folder / f"{request.param}.{suffix}").read_bytes() for suffix in figures.FORMATS}
+        {suffix: (folder / f"{request.param}.{suffix}").read_bytes() for suffix in FORMATS}
         for folder in folders
     )
 
@@ -144,7 +145,7 @@ def test_text_stays_text_and_a_pdf_has_its_fonts(saved):
 
 def test_files_hold_no_date_and_no_release(tmp_path):
     figures.save_figure(MAKERS["fig4"](), tmp_path, "fig4")
-    pdf, svg, png = ((tmp_path / f"fig4.{s}").read_bytes() for s in figures.FORMATS)
+    pdf, svg, png = ((tmp_path / f"fig4.{s}").read_bytes() for s in FORMATS)
     for content in (pdf, svg, png):
         assert not re.search(rb"20\d\d-\d\d-\d\d|CreationDate|dc:date", content)
         assert mpl.__version__.encode() not in content
@@ -281,7 +282,7 @@ def test_landscapes_are_hatched_where_there_is_no_design_and_nowhere_else():
     for cost, tau in (("filtered", 1.0987e-6), ("smoothed", 0.7023e-6)):
         limit = limiting_smoother(plant, tau, [1.0, 0.5, 0.0, 0.0], cost)
         bests[cost] = replace(limit, limit=limit)
-    figure = figures.landscapes.two_landscapes(bests, points=7)
+    figure = figures.maps.two_landscapes(bests, points=7)
     for axes, (cost, best) in zip(figure.axes[:2], bests.items(), strict=True):
         tell = hatched(axes, "no design")
 
@@ -313,7 +314,7 @@ def test_no_gain_and_no_design_are_told_apart():
     smoothed = ERRORS["smoothed"].copy()
     smoothed[:, 0] = np.nan  # at the least noise there is no design
     errors = ERRORS | {"smoothed": smoothed}
-    figure = figures.beyond.where_smoothing_pays(replace(STUDY, quantities=errors), 0.4, 3.1e-6)
+    figure = figures.maps.where_smoothing_pays(replace(STUDY, quantities=errors), 0.4, 3.1e-6)
     no_design = hatched(figure.axes[0], "no design or lock")
     ratio = (smoothed / ERRORS["filtered"])[0, :, -1]
     points = [(1e6 * lag, noise) for noise in NOISES for lag in LAGS]
@@ -325,7 +326,7 @@ def test_no_gain_and_no_design_are_told_apart():
 
 def test_optimum_of_the_linear_loop_is_relative_to_the_filter_of_the_linear_loop():
     def drawn(study):
-        axes = figures.beyond.where_smoothing_pays(study, 0.4, 3.1e-6).axes[1]
+        axes = figures.maps.where_smoothing_pays(study, 0.4, 3.1e-6).axes[1]
         (line,) = (line for line in axes.lines if "linear loop" in line.get_label())
         return line.get_ydata()
 

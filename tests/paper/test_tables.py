@@ -37,7 +37,7 @@ def test_estimators_are_compared_by_the_same_numbers_as_by_themselves():
     assert case.worst.mean_square == worst_case(classical, loop="real").mean_square
     assert case.exact == stationary_errors(homodyne.PAPER, classical).smoothed
     assert case.promised is None
-    (row,) = tables.beyond.side_by_side({"classical": case}, (-0.5,)).rows
+    (row,) = tables.side_by_side({"classical": case}, (-0.5,)).rows
     assert row[1:4] == (*case.at, case.worst.mean_square, case.allowed.mean_square)
 
 
@@ -49,7 +49,7 @@ def test_a_lag_is_judged_by_the_orders_that_stay_in_lock_there():
     quantities["smoothed"] = np.array([[*smoothed, none, none]])
     failures = {(0.4, 4.0): "Assumption 3 fails"}
     found = Study((0.4,), (1.0, 2.0, 3.0, 4.0), (1, 2), (1e-6, 3e-6), quantities, failures)
-    table = tables.beyond.study(found, 3e-6)
+    table = tables.study(found, 3e-6)
     columns = [table.columns.index(name) for name in ("order", "saved", "saved at 3 µs")]
     rows = [[row[column] for column in columns] for row in table.rows]
     assert rows == [["1", "50%", "10%"], ["1", "50%", "none"], [None] * 3, [None] * 3]
@@ -60,20 +60,20 @@ def test_optimum_is_that_of_the_limit_where_there_is_one():
     limit = limiting_smoother(PLANT, 1e-6, [1.0, 0.5, 0.0, 0.0])
     attained = design_smoother(PLANT, 1e-6, [1.0, 0.499, 1e-6, 1e-6])
     beside = replace(attained, limit=limit, bound_infimum=limit.bound)
-    first, second = tables.beyond.optima({"limit": beside, "attained": attained}).rows
+    first, second = tables.optima({"limit": beside, "attained": attained}).rows
     assert first[1:3] == (limit.bound, "no")
     assert second[1:3] == (attained.bound, "yes")
 
 
 def test_gains_are_the_entries_of_the_phase():
     design = limiting_smoother(PLANT, 1e-6, [1.0, 0.5, 0.0, 0.0])
-    (row,) = tables.beyond.gains({"design": design}).rows
+    (row,) = tables.gains({"design": design}).rows
     assert row[1:4] == (design.A_c[0, 0], design.B_c[0, 0], design.B_c[0, 1])
     assert row[4:] == (design.C_c[0, 0], design.C_c[1, 0])
 
 
 def test_the_example_is_the_same_in_every_unit():
-    seconds, years = tables.own.in_units({"s": 1.0, "years": 3.2e7}).rows
+    seconds, years = tables.in_units({"s": 1.0, "years": 3.2e7}).rows
     assert seconds[1:] == pytest.approx(years[1:], rel=1e-9)
 
 
@@ -84,14 +84,14 @@ def test_tightness_is_relative_to_the_guarantee():
         for loop in ("theory", "real")
         for worst in (worst_case, analysis_bound)
     ]
-    (row,) = tables.beyond.tightness({"design": found}).rows
+    (row,) = tables.tightness({"design": found}).rows
     assert row[1] == design.mean_square_bound
     assert row[5] == f"{100 * found[1].mean_square / design.mean_square_bound:.0f}%"
     assert row[8] == f"{100 * found[3].mean_square / design.mean_square_bound:.0f}%"
 
 
 def test_a_share_that_no_order_reaches_is_left_empty():
-    found = tables.beyond.lag_choices(SYSTEM, ["filtered cost"], [0.5, 0.99])
+    found = tables.lag_choices(SYSTEM, ["filtered cost"], [0.5, 0.99])
     reached, not_reached = found.rows
     assert reached[2] > reached[5] > 0.0  # µs, with the model and with an exact delay
     assert not_reached[2:] == (None, None, None, None)
@@ -101,10 +101,10 @@ def test_refusals_quote_the_library_and_nothing_else():
     def refuse():
         raise InfeasibleDesignError("Assumption 9", "for a test")
 
-    table = tables.own.refusals({"bad": refuse, "good": lambda: None})
+    table = tables.refusals({"bad": refuse, "good": lambda: None})
     assert [row[1] for row in table.rows] == ["Assumption 9 fails: for a test", "not refused"]
     with pytest.raises(ZeroDivisionError):
-        tables.own.refusals({"broken": lambda: 1 / 0})
+        tables.refusals({"broken": lambda: 1 / 0})
 
 
 def test_own_systems_are_predicted_by_their_equivalent_slopes():
@@ -112,7 +112,7 @@ def test_own_systems_are_predicted_by_their_equivalent_slopes():
     linear = replace(SYSTEM, nonlinearities=())
     design = design_smoother(augment(_with_noise_channel(linear), 3.1e-6, 1), 1e-6, [0.9, 0.9])
     found = simulate(design, runs=64, duration=1e-4)
-    (row,) = tables.own.own_systems({"linear": (design, found)}).rows
+    (row,) = tables.own_systems({"linear": (design, found)}).rows
     exact = error_covariance(design, design.plant.structured_delta(), loop="real")[0, 0]
     assert row[2] == pytest.approx(exact, rel=1e-12)
     assert row[5] == design.mean_square_bound
@@ -121,7 +121,7 @@ def test_own_systems_are_predicted_by_their_equivalent_slopes():
 def test_own_system_with_a_detector_is_predicted_with_its_reference():
     design = limiting_smoother(augment(SYSTEM, 3.1e-6, 2), 1.1e-6, [1.0, 0.5, 0.0, 0.0])
     found = simulate(design, runs=64, duration=1e-3)
-    (row,) = tables.own.own_systems({"the paper's": (design, found)}).rows
+    (row,) = tables.own_systems({"the paper's": (design, found)}).rows
     assert row[2] == pytest.approx(found.smoothed.mean_square, rel=0.02)
 
 

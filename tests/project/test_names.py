@@ -2,7 +2,6 @@
 
 import ast
 import importlib
-import inspect
 import re
 import subprocess
 import sys
@@ -64,7 +63,7 @@ for name in rs.__all__:
 
 
 def test_importing_the_package_imports_nothing_else():
-    before = "import sys, importlib.util, typing; before = set(sys.modules)\n"
+    before = "import sys, ast, importlib.util, pkgutil, typing; before = set(sys.modules)\n"
     new = in_a_new_process(before + "import robsmooth; print(*(set(sys.modules) - before))")
     assert set(new.split()) == {"robsmooth", "robsmooth._names"}
 
@@ -75,19 +74,15 @@ def test_a_design_needs_no_compiler():
 
 
 def test_type_checkers_are_told_the_names_that_there_are():
-    (block,) = (node for node in ast.parse(inspect.getsource(rs)).body if isinstance(node, ast.If))
-    told = {
-        alias.name: node.module
-        for node in block.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-        if alias.asname == alias.name  # else it is none of the package's, to them
-    }
+    stub = ast.parse(Path(rs.__file__).with_suffix(".pyi").read_text())
+    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    told = {alias.name: node.module for node in imports for alias in node.names}
+    # without `as`, a name is none of the package's to them
+    assert all(alias.name == alias.asname for node in imports for alias in node.names)
     assert sorted(told) == rs.__all__ == dir(rs)
     for name, module in told.items():
         member = getattr(rs, name)
-        home = importlib.import_module(module)
-        assert member is getattr(home, name)
+        assert member is getattr(importlib.import_module(module), name)
 
 
 def test_a_name_that_was_asked_for_is_there():

@@ -18,7 +18,6 @@ FLOORS = {
     "robsmooth.explorer": 7,
     "robsmooth.paper": 6,
     "robsmooth.paper.figures": 6,
-    "robsmooth.paper.tables": 6,
     "robsmooth.homodyne": 5,
     "robsmooth.homodyne.montecarlo": 5,
     "robsmooth.analysis": 4,

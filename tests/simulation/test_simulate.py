@@ -124,7 +124,7 @@ def test_stationary_variance_converges_with_the_second_order(slope, bias_of_defa
     total, second = (quad(lambda x, p=p: x**p * np.exp(-potential(x)), -8, 8)[0] for p in (0, 2))
     loop = restored_loop(slope)
     biases = [
-        variance_of_the_chain(ExponentialIntegrator.of(loop, step)) / (second / total) - 1
+        variance_of_the_chain(ExponentialIntegrator(loop, step)) / (second / total) - 1
         for step in 0.05 / 2.0 ** np.arange(5)
     ]
     orders = np.log2(np.divide(biases[:-1], biases[1:]))
@@ -172,7 +172,7 @@ def test_equations_are_those_of_the_paper(referenced):
     )
     misfits = []
     for steps in (16, 32, 64):
-        integrator = ExponentialIntegrator.of(loop, 1.2 / steps, measured=True)
+        integrator = ExponentialIntegrator(loop, 1.2 / steps, measured=True)
         z = np.vstack([start, np.zeros((measurements, 1))])
         integral = np.zeros((measurements, 1))
         for k in range(steps):

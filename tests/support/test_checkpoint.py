@@ -242,7 +242,9 @@ def test_the_database_of_another_program_is_refused_and_kept(path, mode):
 def test_a_checkpoint_of_an_older_version_is_refused_and_kept(path):
     content = b'0123456789abcdef {"format": 1, "identity": {}, "journal": "robsmooth"}\n'
     path.write_bytes(content)
-    with pytest.raises(CheckpointError, match="is of an older version of robsmooth: give another"):
+    with pytest.raises(
+        CheckpointError, match="not a checkpoint of this version of robsmooth: give another"
+    ):
         read(path)
     assert path.read_bytes() == content
 

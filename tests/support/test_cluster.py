@@ -41,10 +41,11 @@ def client(cluster):
         yield client
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def patient(monkeypatch):
     """Time limits of Dask and of `cluster_module` that are longer than any test."""
     monkeypatch.setattr(cluster_module, "ANSWER_TIME", 2 * PATIENCE)
+    monkeypatch.setattr(cluster_module, "JOIN_TIME", 2 * PATIENCE)
     with dask.config.set({"distributed.comm.timeouts.connect": 2 * PATIENCE}):
         yield
 
@@ -229,7 +230,7 @@ def test_a_call_that_ends_its_workers_is_one_clear_error(tmp_path):
         cluster.scheduler.allowed_failures = 0
         threading.Thread(target=end_worker).start()
         with pytest.raises(RuntimeError, match=r"the same call was on 1 worker\(s\) that ended"):
-            list(in_order(call, [()], client, timeout=PATIENCE))
+            list(in_order(call, [()], client))
         ended.touch()
 
 
@@ -255,10 +256,11 @@ def test_without_a_worker_there_is_an_error_and_one_that_joins_is_used(monkeypat
                 pytest.raises(ConnectionError, match=r"no worker has joined .* for 12 s: start"),
             ):
                 patch.setattr(cluster_module, "time", clock)
-                function(client, timeout=12)
+                patch.setattr(cluster_module, "JOIN_TIME", 12)
+                function(client)
             assert clock.now == pytest.approx(12, abs=0.2)
         cluster.scale(1)
-        assert list(in_order(abs, numbers(3), client, timeout=PATIENCE)) == [0, 1, 2]
+        assert list(in_order(abs, numbers(3), client)) == [0, 1, 2]
         assert workers(client) == 2
 
 
@@ -278,7 +280,8 @@ def test_a_worker_that_joins_raises_the_number_of_calls_on_their_way(monkeypatch
 def test_workers_that_all_leave_are_missed_after_a_while(monkeypatch):
     monkeypatch.setattr(cluster_module, "LOOK_EVERY", 0.1)
     with cluster_of_threads() as (cluster, client):
-        results = in_order(time.sleep, repeat((0.05,)), client, timeout=0.5)
+        monkeypatch.setattr(cluster_module, "JOIN_TIME", 0.5)
+        results = in_order(time.sleep, repeat((0.05,)), client)
         next(results)
         cluster.scale(0)
         with pytest.raises(ConnectionError, match="no worker has joined"):
@@ -349,9 +352,9 @@ def missing_the_scheduler():
     assert time.monotonic() - started < PATIENCE
 
 
-def test_a_scheduler_that_closes_is_missed_at_once(patient):
+def test_a_scheduler_that_closes_is_missed_at_once():
     with cluster_of_threads() as (cluster, client):
-        results = in_order(time.sleep, repeat((0.05,)), client, timeout=2 * PATIENCE)
+        results = in_order(time.sleep, repeat((0.05,)), client)
         next(results)
         threading.Thread(target=cluster.close).start()
         with missing_the_scheduler():
@@ -361,7 +364,7 @@ def test_a_scheduler_that_closes_is_missed_at_once(patient):
 
 
 def test_a_worker_without_this_package_then_a_scheduler_that_freezes_and_is_killed(
-    tmp_path, monkeypatch, patient
+    tmp_path, monkeypatch
 ):
     def start(*arguments):
         options = ["--no-dashboard", "--host", "127.0.0.1"]
@@ -388,12 +391,10 @@ def test_a_worker_without_this_package_then_a_scheduler_that_freezes_and_is_kill
         start("worker", address, "--no-nanny", "--nthreads", "1")
         with connect(address, timeout=PATIENCE) as client:
             with pytest.raises(RuntimeError, match=r"cannot import robsmooth\._support\.cluster:"):
-                list(in_order(abs, numbers(1), client, timeout=PATIENCE))
+                list(in_order(abs, numbers(1), client))
             sleeps = "import time\ndef _compute(*_): time.sleep(0.05)"
             (package / "cluster.py").write_text(sleeps)
-            some, results = (
-                in_order(abs, repeat((1,)), client, timeout=2 * PATIENCE) for _ in range(2)
-            )
+            some, results = (in_order(abs, repeat((1,)), client) for _ in range(2))
             next(some), next(results)
             os.kill(started[0].pid, signal.SIGSTOP)
             monkeypatch.setattr(cluster_module, "ANSWER_TIME", 0.5)
@@ -470,7 +471,7 @@ def connection_error(address, timeout=0.5):
     return str(caught.value)
 
 
-def test_a_scheduler_that_cannot_be_reached_is_an_error_in_time(listener, patient):
+def test_a_scheduler_that_cannot_be_reached_is_an_error_in_time(listener):
     port = listener.getsockname()[1]
     assert "no Dask scheduler answers" in connection_error(f"tcp://127.0.0.1:{port}"), "mute"
     listener.close()

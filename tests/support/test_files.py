@@ -25,7 +25,7 @@ def test_a_file_is_replaced_whole(tmp_path):
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path, error):
     path = tmp_path / "result.json"
-    files.write_bytes(path, b"old")
+    files.write_text(path, "old")
     with pytest.raises(error), files.atomic_path(path) as temporary:
         temporary.write_bytes(b"ne")
         raise error
@@ -35,7 +35,7 @@ def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path, err
 
 def test_a_block_that_writes_nothing_is_an_error_and_leaves_the_old_file(tmp_path):
     path = tmp_path / "result.json"
-    files.write_bytes(path, b"old")
+    files.write_text(path, "old")
     with pytest.raises(FileNotFoundError), files.atomic_path(path):
         pass
     assert path.read_bytes() == b"old"

@@ -88,12 +88,13 @@ def test_without_numbas_compiler_records_are_smoothed_and_a_monte_carlo_is_refus
 import robsmooth as rs
 for name in dir(rs):
     getattr(rs, name)
-from robsmooth.paper.published import kalman_filter
+from robsmooth.paper.published import designs
+kalman = designs()["Kalman-Bucy"]
 linear = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
-for estimator in (linear, kalman_filter()):
+for estimator in (linear, kalman):
     smoother = estimator.discretize(1e-7)
     print(smoother.compiled, float(smoother.run([[1e5], [2e5]])[-1, 0]).hex())
-rs.monte_carlo(rs.homodyne.PAPER, kalman_filter())
+rs.monte_carlo(rs.homodyne.PAPER, kalman)
 """
     without = run(program, check=False, NUMBA_DISABLE_JIT=1)
     error = "monte_carlo needs numba's compiler, which NUMBA_DISABLE_JIT switches off: unset it"

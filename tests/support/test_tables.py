@@ -66,9 +66,8 @@ def test_saving_writes_the_three_formats(tmp_path):
     }
 
 
-def test_a_notebook_shows_the_table_as_html_or_markdown():
+def test_a_notebook_shows_the_table_as_html():
     assert TABLE._repr_html_() == TABLE.html()
-    assert TABLE._repr_markdown_() == TABLE.markdown()
 
 
 class Cells(HTMLParser):

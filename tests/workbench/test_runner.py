@@ -16,7 +16,7 @@ from robsmooth import cli
 from robsmooth.workbench import parameters, runner
 from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import PipelineError
-from robsmooth.workbench.runner import run_notebooks
+from robsmooth.workbench.runner import Request
 from tests.helpers.clusters import cluster_of_threads
 from tests.helpers.waiting import PATIENCE, wait_until
 
@@ -65,13 +65,15 @@ class Project:
         self.edit_code(name, "profile: str", "\n".join([*lines, "profile: str"]))
 
     def run(self, **options):
-        return run_notebooks(self.root, **options)
+        request = Request(self.root, **options)
+        results = runner.run_notebooks(request, runner.plan(request))
+        return sorted(results, key=lambda result: result.task.name)
 
     def key(self, **options):
         return self.plan(**options)[0].key
 
-    def plan(self, only=(), profile="paper", overrides=None):
-        return runner.plan(self.root, only, profile, overrides or {})
+    def plan(self, **options):
+        return runner.plan(Request(self.root, **options))
 
     def results(self):
         """Every file in the places of the paper's results, with its content."""
@@ -158,7 +160,7 @@ def test_a_wrong_value_is_refused_before_anything_runs(project, values, message)
 
 def test_values_at_the_ends_of_a_closed_interval_and_ints_for_floats_are_taken(project):
     project.add("good").edit("01_good", "(0, 1e-3] s", "(-inf, 3] s")
-    (task,) = project.plan(overrides={"runs": 1, "lag": 3})
+    (task,) = project.plan(parameters={"runs": 1, "lag": 3})
     assert task.values["runs"] == 1
     assert task.values["lag"] == 3.0
     assert type(task.values["lag"]) is float
@@ -166,11 +168,11 @@ def test_values_at_the_ends_of_a_closed_interval_and_ints_for_floats_are_taken(p
 
 def test_a_value_goes_to_the_notebooks_that_have_it(project):
     project.add("good", "foreign_kernel")
-    good, foreign = project.plan(overrides={"runs": 9})
+    good, foreign = project.plan(parameters={"runs": 9})
     assert good.values["runs"] == 9
     assert "runs" not in foreign.values
     with pytest.raises(PipelineError, match="runs is unknown"):
-        project.plan(only=["foreign"], overrides={"runs": 9})
+        project.plan(only=["foreign"], parameters={"runs": 9})
 
 
 def test_profile_values_are_used_and_overridden(project):
@@ -178,7 +180,7 @@ def test_profile_values_are_used_and_overridden(project):
     assert project.plan()[0].values == {"profile": "paper"}
     quick = {"profile": "quick", "runs": 3, "lag": 1e-6}
     assert project.plan(profile="quick")[0].values == quick
-    assert project.plan(profile="quick", overrides={"runs": 4})[0].values == {**quick, "runs": 4}
+    assert project.plan(profile="quick", parameters={"runs": 4})[0].values == {**quick, "runs": 4}
 
 
 @pytest.mark.parametrize(
@@ -274,7 +276,7 @@ def test_every_notebook_is_run_and_one_summary_tells_of_the_failures(project, mo
     (quick / "figures" / "figure.txt").write_text("yesterday's")
     monkeypatch.chdir(project.root / "notebooks")
     reports = []
-    monkeypatch.setattr(cli, "write_report", lambda *folders: reports.append(folders))
+    monkeypatch.setattr(cli, "write_report", lambda run, changed: reports.append(run))
     command = ["figures", "--profile", "quick", "--only"]
 
     assert cli.main([*command, "02,03,04,06", "--time-limit", "20"]) == 1
@@ -301,9 +303,7 @@ def test_every_notebook_is_run_and_one_summary_tells_of_the_failures(project, mo
     output, summary = capsys.readouterr()
     assert "01_good: done" in output
     assert "05_foreign_kernel: done" in output
-    assert [(root, places.figures, places.data) for root, places, _ in reports] == [
-        (project.root, quick / "figures", quick / "data")
-    ]
+    assert [(run.root, run.results) for run in reports] == [(project.root, quick)]
     assert (quick / "data" / "result.json").read_text() == "3"
     about = json.loads((quick / "figures" / "01_good.provenance.json").read_text())
     assert about["parameters"] == {"profile": "quick", "runs": 3}
@@ -325,18 +325,17 @@ def test_a_fresh_notebook_is_skipped_and_any_change_runs_it_again(project):
     assert second.files == first.files
     assert project.results() == results
 
-    places = runner.Places.of(project.root, "paper")
     for file, content in results.items():
         (project.root / file).unlink()
-        assert runner._fresh(project.plan()[0], places) is None
+        assert runner._fresh(project.plan()[0]) is None
         (project.root / file).write_bytes(content + b"touched up by hand")
-        assert runner._fresh(project.plan()[0], places) is None
+        assert runner._fresh(project.plan()[0]) is None
         (project.root / file).write_bytes(content)
-        assert runner._fresh(project.plan()[0], places) == first.files
-    stamp = places.work / "stamps" / "01_good.json"
+        assert runner._fresh(project.plan()[0]) == first.files
+    stamp = project.root / "build" / "paper" / "stamps" / "01_good.json"
     for damage in ("", "[]", "{}", '{"key": 1, "files": {"elsewhere/x": 1}}'):
         stamp.write_text(damage)
-        assert runner._fresh(project.plan()[0], places) is None
+        assert runner._fresh(project.plan()[0]) is None
 
     project.edit("01_good", "figure.txt", "fig1.txt")
     assert project.run()[0].status == "done"
@@ -362,7 +361,7 @@ def test_values_of_ones_own_never_reach_the_results_of_the_paper(project):
 def test_all_that_a_result_depends_on_is_in_its_key(project):
     project.add("good").write_profiles("[quick.01_good]\nruns = 3\n")
     (project.root / "data").mkdir()
-    keys = [project.key(), project.key(profile="quick"), project.key(overrides={"runs": 4})]
+    keys = [project.key(), project.key(profile="quick"), project.key(parameters={"runs": 4})]
     for change in (
         lambda: project.edit("01_good", "## Checks", "## Checks!"),
         lambda: (runner.PACKAGE / "model.py").write_text("x = 1"),
@@ -442,7 +441,7 @@ def test_a_notebook_that_can_use_a_cluster_is_given_its_scheduler(project):
     project.edit_code("01_good", "write_text(str(runs))", "write_text(scheduler)")
     project.edit_code("01_good", "figure.txt", "of_its_own.txt")
     with cluster_of_threads() as (cluster, _):
-        results = project.run(scheduler=cluster.scheduler_address)
+        results = project.run(dask=cluster.scheduler_address)
     assert [result.failure for result in results] == [None, None]
     assert project.results()["data/result.json"].decode() == cluster.scheduler_address
     about = (project.root / "figures" / "01_good.provenance.json").read_text()
@@ -540,3 +539,11 @@ def test_outside_the_project_the_command_says_so(tmp_path, monkeypatch, capsys):
 )
 def test_set_reads_values_as_python_writes_them(text, value):
     assert cli._setting(text) == (text.partition("=")[0], value)
+
+
+def test_the_folder_to_work_in_is_named_from_where_the_command_is_given(project, monkeypatch):
+    project.add("good")
+    monkeypatch.chdir(project.root)
+    monkeypatch.setattr(cli, "write_report", lambda run, changed: None)
+    assert cli.main(["figures", "--profile", "quick", "--build", "elsewhere"]) == 0
+    assert (project.root / "elsewhere" / "quick" / "data" / "result.json").is_file()

@@ -1,9 +1,5 @@
 """Monte Carlo simulation of the nonlinear loop (Section IV-E).
 
-`noise` draws the noise, `schemes` has the coefficients of a step, `layout` where they lie in a
-kernel's arrays, `euler` and `splitting` take the steps, `protocols` says what is simulated, `run`
-carries it out, and `result` is what it returns.
-
 **How long a step may be.** The unit is the loop's response time: that in which its sines respond to
 themselves, 2.2 us with the paper's values. With these, the relative bias of the mean square errors
 is, by the exact ones of `stationary_errors`,
@@ -22,14 +18,13 @@ protocol and step         filtered  smoothed    taken
 ========================  ========  ==========  ==============
 
 for the Kalman-Bucy filter, the paper's designs and those of `minimize_bound` with orders 0 to 4, of
-which the smoothed column has the worst. The standard errors of a default run are 0.65% ("paper")
-and 0.01% ("ergodic"). The ergodic protocol takes longer steps with the warning: above 10, loops
-slip that never do. The paper's refuses those with which the Euler-Maruyama scheme is unstable, from
-2 without a lag, and from 0.26 for a lag of 3.1 us with a delay model of order 4.
+which the smoothed column has the worst. The standard errors of a default run, which tell nothing of
+this, are 0.65% ("paper") and 0.01% ("ergodic"). Above 10, loops slip that never do ("ergodic"). The
+paper's protocol refuses steps with which the Euler-Maruyama scheme is unstable, from 2 without a
+lag, and from 0.26 for a lag of 3.1 us with a delay model of order 4.
 
 Where a loop slips, the ergodic protocol has too few slips: with ten times the paper's diffusion
-their rate is 11% too low with the default step, 15% with 1/4 and 43% with 1/2. The paper's protocol
-has no such bias. The standard errors of a run tell nothing of all this.
+their rate is 11% too low with the default step, 15% with 1/4 and 43% with 1/2.
 """
 
 from robsmooth.homodyne.montecarlo.result import LossOfLockWarning, MonteCarloResult

@@ -1,7 +1,6 @@
 r"""The compiled loop of the published protocol: Euler-Maruyama, and the errors at the end.
 
-One step of a path, with the coefficients of
-`robsmooth.homodyne.montecarlo.layout.EulerCoefficients`:
+One step of a path, with the `EulerCoefficients` of `robsmooth.homodyne.montecarlo.layout`:
 
 .. math::
 
@@ -9,13 +8,10 @@ One step of a path, with the coefficients of
     \hat x &\leftarrow \hat x + F\hat x + b_c\sin(c\hat x) + b_s[\sin(\varphi - r\hat x) + w g_1] .
 
 `BLOCK` paths are simulated side by side in vector registers. The order n is passed as the length of
-a tuple, hence known when the kernel is compiled: the sums over states are unrolled, the loop over
-paths is vectorised, and the state of a path stays in registers for a step. Each order is compiled
-once and kept on disk. What is called is inlined by numba: compiled again at each level it is linked
-into, it would lose registers.
-
-`simulate_blocks` is the only entry point. Each block writes its own part of the result, so the
-result does not depend on the number of threads, nor on how blocks are shared out over calls.
+a tuple, `order`, hence known when the kernel is compiled: the sums over states are unrolled, the
+loop over paths is vectorised, and the state of a path stays in registers for a step. Each order is
+compiled once and kept on disk. What is called is inlined by numba: compiled again at each level it
+is linked into, it would lose registers.
 """
 
 import numpy as np
@@ -86,23 +82,24 @@ def advance(order, coefficients, readout, steps, state, generator, gaussians, tu
         for path in range(BLOCK):
             away = np.float64(state[path]) - turns[path]
             for j in range(n):
-                away = fma(-readout[2, j], np.float64(state[(1 + j) * BLOCK + path]), away)
+                away = fma(-readout[2 * n + j], np.float64(state[(1 + j) * BLOCK + path]), away)
             passed = slip(away)
             turns[path] += TURN * passed
-            result[SLIPS, path] += abs(passed)
+            result[SLIPS * BLOCK + path] += abs(passed)
 
 
 @njit
 def collect(order, readout, state, delayed, result):
     """Write the squared errors: against the phase, and against the phase `delayed`, a delay ago."""
+    n = len(order)
     for path in range(BLOCK):
         filtered, smoothed = np.float64(state[path]), np.float64(delayed[path])
-        for j in range(len(order)):
+        for j in range(n):
             x = np.float64(state[(1 + j) * BLOCK + path])
-            filtered = fma(-readout[0, j], x, filtered)
-            smoothed = fma(-readout[1, j], x, smoothed)
-        result[FILTERED, path] = filtered * filtered
-        result[SMOOTHED, path] = smoothed * smoothed
+            filtered = fma(-readout[j], x, filtered)
+            smoothed = fma(-readout[n + j], x, smoothed)
+        result[FILTERED * BLOCK + path] = filtered * filtered
+        result[SMOOTHED * BLOCK + path] = smoothed * smoothed
 
 
 @njit(inline="always")
@@ -123,48 +120,24 @@ def simulate_block(order, coefficients, readout, schedule, seed, first_path, sta
     collect(order, readout, state, delayed, result)
 
 
+def state_size(n: int) -> int:
+    """Return the size of the state of a block: the phase, and the estimator's n rows."""
+    return (1 + n) * BLOCK
+
+
 @kept(parallel=True, nogil=True)
 def simulate_blocks(
-    order,
-    coefficients,
-    readout,
-    schedule,
-    seed,
-    first_block,
-    states,
-    results,
-    sources=SOURCES,
+    order, coefficients, readout, schedule, seed, first, states, results, code=SOURCES
 ):
-    """Simulate as many consecutive blocks as `results` has room for.
+    """Simulate consecutive blocks from `first` on: block b holds the paths from b BLOCK on.
 
-    Parameters
-    ----------
-    order : tuple of n zeros
-        Of the type of `states`; only its length counts.
-    coefficients : array
-        `EulerCoefficients` in a flat array, in the precision of `states`.
-    readout : (3, n) array of float64
-        Rows of the filtered estimate, the smoothed estimate and the oscillator's phase.
-    schedule : tuple of 2 int
-        Steps before the phase is recorded, and after it: the delay.
-    seed : uint64
-    first_block : int
-        Block b holds the paths ``b * BLOCK`` to ``(b + 1) * BLOCK - 1``.
-    states : (blocks, euler_state_size(n)) array of float32 or float64
-        Work space; its type is the precision of the simulation.
-    results : (blocks, OUTPUTS, BLOCK) array of float64
-        Written: the squared errors at the end, and the number of cycle slips.
-    sources : str
-        Not to be given.
+    The readout has the rows of the filtered and the smoothed estimate and of the oscillator's
+    phase; the schedule the steps before the phase is recorded, and those of the delay. States,
+    (blocks, state_size(n)), are work space in the precision of the simulation. Each block writes
+    its own part of the results, (blocks, OUTPUTS * BLOCK), so they depend neither on threads nor on
+    how blocks are shared out over calls.
     """
     for block in prange(results.shape[0]):
-        simulate_block(
-            order,
-            coefficients,
-            readout,
-            schedule,
-            seed,
-            np.uint64(first_block + block) * np.uint64(BLOCK),
-            states[block],
-            results[block],
-        )
+        path = np.uint64(first + block) * np.uint64(BLOCK)
+        state, result = states[block], results[block]
+        simulate_block(order, coefficients, readout, schedule, seed, path, state, result)

@@ -19,9 +19,8 @@ SLIP = 0.75 * TURN  # this far from the point that it was locked to, a loop is a
 def slip(away):
     """By how many turns a path has slipped, from how far it is from where it was locked: 0 or +-1.
 
-    A loop is locked where its phase is near the local oscillator's, up to whole turns. It has
-    slipped once it is three quarters of a turn from there: the quarter turn beyond the middle keeps
-    a single passage from being counted more than once.
+    A loop is locked where its phase is near the local oscillator's, up to whole turns. The quarter
+    turn beyond the middle keeps a single passage from being counted more than once.
     """
     return (1.0 if away > SLIP else 0.0) - (1.0 if away < -SLIP else 0.0)
 

@@ -4,11 +4,9 @@ All that a step writes lies in one flat array, the state, and all that it reads 
 coefficients and the noise: the compiler must check at run time that arrays do not overlap, and with
 more of them it would not vectorise.
 
-- *Coefficients* follow each other in the order of the fields of `EulerCoefficients` and
-  `SplittingCoefficients`. The classes hold the arrays, and also the index at which each begins.
-- *State* and *results* are rows of `BLOCK` numbers, one for each path of a block. `SplittingState`
-  holds the index at which each row, or the first of several, begins. The state of the
-  Euler-Maruyama scheme is the phase and the n rows of the estimator.
+- *Coefficients* follow each other in the order of the fields of their class, which holds the
+  arrays, and also the index at which each begins.
+- *State* and *results* are rows of `BLOCK` numbers, one for each path of a block.
 
 The functions that return indices run in the kernels, too. The order n of the estimator is known
 when a kernel is compiled, so there they are constants.
@@ -47,6 +45,7 @@ class SplittingCoefficients(NamedTuple):
     copy: NDArray  # (n,), c
     sine_response: NDArray  # (n,), h b_s after the transition
     copy_response: NDArray  # (n,), h b_c after the transition
+    push: NDArray  # (n,), of the exact step by T
     sine_slope: NDArray  # (), rho_s
     copy_slope: NDArray  # (), rho_c
     reference_of_sine: NDArray  # (), r h b_s
@@ -54,11 +53,11 @@ class SplittingCoefficients(NamedTuple):
     copy_of_sine: NDArray  # (), c h b_s
     copy_of_copy: NDArray  # (), c h b_c
     quarter_turn: NDArray  # ()
-    push: NDArray  # (n,), of the exact step by T
+    start: NDArray  # (1 + n, 1 + n), a root of the stationary covariance of the control
 
 
 class SplittingState(NamedTuple):
-    """Of a block in `robsmooth.homodyne.montecarlo.splitting`; `end` is the size."""
+    """The indices of the rows of `robsmooth.homodyne.montecarlo.splitting`; `end` is the size."""
 
     phase: int
     control: int  # n rows, y
@@ -75,67 +74,29 @@ class SplittingState(NamedTuple):
 @register_jitable
 def euler_indices(n):
     """Return the indices of the coefficients."""
-    vectors = n * n
-    scalars = vectors + 4 * n
-    return EulerCoefficients(
-        0,
-        vectors,
-        vectors + n,
-        vectors + 2 * n,
-        vectors + 3 * n,
-        scalars,
-        scalars + 1,
-        scalars + 2,
-    )
+    v = n * n  # where the vectors begin
+    s = v + 4 * n  # and the scalars
+    return EulerCoefficients(0, v, v + n, v + 2 * n, v + 3 * n, s, s + 1, s + 2)
 
 
 @register_jitable
 def splitting_indices(n, m):
     """Return the indices of the coefficients."""
     root = (1 + n) * (1 + n)
-    vectors = root + (1 + n) * m
-    scalars = vectors + 6 * n
-    return SplittingCoefficients(
-        0,
-        root,
-        vectors,
-        vectors + n,
-        vectors + 2 * n,
-        vectors + 3 * n,
-        vectors + 4 * n,
-        vectors + 5 * n,
-        scalars,
-        scalars + 1,
-        scalars + 2,
-        scalars + 3,
-        scalars + 4,
-        scalars + 5,
-        scalars + 6,
-        scalars + 7,
-    )
+    v = root + (1 + n) * m
+    s = v + 7 * n
+    vectors = (v, v + n, v + 2 * n, v + 3 * n, v + 4 * n, v + 5 * n, v + 6 * n)
+    rest = (s, s + 1, s + 2, s + 3, s + 4, s + 5, s + 6, s + 7)
+    return SplittingCoefficients(0, root, *vectors, *rest)
 
 
 @register_jitable
 def splitting_rows(n):
     """Return the indices of the rows of the state."""
     kick = (1 + 2 * n) * BLOCK
-    return SplittingState(
-        0,
-        BLOCK,
-        (1 + n) * BLOCK,
-        kick,
-        kick + BLOCK,
-        kick + 2 * BLOCK,
-        kick + 3 * BLOCK,
-        kick + 4 * BLOCK,
-        kick + 5 * BLOCK,
-        kick + 6 * BLOCK,
-    )
-
-
-def euler_state_size(n: int) -> int:
-    """Return the size of the state of a block."""
-    return (1 + n) * BLOCK
+    first, after = (kick, kick + BLOCK, kick + 2 * BLOCK), kick + 3 * BLOCK
+    last = (after, after + BLOCK, after + 2 * BLOCK, after + 3 * BLOCK)
+    return SplittingState(0, BLOCK, (1 + n) * BLOCK, *first, *last)
 
 
 def draws_of_splitting(n: int) -> int:

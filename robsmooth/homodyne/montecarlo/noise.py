@@ -43,11 +43,7 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 MIX_2 = np.uint64(0x94D049BB133111EB)
 
-U1 = np.uint32(1)
-U9 = np.uint32(9)
-U11 = np.uint32(11)
-U21 = np.uint32(21)
-U31 = np.uint32(31)
+U1, U9, U11, U21 = (np.uint32(shift) for shift in (1, 9, 11, 21))
 
 MINUS_TWO_LN_2 = -2 * math.log(2)
 HALF_TURN_M32 = math.pi / 2**32
@@ -56,7 +52,7 @@ SQRT_HALF_BITS_31 = np.int32(SQRT_HALF_BITS + (31 << 23))
 MANTISSA_BITS = np.int32(23)
 MANTISSA = np.int32(2**23 - 1)
 HALF = np.float32(0.5)
-
+TOP_BIT = np.uint32(1 << 31)
 
 SINE_FLOAT32 = (
     -0.166666570964985,
@@ -88,39 +84,6 @@ def fma(typingctx, a, b, c):
 
 
 @intrinsic
-def float_bits(typingctx, value):
-    """The bits of a float32 as an int32."""
-
-    def codegen(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.IntType(32))
-
-    return types.int32(types.float32), codegen
-
-
-@intrinsic
-def float_from_bits(typingctx, bits):
-    """The float32 that has these bits."""
-
-    def codegen(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.FloatType())
-
-    return types.float32(types.int32), codegen
-
-
-@intrinsic
-def flip_sign(typingctx, value, bits):
-    """The float32 `value`, negated where the top bit of the uint32 `bits` is set."""
-
-    def codegen(context, builder, signature, arguments):
-        word = ir.IntType(32)
-        top = builder.and_(arguments[1], ir.Constant(word, 1 << 31))
-        flipped = builder.xor(builder.bitcast(arguments[0], word), top)
-        return builder.bitcast(flipped, ir.FloatType())
-
-    return types.float32(types.float32, types.uint32), codegen
-
-
-@intrinsic
 def with_item(typingctx, values, index, value):
     """The tuple `values` with its item at `index`, which is not checked, replaced by `value`."""
 
@@ -135,13 +98,22 @@ def with_item(typingctx, values, index, value):
     return values(values, index, values.dtype), codegen
 
 
+def multiple(builder, x, period, mantissa):
+    r"""Code for the integer nearest to x / period: with that in its lowest bits, and as a float.
+
+    Adding :math:`1.5\cdot 2^m`, with m bits of mantissa, rounds to an integer.
+    """
+    shifter = ir.Constant(x.type, 1.5 * 2**mantissa)
+    shifted = builder.fma(x, ir.Constant(x.type, 1 / period), shifter)
+    return shifted, builder.fsub(shifted, shifter)
+
+
 @intrinsic
 def sine(typingctx, x):
     r"""The sine of a float32 or float64, to 2e-11 or float32 rounding, for ``|x|`` below 1e5.
 
     :math:`\sin x = (-1)^k \sin(x - k\pi)` with :math:`k` the integer nearest to :math:`x/\pi`, and
-    an odd polynomial of degree 9 or 11 on :math:`[-\pi/2, \pi/2]`. Adding :math:`1.5\cdot 2^{52}`
-    (:math:`2^{23}`) rounds to an integer and leaves its parity in the lowest bit of the sum.
+    an odd polynomial of degree 9 or 11 on :math:`[-\pi/2, \pi/2]`.
     """
     coefficients = SINE_FLOAT32 if x == types.float32 else SINE_FLOAT64
     width, mantissa = (32, 23) if x == types.float32 else (64, 52)
@@ -149,17 +121,12 @@ def sine(typingctx, x):
     def codegen(context, builder, signature, arguments):
         (x,) = arguments
         kind, word = x.type, ir.IntType(width)
-
-        def constant(value):
-            return ir.Constant(kind, value)
-
-        shifter = constant(1.5 * 2**mantissa)
-        shifted = builder.fma(x, constant(1 / math.pi), shifter)
-        rest = builder.fma(builder.fsub(shifted, shifter), constant(-math.pi), x)
+        shifted, k = multiple(builder, x, math.pi, mantissa)
+        rest = builder.fma(k, ir.Constant(kind, -math.pi), x)
         square = builder.fmul(rest, rest)
-        tail = constant(coefficients[-1])
+        tail = ir.Constant(kind, coefficients[-1])
         for coefficient in coefficients[-2::-1]:
-            tail = builder.fma(tail, square, constant(coefficient))
+            tail = builder.fma(tail, square, ir.Constant(kind, coefficient))
         result = builder.fma(builder.fmul(rest, square), tail, rest)
         odd = builder.shl(builder.bitcast(shifted, word), ir.Constant(word, width - 1))
         return builder.bitcast(builder.xor(builder.bitcast(result, word), odd), kind)
@@ -170,13 +137,11 @@ def sine(typingctx, x):
 @intrinsic
 def whole_turns(typingctx, x):
     r"""The multiple of :math:`2\pi` nearest to a float32 or float64 below 1e5."""
-    mantissa = 23 if x == types.float32 else 52
 
     def codegen(context, builder, signature, arguments):
-        (x,) = arguments
-        shifter = ir.Constant(x.type, 1.5 * 2**mantissa)
-        shifted = builder.fma(x, ir.Constant(x.type, 1 / (2 * math.pi)), shifter)
-        return builder.fmul(builder.fsub(shifted, shifter), ir.Constant(x.type, 2 * math.pi))
+        mantissa = 23 if x == types.float32 else 52
+        _, k = multiple(builder, arguments[0], 2 * math.pi, mantissa)
+        return builder.fmul(k, ir.Constant(k.type, 2 * math.pi))
 
     return x(x), codegen
 
@@ -187,9 +152,9 @@ def whole_turns(typingctx, x):
 @njit
 def minus_two_log(v):
     """-2 log(v / 2^31) of a float32 v between 1/2 and 2^31, to a relative 3e-7."""
-    bits = np.int32(float_bits(v) - SQRT_HALF_BITS_31)  # 31 less in the exponent
+    bits = np.int32(np.float32(v).view(np.int32) - SQRT_HALF_BITS_31)  # 31 less in the exponent
     exponent = np.int32(bits >> MANTISSA_BITS)
-    mantissa = float_from_bits(np.int32(np.int32(bits & MANTISSA) + SQRT_HALF_BITS))
+    mantissa = np.int32(np.int32(bits & MANTISSA) + SQRT_HALF_BITS).view(np.float32)
     f = np.float32(1) - mantissa  # in (1 - sqrt(2), 1 - sqrt(1/2)]
     p = fma(f, 0.20695991919743753, 0.32557981860386714)
     p = fma(f, p, 0.3440311727098379)
@@ -198,6 +163,12 @@ def minus_two_log(v):
     p = fma(f, p, 0.6667018213402259)
     p = fma(f, p, 1.000005755167118)
     return fma(np.float32(exponent), MINUS_TWO_LN_2, fma(f * f, p, np.float32(f + f)))
+
+
+@njit
+def flip_sign(value, bits):
+    """A float32, negated where the top bit of the uint32 `bits` is set."""
+    return np.uint32(np.float32(value).view(np.uint32) ^ np.uint32(bits & TOP_BIT)).view(np.float32)
 
 
 @njit
@@ -233,15 +204,7 @@ def mix(z):
 
 @njit
 def seed_paths(seed, first_path, generator):
-    """Start the generators of paths `first_path` to `first_path + BLOCK - 1`.
-
-    Parameters
-    ----------
-    seed : uint64
-    first_path : uint64
-    generator : (WORDS * BLOCK,) array of uint32
-        Written: word w of path i at ``w * BLOCK + i``.
-    """
+    """Start the generators of BLOCK paths: word w of path i, a uint32, at ``w * BLOCK + i``."""
     for i in range(BLOCK):
         path = first_path + np.uint64(i)
         state = mix(mix(seed + GOLDEN) + path * GOLDEN)
@@ -268,16 +231,7 @@ def next_word(s0, s1, s2, s3):
 
 @njit
 def fill_gaussians(generator, steps, noise):
-    """Draw the noise of `steps` steps.
-
-    Parameters
-    ----------
-    generator : (WORDS * BLOCK,) array of uint32
-        Advanced.
-    steps : int
-    noise : array of float32 with at least ``steps * DRAWS * BLOCK`` entries
-        Written: draw d of step k of path i at ``(k * DRAWS + d) * BLOCK + i``.
-    """
+    """Draw the float32 noise: draw d of step k of path i at ``(k * DRAWS + d) * BLOCK + i``."""
     for step in range(steps):
         start = step * DRAWS * BLOCK
         for path in range(BLOCK):

@@ -1,10 +1,4 @@
-r"""The two protocols: what is simulated, and what is made of it.
-
-Both errors of a path are
-
-.. math::
-
-    e_f = \varphi(t) - \hat w(t),\qquad e_s = \varphi(t - \delta) - C_a\hat x(t) .
+"""The two protocols: what is simulated, and what is made of it.
 
 The *paper* protocol is the published simulation: Euler-Maruyama from zero, squared errors at the
 end of each path. The *ergodic* one starts in the stationary state of the linearised loop, lets the
@@ -17,12 +11,13 @@ long as they are merged in the order of their index.
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from types import ModuleType
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robsmooth._numerics.steps import (
     MULTIPLE_TOLERANCE,
@@ -31,25 +26,20 @@ from robsmooth._numerics.steps import (
     warn_of_long_step,
     whole_steps,
 )
+from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.cluster import alone, worker_threads
 from robsmooth._support.errors import UnstableLoopError
+from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop
-from robsmooth.homodyne.montecarlo import euler, layout, splitting
+from robsmooth.homodyne.montecarlo import euler, layout, schemes, splitting
 from robsmooth.homodyne.montecarlo.kernels import threads_of_kernels
 from robsmooth.homodyne.montecarlo.noise import BLOCK
-from robsmooth.homodyne.montecarlo.schemes import (
-    EulerStep,
-    SplittingStep,
-    control_slopes,
-    longest_stable_step,
-)
 from robsmooth.simulation.statistics import MeanSquare, Tally, control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
 
-PAPER_RUNS, PAPER_DURATION, PAPER_STEP = 50_000, 1e-3, 1e-8
-ERGODIC_RUNS = 1024
+PAPER_DURATION, PAPER_STEP = 1e-3, 1e-8
 ERGODIC_TIME_CONSTANTS = 250  # default duration, in units of the estimator's slowest mode
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response through its sines
 WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode, before sampling begins
@@ -61,7 +51,6 @@ STABLE_PART = 0.5  # of the longest step for which the Euler-Maruyama scheme is 
 
 FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, below which there are no control variates
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
-CONTROLLED_FILTERED, CONTROLLED_SMOOTHED = 2, 3  # variables of the ergodic protocol, after ERRORS
 
 
 class Schedule(NamedTuple):
@@ -87,230 +76,169 @@ def time_average(warm_up: int, steps: int, delay: int, longest_stride: int) -> S
 
     The stride must divide the delay, and is the longest such up to `longest_stride`.
     """
-    longest_stride = max(1, min(longest_stride, steps))
-    if delay == 0:
-        stride = longest_stride
-    else:
-        stride = max(s for s in range(1, min(longest_stride, delay) + 1) if delay % s == 0)
-    return Schedule(
-        start=max(warm_up - delay, 0),
-        stride=stride,
-        lag=delay // stride,
-        samples=steps // stride + 1,
-    )
+    stride = max(1, min(longest_stride, steps))
+    if delay > 0:
+        stride = max(s for s in range(1, min(stride, delay) + 1) if delay % s == 0)
+    return Schedule(max(warm_up - delay, 0), stride, delay // stride, steps // stride + 1)
+
+
+def check_duration(duration: float, loop: Loop) -> None:
+    """Refuse a duration that is shorter than the delay."""
+    if duration < loop.delay:
+        delay = f"the smoother's delay, {loop.delay:g} s"
+        raise ValueError(f"duration must be at least {delay}, got {duration:g}")
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation:
-    """What the paths of any protocol depend on, together with their index.
+class Simulation(ABC):
+    """What the paths of any protocol depend on, together with their index."""
 
-    Attributes
-    ----------
-    runs : int
-        Paths; the last block is simulated whole, but only its first paths are returned.
-    seed : int
-    precision : str
-    step, warm_up, duration : float
-        s; the last two as a user understands them.
-    """
-
-    runs: int
+    runs: int  # the last block is simulated whole, but only its first paths are returned
     seed: int
     precision: str
-    step: float
-    warm_up: float
-    duration: float
+    step: float  # s
+    warm_up: float  # s
+    duration: float  # s, in whole steps, without the warm-up
+    steps: int  # of a path
+    readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase
+    coefficients: layout.EulerCoefficients | layout.SplittingCoefficients
+    schedule: tuple[int, ...]  # as the kernel takes it
 
     protocol: ClassVar[str]
     scheme: ClassVar[str]
-    variables: ClassVar[int]  # that are averaged over paths; the first two are the errors
+    kernel: ClassVar[ModuleType]
+    default_runs: ClassVar[int]
     silent: ClassVar[float]  # the longest step without a warning, in response times of the loop
+    variables: ClassVar[int] = 2  # that are averaged over paths; the last two are the best errors
+    weights: ClassVar[Matrix | None] = None  # of controls
 
     @classmethod
+    @abstractmethod
+    def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
+        """Return a simulation with these runs, seed and precision; fill in the rest."""
+
+    @classmethod
+    @abstractmethod
     def default_step(cls, loop: Loop, duration: float) -> float:
-        """Return the step that is taken where none is given, s."""
-        raise NotImplementedError
+        """Return the step that is taken where none is given, s; it divides the delay."""
 
     def check_step(self, loop: Loop, stacklevel: int) -> None:
         """Warn where the step is long for the loop; see `warn_of_long_step`."""
         fine = self.default_step(loop, self.duration)
-        warn_of_long_step(self.step, response_time(loop), self.silent, fine, stacklevel + 1)
+        warn_of_long_step(self.step, loop.response_time(), self.silent, fine, stacklevel + 1)
 
     @property
     def blocks(self) -> int:
         """Number of blocks of `BLOCK` paths."""
         return -(-self.runs // BLOCK)
 
-    @property
-    def steps(self) -> int:
-        """Steps of a path."""
-        raise NotImplementedError
+    def simulate(self, first: int, count: int) -> Matrix:
+        """Simulate blocks `first` to ``first + count - 1``: (count, outputs, BLOCK).
 
-    def prepare(self) -> None:
-        """Compute once, before this is sent to other machines, what all of them must agree on."""
-
-    def simulate(self, first: int, count: int) -> NDArray[np.float64]:
-        """Simulate blocks `first` to ``first + count - 1``.
-
-        Returns
-        -------
-        (count, outputs, BLOCK) array
-            The last output of a path is the number of its cycle slips.
+        The last output of a path is the number of its cycle slips.
         """
-        raise NotImplementedError
+        real, n = PRECISIONS[self.precision], self.readout.shape[1]
+        states = np.empty((count, self.kernel.state_size(n)), real)
+        results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
+        with alone(), threads_of_kernels(worker_threads()):
+            self.kernel.simulate_blocks(
+                *self.compiled_for(),
+                (real(0),) * n,
+                layout.flat(self.coefficients, real),
+                self.readout.ravel(),
+                tuple(self.schedule),
+                np.uint64(self.seed),
+                first,
+                states,
+                results.reshape(count, -1),
+            )
+        return results[:, : self.kernel.SLIPS + 1]
 
-    def reduce(self, outputs: NDArray[np.float64]) -> NDArray[np.float64]:
+    def compiled_for(self) -> tuple:
+        """What else the kernel is compiled for, besides the order and the precision."""
+        return ()
+
+    def reduce(self, outputs: Matrix) -> Matrix:
         """Return the variables, (variables, paths), of the outputs without the slips."""
         return outputs
 
     def estimate(self, tally: Tally) -> tuple[MeanSquare, MeanSquare]:
-        """Filtered and smoothed mean square error."""
-        raise NotImplementedError
+        """Filtered and smoothed mean square error, and what they gain over the first variables."""
+        best = self.variables - 2
+        return tally.all.mean_square(best, plain=0), tally.all.mean_square(best + 1, plain=1)
 
-    def identity(self) -> dict:
-        """All that the results depend on, but for the kernel's version, as JSON values."""
-        names = ("runs", "seed", "precision", "step", "warm_up", "duration")
-        return {
-            "protocol": self.protocol,
-            "scheme": self.scheme,
-            **{name: getattr(self, name) for name in names},
-        }
+    def settings(self) -> dict:
+        """The protocol and its numbers, as JSON values."""
+        names = ("protocol", "runs", "seed", "precision", "step", "warm_up", "duration")
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, eq=False)
 class PaperSimulation(Simulation):
-    """The published protocol.
-
-    Attributes
-    ----------
-    coefficients : EulerStep
-    schedule : tuple of 2 int
-        Steps before the delayed phase is recorded, and after.
-    """
-
-    coefficients: EulerStep
-    schedule: tuple[int, int]
+    """The published protocol."""
 
     protocol = "paper"
     scheme = "Euler-Maruyama"
-    variables = 2
+    kernel = euler
+    default_runs = 50_000
     silent = SILENT_EULER
 
     @classmethod
     def default_step(cls, loop: Loop, duration: float) -> float:
-        """Return the published step, or a shorter one for a loop that is faster than the paper's.
-
-        It divides the delay.
-        """
-        longest = min(
-            PAPER_STEP, SILENT_EULER * response_time(loop), STABLE_PART * longest_stable_step(loop)
-        )
+        """Return the published step, or a shorter one for a faster loop than the paper's."""
+        longest = STABLE_PART * schemes.longest_stable_step(loop)
+        longest = min(PAPER_STEP, SILENT_EULER * loop.response_time(), longest)
         return dividing_step(loop.delay, longest, duration)
 
     @classmethod
-    def plan(
-        cls,
-        loop: Loop,
-        runs: int | None,
-        duration: float | None,
-        step: float | None,
-        seed: int,
-        precision: str,
-    ) -> "PaperSimulation":
-        """Fill in defaults; the arguments that are given have been checked one by one."""
-        duration = PAPER_DURATION if duration is None else duration
-        _check_duration(duration, loop.delay)
+    def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
+        """Fill in the published numbers."""
+        duration = duration or PAPER_DURATION
+        check_duration(duration, loop)
         default = cls.default_step(loop, duration)
-        step = default if step is None else step
+        step = step or default
         delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
-        longest = longest_stable_step(loop)
+        longest = schemes.longest_stable_step(loop)
         if step >= longest:
             raise ValueError(
                 f"step must be below {longest:.4g} s, at which the Euler-Maruyama scheme becomes "
-                f"unstable in this loop of response time {response_time(loop):.4g} s, got "
+                f"unstable in this loop of response time {loop.response_time():.4g} s, got "
                 f"{step:g} s; {default:.8g} s is fine"
             )
         return cls(
-            runs=PAPER_RUNS if runs is None else runs,
-            seed=seed,
-            precision=precision,
+            **numbers,
             step=step,
             warm_up=0.0,
             duration=steps * step,
-            coefficients=EulerStep.of(loop, step),
-            schedule=(steps - delay, delay),
+            steps=steps,
+            readout=loop.readout(),
+            coefficients=schemes.euler_coefficients(loop, step),
+            schedule=(steps - delay, delay),  # before the delayed phase is recorded, and after
         )
-
-    @property
-    def steps(self) -> int:
-        """Steps of a path."""
-        return sum(self.schedule)
-
-    def simulate(self, first: int, count: int) -> NDArray[np.float64]:
-        """Simulate blocks, as `Simulation.simulate` says."""
-        real = PRECISIONS[self.precision]
-        order = self.coefficients.readout.shape[1]
-        states = np.empty((count, layout.euler_state_size(order)), real)
-        results = np.empty((count, euler.OUTPUTS, BLOCK))
-        with alone(), threads_of_kernels(worker_threads()):
-            euler.simulate_blocks(
-                (real(0),) * order,
-                layout.flat(self.coefficients.coefficients, real),
-                self.coefficients.readout,
-                self.schedule,
-                np.uint64(self.seed),
-                first,
-                states,
-                results,
-            )
-        return results
-
-    def estimate(self, tally: Tally) -> tuple[MeanSquare, MeanSquare]:
-        """Filtered and smoothed mean square error."""
-        return tally.all.mean_square(euler.FILTERED), tally.all.mean_square(euler.SMOOTHED)
 
 
 @dataclass(frozen=True, eq=False)
 class ErgodicSimulation(Simulation):
-    """The time-averaging protocol.
+    """The time-averaging protocol."""
 
-    Attributes
-    ----------
-    coefficients : SplittingStep
-    schedule : Schedule
-    """
-
-    coefficients: SplittingStep
-    schedule: Schedule
+    control: Matrix  # (3,), of `control_means`
 
     protocol = "ergodic"
     scheme = "Strang splitting with a linear control variate"
-    variables = 4
+    kernel = splitting
+    default_runs = 1024
     silent = SILENT_SPLITTING
+    variables = 4
 
     @classmethod
     def default_step(cls, loop: Loop, duration: float) -> float:
-        """Return a fifth of the loop's response time, or a shorter step that divides the delay."""
-        return dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * response_time(loop), duration)
+        """Return a fifth of the loop's response time, or a shorter step."""
+        return dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * loop.response_time(), duration)
 
     @classmethod
-    def plan(
-        cls,
-        loop: Loop,
-        runs: int | None,
-        duration: float | None,
-        step: float | None,
-        seed: int,
-        precision: str,
-    ) -> "ErgodicSimulation":
-        """Fill in defaults; the arguments that are given have been checked one by one.
-
-        Raises
-        ------
-        UnstableLoopError
-            Where the linearised loop has no stationary state.
-        """
-        slopes = control_slopes(loop)
+    def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
+        """Fill in numbers by the time constants of the linearised loop, which must be stable."""
+        slopes = schemes.control_slopes(loop)
         slowest = loop.rates(*slopes)[0]
         if not slowest > 0:
             raise UnstableLoopError(
@@ -318,77 +246,38 @@ class ErgodicSimulation(Simulation):
                 f"estimator is not stable in it: its slowest mode has the decay rate {slowest:.3g} "
                 "1/s"
             )
-        if duration is None:
-            duration = max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
-        _check_duration(duration, loop.delay)
-        default, response = cls.default_step(loop, duration), response_time(loop)
-        step = default if step is None else step
+        duration = duration or max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
+        check_duration(duration, loop)
+        step = step or cls.default_step(loop, duration)
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
-        schedule = time_average(
-            warm_up=warm_up,
-            steps=steps_in(duration, step),
-            delay=whole_steps(loop.delay, step),
-            longest_stride=max(
-                int(STEP_OF_TIME_CONSTANT * response / step + MULTIPLE_TOLERANCE), 1
-            ),
-        )
+        stride = int(STEP_OF_TIME_CONSTANT * loop.response_time() / step + MULTIPLE_TOLERANCE)
+        steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
+        schedule = time_average(warm_up, steps, delay, longest_stride=stride)
         return cls(
-            runs=ERGODIC_RUNS if runs is None else runs,
-            seed=seed,
-            precision=precision,
+            **numbers,
             step=step,
             warm_up=warm_up * step,
             duration=(schedule.samples - 1) * schedule.stride * step,
-            coefficients=SplittingStep.of(loop, step, slopes),
+            steps=schedule.steps,
+            readout=loop.readout(),
+            coefficients=schemes.splitting_coefficients(loop, step, slopes),
             schedule=schedule,
+            control=schemes.control_means(loop, slopes),
         )
 
-    @property
-    def steps(self) -> int:
-        """Steps of a path."""
-        return self.schedule.steps
-
-    def simulate(self, first: int, count: int) -> NDArray[np.float64]:
-        """Simulate blocks, as `Simulation.simulate` says."""
-        real = PRECISIONS[self.precision]
-        scheme = self.coefficients
-        order = scheme.readout.shape[1]
-        states = np.empty((count, layout.splitting_rows(order).end), real)
-        results = np.empty((count, splitting.OUTPUTS, BLOCK))
-        with alone(), threads_of_kernels(worker_threads()):
-            splitting.simulate_blocks(
-                (real(0),) * order,
-                (np.float32(0),) * layout.draws_of_splitting(order),
-                scheme.copies,
-                scheme.start.astype(real),
-                layout.flat(scheme.coefficients, real),
-                scheme.readout.ravel(),
-                tuple(self.schedule),
-                np.uint64(self.seed),
-                first,
-                states,
-                results.reshape(count, -1),
-            )
-        return results[:, : splitting.SLIPS + 1]
-
-    def estimate(self, tally: Tally) -> tuple[MeanSquare, MeanSquare]:
-        """Filtered and smoothed mean square error, less what chance did to the control."""
-        return (
-            tally.all.mean_square(CONTROLLED_FILTERED, plain=splitting.FILTERED),
-            tally.all.mean_square(CONTROLLED_SMOOTHED, plain=splitting.SMOOTHED),
-        )
-
-    def prepare(self) -> None:
-        """Compute the weights: BLAS has other last bits on another processor."""
-        _ = self.weights
+    def compiled_for(self) -> tuple:
+        """The Gaussians of a step, and whether the copy of the nonlinearity has any effect."""
+        c = self.coefficients
+        return (np.float32(0),) * c.root.shape[1], bool(c.copy.any() and c.copy_gain.any())
 
     @cached_property
     @one_thread
-    def weights(self) -> NDArray[np.float64]:
+    def weights(self) -> Matrix:
         """Weights of the three controls for the two errors, from a pilot of other paths.
 
         Of a path that has slipped the errors have nothing to do with the control's any more; where
-        hardly any has not, the weights are zero.
+        hardly any has not, the weights are zero. Other machines are sent the weights of this one:
+        their BLAS has other last bits.
         """
         outputs = self.simulate(PILOT_BLOCK, 1)[0]
         in_lock = outputs[:, outputs[splitting.SLIPS] == 0]
@@ -397,10 +286,10 @@ class ErgodicSimulation(Simulation):
             return np.zeros((len(errors), len(controls)))
         return control_weights(errors, controls)
 
-    def reduce(self, outputs: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reduce(self, outputs: Matrix) -> Matrix:
         """Return the errors, and the errors less what chance did to the control."""
         errors = outputs[splitting.ERRORS]
-        excess = outputs[splitting.CONTROLS] - self.coefficients.control[:, None]
+        excess = outputs[splitting.CONTROLS] - self.control[:, None]
         # Not by BLAS, whose last bits depend on how many paths there are, and on its threads.
         chance = (self.weights[:, :, None] * excess).sum(axis=1)
         return np.vstack([errors, errors - chance])
@@ -409,14 +298,25 @@ class ErgodicSimulation(Simulation):
 PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper": PaperSimulation}
 
 
-def response_time(loop: Loop) -> float:
-    """Return the time in which the loop's sines respond to themselves, s; infinity if never."""
-    rate = loop.response_rate()
-    return 1.0 / rate if rate else math.inf
-
-
-def _check_duration(duration: float, delay: float) -> None:
-    if duration < delay:
-        raise ValueError(
-            f"duration must be at least the smoother's delay, {delay:g} s, got {duration:g}"
-        )
+@one_thread
+def plan(
+    loop: Loop,
+    protocol: str,
+    runs: int | None = None,
+    duration: float | None = None,
+    step: float | None = None,
+    seed: int = 0,
+    precision: str = "mixed",
+) -> Simulation:
+    """Check the numbers, fill in defaults, and say what is to be simulated."""
+    kind = PROTOCOLS[protocol]
+    runs = kind.default_runs if runs is None else validation.integer("runs", runs, low=1)
+    if duration is not None:
+        duration = validation.positive("duration", duration)
+    if step is not None:
+        step = validation.positive("step", step)
+    seed = validation.integer("seed", seed, low=0)
+    if seed >= 2**64:
+        raise ValueError(f"seed must be below 2**64, got {seed}")
+    validation.choice("precision", precision, tuple(PRECISIONS))
+    return kind.plan(loop, duration, step, runs=runs, seed=seed, precision=precision)

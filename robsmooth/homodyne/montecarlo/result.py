@@ -9,23 +9,13 @@ from robsmooth.simulation.statistics import MeanSquare
 
 
 class LossOfLockWarning(RuntimeWarning):
-    """Some of the simulated paths slipped: their mean square errors depend on the duration.
-
-    See Also
-    --------
-    MonteCarloResult.in_lock : the errors of the paths that did not.
+    """Some of the paths slipped: their errors depend on the duration; see `in_lock` for the others.
 
     Examples
     --------
     >>> import warnings
     >>> import robsmooth as rs
-    >>> weak = rs.homodyne.PAPER.with_gain(0.3)
-    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
-    >>> with warnings.catch_warnings():
-    ...     warnings.simplefilter("ignore", rs.LossOfLockWarning)
-    ...     result = rs.monte_carlo(weak, kalman, runs=256)
-    >>> result.slips > 0
-    True
+    >>> warnings.simplefilter("ignore", rs.LossOfLockWarning)
     """
 
 
@@ -36,36 +26,22 @@ class MonteCarloResult:
     Attributes
     ----------
     smoothed, filtered : MeanSquare
-        ``.mean_square`` and ``.standard_error``, rad^2, over all paths. Where a path has slipped,
-        its error of whole turns is in it, and the number depends on the duration.
+        Over all paths, rad^2; with the error of whole turns of a path that has slipped.
     smoothed_in_lock, filtered_in_lock : MeanSquare
         The same over the paths that never slipped, without control variates.
-    slips : int
-        Cycle slips: how many times a path's error has gone over to the next point, a turn away, at
-        which the loop locks.
-    slipped_paths : int
-        Paths with at least one slip.
-    runs : int
-        Independent paths.
-    path_steps : int
-        Steps simulated, over all paths, the warm-up included.
+    slips, slipped_paths : int
+        How many times a path has gone over to the next point, a turn away, where the loop locks;
+        and how many paths have.
+    runs, path_steps : int
+        Independent paths, and the steps of all of them, the warm-up included.
     wall_time : float
-        s, the compilation included where the kernel had not been compiled before.
-    protocol : str
-    duration : float
-        Of a path, without the warm-up, in whole steps, s.
-    warm_up : float
-        Simulated before sampling began, s.
-    step : float
-        s.
-    seed : int
-    precision : str
+        s, with the compilation, where there was one.
+    protocol, seed, precision : str, int, str
+        As asked for.
+    duration, warm_up, step : float
+        Of a path, in whole steps; before sampling began; of the scheme; s.
     provenance : dict
         Everything else that the numbers depend on, in a JSON form.
-
-    See Also
-    --------
-    monte_carlo : makes it.
 
     Examples
     --------

@@ -11,7 +11,6 @@ import platform
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -20,16 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robsmooth._support import cluster, validation
-from robsmooth._support.blas import one_thread
 from robsmooth._support.checkpoint import Journal, open_journal
 from robsmooth._support.kernels import check_compiler
 from robsmooth._support.progress import progress_bar
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne.loop import Loop, homodyne_loop
-from robsmooth.homodyne.montecarlo.euler import FILTERED, SMOOTHED
+from robsmooth.homodyne.loop import homodyne_loop, numbers_of
 from robsmooth.homodyne.montecarlo.kernels import threads_of_kernels
 from robsmooth.homodyne.montecarlo.noise import BLOCK, GENERATOR
-from robsmooth.homodyne.montecarlo.protocols import PRECISIONS, PROTOCOLS, Simulation
+from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, Simulation, plan
 from robsmooth.homodyne.montecarlo.result import LossOfLockWarning, MonteCarloResult
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.simulation.statistics import Tally
@@ -42,8 +39,6 @@ BLOCKS_OF_A_GROUP = 256  # at most: bounds the memory
 GROUPS_OF_A_CALL = 20  # on a cluster, at most: a client keeps up with some 100 calls a second
 CALLS_OF_A_THREAD = 8  # on a cluster, at least: its threads then end at about the same time
 CHECKPOINT_EVERY = 2.0  # s
-
-_PARAMETERS = ("lam", "kappa", "alpha", "beta", "gamma")
 
 
 def monte_carlo(
@@ -65,11 +60,10 @@ def monte_carlo(
     shot_noise: float = 1.0,
     threads: int | None = None,
 ) -> MonteCarloResult:
-    r"""Simulate an estimator in the nonlinear adaptive homodyne loop and measure its errors.
+    r"""Simulate an estimator in the homodyne loop of Section IV and measure its errors.
 
-    The loop is that in the docstring of `robsmooth.homodyne.loop`. The same numbers, to the last
-    bit, come for any number of threads, on a cluster, and after an interruption; the noise of path
-    i depends on the seed and i alone.
+    The numbers are the same, to the last bit, for any number of threads, on a cluster, and after an
+    interruption; the noise of a path depends on the seed and its index alone.
 
     Parameters
     ----------
@@ -82,9 +76,8 @@ def monte_carlo(
         estimate is ``C_f`` (1, n) times the state where there is one, else the first of ``C_c``.
     protocol : {"ergodic", "paper"}
         "paper" is the published simulation: Euler-Maruyama from zero, the squared errors at the end
-        of each run, averaged over runs. "ergodic" gives the stationary errors in far less time: it
-        starts in the linearised loop's stationary state, averages along each path, takes steps of
-        the second order, and subtracts what chance did to the linearised loop on the same noise.
+        of each run. "ergodic" gives the stationary errors in far less time: it averages along each
+        path, with steps of the second order and the linearised loop as a control variate.
     runs : int, optional
         Independent paths. Default: 50 000 ("paper") or 1024 ("ergodic").
     duration : float, optional
@@ -92,18 +85,15 @@ def monte_carlo(
         times the slowest time constant of the linearised estimator ("ergodic").
     step : float, optional
         s; must divide the smoother's delay into whole steps. Default: the largest such step that is
-        at most 0.01 us ("paper") or a fifth of the loop's response time ("ergodic"). With the
-        paper's values its bias is 0.23% of the mean square errors at most ("paper") or 0.005%
-        ("ergodic"); that of the longest step without a warning is 1.3% or 0.007%.
+        at most 0.01 us ("paper") or a fifth of the loop's response time ("ergodic").
     seed : int
-        At least 0 and below 2^64. Path i has the same noise for the same seed, whatever else.
+        At least 0 and below 2^64.
     precision : {"mixed", "single"}
-        Noise is always drawn in single precision; "mixed" keeps the state in double precision.
+        Of the state: double or single. Noise is always drawn in single precision.
     client : distributed.Client, optional
         A Dask cluster to compute on, see `robsmooth.workbench.connect`. Default: this machine.
     checkpoint : path, optional
-        A file to which progress is saved every few seconds, and from which the same call resumes
-        after an interruption. One of other parameters, seed or version is refused.
+        A file to which progress is saved every few seconds, and from which the same call resumes.
     progress : bool
         Show a progress bar.
     oscillator : {"filtered", "smoothed"}
@@ -124,36 +114,24 @@ def monte_carlo(
 
     Warns
     -----
-    LossOfLockWarning
-        Where a path slipped.
-    LongStepWarning
-        Where the step is above 1/40 ("paper") or 1/4 ("ergodic") of the loop's response time.
+    LossOfLockWarning, LongStepWarning
+        Where a path slipped, or the step is above 1/40 ("paper") or 1/4 ("ergodic") of the loop's
+        response time.
 
     Raises
     ------
     TypeError, ValueError
-        For an argument that is not as described, before anything is simulated; CheckpointError, a
-        ValueError, for a checkpoint that is not of this call; for a step with which the Euler
-        scheme is unstable ("paper"), or above ten response times ("ergodic").
-    UnstableLoopError
-        For the ergodic protocol where the linearised loop is not stable.
-    RuntimeError
-        Where a path overflows; it names the first such path and its parameters. Where numba's
+        For an argument that is not as described, a step with which the Euler scheme is unstable
+        ("paper"), or a checkpoint of another call (CheckpointError), before anything is simulated.
+    UnstableLoopError, RuntimeError
+        Where the linearised loop is not stable ("ergodic"); where a path overflows, or numba's
         compiler is switched off.
-    ConnectionError
-        Where the cluster is lost.
-    OSError
-        Where the checkpoint cannot be written.
+    ConnectionError, OSError
+        Where the cluster is lost, or the checkpoint cannot be written.
 
     See Also
     --------
-    stationary_errors : the errors in lock without sampling.
-    simulate : the loop of any nonlinear system.
-
-    References
-    ----------
-    Rehman and Petersen, "A robust continuous time fixed lag smoother for nonlinear uncertain
-    systems", Section IV.
+    stationary_errors, simulate : without sampling; for the loop of any nonlinear system.
 
     Examples
     --------
@@ -166,29 +144,23 @@ def monte_carlo(
     started = time.perf_counter()
     check_compiler("monte_carlo")
     validation.choice("protocol", protocol, tuple(PROTOCOLS))
-    options = {
-        "oscillator": oscillator,
-        "copy": copy,
-        "nonlinearity": nonlinearity,
-        "shot_noise": shot_noise,
-    }
-    loop = homodyne_loop(parameters, smoother, **options)
+    options = {"oscillator": oscillator, "copy": copy, "nonlinearity": nonlinearity}
+    loop = homodyne_loop(parameters, smoother, **options, shot_noise=shot_noise)
     simulation = plan(loop, protocol, runs, duration, step, seed, precision)
     simulation.check_step(loop, stacklevel=2)
     validation.boolean("progress", progress)
-    if client is not None and threads is not None:
-        raise ValueError("threads are of this machine: give either threads or client, not both")
+    _check_threads(threads, client)
     inputs = {
-        "parameters": {name: float(getattr(parameters, name)) for name in _PARAMETERS},
+        "parameters": numbers_of(parameters),
         "delay": loop.delay,
         **options,
         "copy": bool(copy),
         "shot_noise": float(shot_noise),
         "estimator_sha256": _estimator_digest(smoother),
     }
-    identity = {**simulation.identity(), **inputs, "software": cluster.software()}
-
-    with _threads(threads), open_journal(checkpoint, identity) as journal:
+    settings, scheme = simulation.settings(), {"scheme": simulation.scheme}
+    identity = {**settings, **scheme, **inputs, "software": cluster.software()}
+    with threads_of_kernels(threads), open_journal(checkpoint, identity) as journal:
         tally = _tally(simulation, journal, client, progress, inputs["parameters"])
 
     if tally.slips:
@@ -198,64 +170,42 @@ def monte_carlo(
             LossOfLockWarning,
             stacklevel=2,
         )
-    return _result(simulation, tally, inputs, time.perf_counter() - started)
-
-
-@one_thread
-def plan(
-    loop: Loop,
-    protocol: str,
-    runs: int | None = None,
-    duration: float | None = None,
-    step: float | None = None,
-    seed: int = 0,
-    precision: str = "mixed",
-) -> Simulation:
-    """Check the numbers, fill in defaults, and say what is to be simulated."""
-    if runs is not None:
-        runs = validation.integer("runs", runs, low=1)
-    if duration is not None:
-        duration = validation.positive("duration", duration)
-    if step is not None:
-        step = validation.positive("step", step)
-    seed = validation.integer("seed", seed, low=0)
-    if seed >= 2**64:
-        raise ValueError(f"seed must be below 2**64, got {seed}")
-    validation.choice("precision", precision, tuple(PRECISIONS))
-    return PROTOCOLS[protocol].plan(loop, runs, duration, step, seed, precision)
-
-
-def _result(
-    simulation: Simulation, tally: Tally, inputs: dict, wall_time: float
-) -> MonteCarloResult:
     filtered, smoothed = simulation.estimate(tally)
+    versions = {"python": platform.python_version(), "numpy": np.__version__}
+    versions["numba"] = numba.__version__
     return MonteCarloResult(
         smoothed=smoothed,
         filtered=filtered,
-        smoothed_in_lock=tally.locked.mean_square(SMOOTHED),
-        filtered_in_lock=tally.locked.mean_square(FILTERED),
+        filtered_in_lock=tally.locked.mean_square(0),
+        smoothed_in_lock=tally.locked.mean_square(1),
         slips=tally.slips,
         slipped_paths=tally.slipped_paths,
-        runs=simulation.runs,
         path_steps=simulation.runs * simulation.steps,
-        wall_time=wall_time,
-        protocol=simulation.protocol,
-        duration=simulation.duration,
-        warm_up=simulation.warm_up,
-        step=simulation.step,
-        seed=simulation.seed,
-        precision=simulation.precision,
-        provenance={
-            **inputs,
-            "scheme": simulation.scheme,
-            "generator": GENERATOR,
-            "versions": {
-                "python": platform.python_version(),
-                "numpy": np.__version__,
-                "numba": numba.__version__,
-            },
-        },
+        wall_time=time.perf_counter() - started,
+        **settings,
+        provenance={**inputs, **scheme, "generator": GENERATOR, "versions": versions},
     )
+
+
+def _check_threads(threads: int | None, client) -> None:
+    if threads is None:
+        return
+    if client is not None:
+        raise ValueError("threads are of this machine: give either threads or client, not both")
+    most = numba.config.NUMBA_NUM_THREADS
+    if validation.integer("threads", threads, low=1) > most:
+        raise ValueError(
+            f"threads must be at most {most}, numba's limit here, got {threads}: set the "
+            "environment variable NUMBA_NUM_THREADS to have more"
+        )
+
+
+def _estimator_digest(smoother) -> str:
+    digest = hashlib.sha256()
+    for name in ("A_c", "B_c", "C_c", "C_a", "C_f"):
+        matrix = np.ascontiguousarray(getattr(smoother, name, smoother.C_c[:1]), dtype=float)
+        digest.update(f"{name}{matrix.shape}".encode() + matrix.tobytes())
+    return digest.hexdigest()
 
 
 # --- carrying it out ------------------------------------------------------------------------------
@@ -269,19 +219,14 @@ def _tally(
     if journal is not None and journal.last is not None:
         tally, first = Tally.from_state(journal.last["tally"]), journal.last["blocks"]
     if first < simulation.blocks:
-        simulation.prepare()
-    group = _group(simulation)
+        _ = simulation.weights  # computed here, for all machines
+    group = min(max(STEPS_OF_A_GROUP // (BLOCK * simulation.steps), 1), BLOCKS_OF_A_GROUP)
     simulate = partial(_tallies, simulation, group, parameters)
     calls = _calls(simulation, group, first, client)
     saved = time.perf_counter()
     # what was done before counts for the progress, but not for the rate
-    with progress_bar(
-        total=simulation.runs,
-        initial=tally.all.count,
-        unit="path",
-        unit_scale=True,
-        shown=progress,
-    ) as bar:
+    extent = {"total": simulation.runs, "initial": tally.all.count, "unit": "path"}
+    with progress_bar(**extent, unit_scale=True, shown=progress) as bar:
         for tallies in cluster.in_order(simulate, calls, client):
             for each in tallies:
                 tally.merge(each)
@@ -292,12 +237,6 @@ def _tally(
                 journal.append({"blocks": first, "tally": tally.state()})
                 saved = time.perf_counter()
     return tally
-
-
-def _group(simulation: Simulation) -> int:
-    """Number of blocks in a group."""
-    blocks = STEPS_OF_A_GROUP // (BLOCK * simulation.steps)
-    return min(max(blocks, 1), BLOCKS_OF_A_GROUP)
 
 
 def _calls(simulation: Simulation, group: int, first: int, client) -> Iterator[tuple[int, int]]:
@@ -341,27 +280,3 @@ def _check_finite(
             f"the step, {simulation.step:g} s, is too long for this loop, or the estimator is "
             "unstable in it"
         )
-
-
-@contextmanager
-def _threads(threads: int | None) -> Iterator[None]:
-    """Set numba's number of threads, and set it back."""
-    if threads is None:
-        yield
-        return
-    most = numba.config.NUMBA_NUM_THREADS
-    if validation.integer("threads", threads, low=1) > most:
-        raise ValueError(
-            f"threads must be at most {most}, numba's limit here, got {threads}: set the "
-            "environment variable NUMBA_NUM_THREADS to have more"
-        )
-    with threads_of_kernels(threads):
-        yield
-
-
-def _estimator_digest(smoother) -> str:
-    digest = hashlib.sha256()
-    for name in ("A_c", "B_c", "C_c", "C_a", "C_f"):
-        matrix = np.ascontiguousarray(getattr(smoother, name, smoother.C_c[:1]), dtype=float)
-        digest.update(f"{name}{matrix.shape}".encode() + matrix.tobytes())
-    return digest.hexdigest()

@@ -57,7 +57,7 @@ SOURCES = shared_sources()
 
 
 @njit
-def find_kick(order, pair, copies, coefficients, state):
+def find_kick(pair, copies, order, coefficients, state):
     """Write the kick's terms of first and of second order along h b_s, and along h b_c."""
     n = len(order)
     row, at = splitting_rows(n), splitting_indices(n, len(pair))
@@ -100,7 +100,7 @@ def find_kick(order, pair, copies, coefficients, state):
 
 
 @njit
-def split_step(order, pair, copies, coefficients, gaussians, state):
+def split_step(pair, copies, order, coefficients, gaussians, state):
     """Advance a block by the kick that was found, and by the exact step after it."""
     n, m = len(order), len(pair)
     row, at = splitting_rows(n), splitting_indices(n, m)
@@ -136,7 +136,7 @@ def split_step(order, pair, copies, coefficients, gaussians, state):
 
 
 @njit
-def collect(order, pair, copies, coefficients, readout, state, result):
+def collect(pair, copies, order, coefficients, readout, state, result):
     """Add the errors of a block and of its control after half a kick; note cycle slips.
 
     The filtered error is taken against the phase, the smoothed one against the phase a delay ago.
@@ -179,37 +179,26 @@ def collect(order, pair, copies, coefficients, readout, state, result):
 
 @njit
 def simulate_block(
-    order,
-    pair,
-    copies,
-    start_root,
-    coefficients,
-    readout,
-    schedule,
-    seed,
-    first_path,
-    state,
-    result,
+    pair, copies, order, coefficients, readout, schedule, seed, first_path, state, result
 ):
     """Simulate paths `first_path` to `first_path + BLOCK - 1`, from a stationary start."""
     start, stride, lag, samples = schedule
     n, m = len(order), len(pair)
-    row = splitting_rows(n)
+    row, at = splitting_rows(n), splitting_indices(n, m)
     generator = np.empty(WORDS * BLOCK, np.uint32)
     gaussians = np.empty(CHUNK * m * BLOCK, np.float32)
     history = np.zeros((lag + 1, BLOCK), state.dtype)  # the phase at the last samples, a ring
 
-    for i in range(state.size):
-        state[i] = 0
-    for i in range(result.size):
-        result[i] = 0
+    state[:] = 0
+    result[:] = 0
     seed_paths(seed, first_path, generator)
     fill_gaussians(generator, m // DRAWS, gaussians)
     for i in range(1 + n):
         for j in range(1 + n):
             for path in range(BLOCK):
                 k = i * BLOCK + path
-                state[k] = fma(start_root[i, j], gaussians[j * BLOCK + path], state[k])
+                root = coefficients[at.start + i * (1 + n) + j]
+                state[k] = fma(root, gaussians[j * BLOCK + path], state[k])
 
     sample, left = 0, start
     last = start + (lag + samples - 1) * stride
@@ -217,74 +206,40 @@ def simulate_block(
         fill_gaussians(generator, CHUNK * (m // DRAWS), gaussians)
         # The last sample is taken at the start of a step, which is then made for nothing.
         for step in range(min(CHUNK, 1 + last - chunk * CHUNK)):
-            find_kick(order, pair, copies, coefficients, state)
+            find_kick(pair, copies, order, coefficients, state)
             if left == 0:
                 record, delayed = history[sample % (lag + 1)], history[(sample + 1) % (lag + 1)]
                 for path in range(BLOCK):
                     record[path] = state[row.phase + path]
                     state[row.delayed + path] = delayed[path]
                 if sample >= lag:
-                    collect(order, pair, copies, coefficients, readout, state, result)
+                    collect(pair, copies, order, coefficients, readout, state, result)
                 sample += 1
                 left = stride
             left -= 1
             draws_of_step = gaussians[step * m * BLOCK :]
-            split_step(order, pair, copies, coefficients, draws_of_step, state)
+            split_step(pair, copies, order, coefficients, draws_of_step, state)
     for i in range(SLIPS * BLOCK):
         result[i] /= samples
 
 
+def state_size(n: int) -> int:
+    """Return the size of the state of a block."""
+    return splitting_rows(n).end
+
+
 @kept(parallel=True, nogil=True)
 def simulate_blocks(
-    order,
-    pair,
-    copies,
-    start_root,
-    coefficients,
-    readout,
-    schedule,
-    seed,
-    first_block,
-    states,
-    results,
-    sources=SOURCES,
+    pair, copies, order, coefficients, readout, schedule, seed, first, states, results, code=SOURCES
 ):
-    """Simulate as many consecutive blocks as `results` has room for.
+    """Simulate consecutive blocks, as `euler.simulate_blocks` does, with a `Schedule`.
 
-    Parameters
-    ----------
-    order, pair : tuples of n zeros of the type of `states`, and of m of float32
-        Only their lengths count: the estimator's order, and the Gaussians that a step takes.
-    copies : bool
-        Whether the second sine is there.
-    start_root : (1 + n, 1 + n) array
-    coefficients : array
-        `SplittingCoefficients` in a flat array, in the precision of `states`.
-    readout : (3 n,) array of float64
-        Rows of the filtered estimate, the smoothed estimate and the oscillator's phase.
-    schedule : tuple of 4 int
-        A `Schedule`.
-    seed : uint64
-    first_block : int
-        Block b holds the paths ``b * BLOCK`` to ``(b + 1) * BLOCK - 1``.
-    states : (blocks, splitting_rows(n).end) array of float32 or float64
-        Work space; its type is the precision of the simulation.
-    results : (blocks, OUTPUTS * BLOCK) array of float64
-        Written.
-    sources : str
-        Not to be given.
+    Of `pair`, only the length counts: the Gaussians of a step. Without `copies`, there is no second
+    sine.
     """
     for block in prange(results.shape[0]):
+        path = np.uint64(first + block) * np.uint64(BLOCK)
+        state, result = states[block], results[block]
         simulate_block(
-            order,
-            pair,
-            copies,
-            start_root,
-            coefficients,
-            readout,
-            schedule,
-            seed,
-            np.uint64(first_block + block) * np.uint64(BLOCK),
-            states[block],
-            results[block],
+            pair, copies, order, coefficients, readout, schedule, seed, path, state, result
         )

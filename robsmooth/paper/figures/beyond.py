@@ -1,4 +1,4 @@
-"""The figures of what the paper leaves open."""
+"""The figures of what the paper leaves open, and of a system of one's own."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,65 +6,23 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
 
 from robsmooth.analysis.lag import LagSweep
-from robsmooth.analysis.worst_dynamic_case import WorstDynamicCase
+from robsmooth.analysis.worst_case import WorstDynamicCase
 from robsmooth.homodyne.comparison import Compared
-from robsmooth.homodyne.study import Study
-from robsmooth.paper.figures.axes import LOOSE, label_rows, label_ticks, plot_curves, stacked
-from robsmooth.paper.figures.maps import hatch, shade
-from robsmooth.paper.figures.style import MARK, TRUTH
-
-_LAGS = (0.3, 1, 3, 10, 30)  # µs, to label
-
-
-def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
-    """Draw what smoothing saves of the filtered error, over lag and noise, and for each order.
-
-    Both errors of a ratio are of one loop: those of the designs of the loop with its sine, those of
-    the optimal estimators of the linear one. `gamma` is one of the study's; `lag` (s) is marked.
-    """
-    i = study.gammas.index(gamma)
-    ratio = study.ratio[i]
-    lags, noises = 1e6 * np.array(study.lags), np.array(study.noises)
-    middle = int(np.argmin(np.abs(np.log(noises))))
-    figure, (top, bottom) = stacked(5.4, (1, 1))
-
-    saved = 100 * (1 - ratio[:, -1])
-    shading = shade(top, lags, noises, saved, np.arange(0, 61, 10), missing="no design or lock")
-    hatch(top, lags, noises, -saved, "no gain", hatch="-----")
-    there = ~np.isnan(saved).all(axis=1)
-    best = lags[np.nanargmax(saved[there], axis=1)]
-    points = LOOSE | {"markeredgecolor": "k"}
-    top.plot(best, noises[there], "o", color="w", label="best lag", **points)
-    star = points | {"color": "C1", "markersize": 9, "label": "the paper's"}
-    top.plot(1e6 * lag, noises[middle], "*", **star)
-    top.set(xscale="log", yscale="log", ylabel="shot noise / the paper's")
-    label_ticks(top.yaxis, (0.1, 0.3, 1, 3, 10))
-    figure.colorbar(shading, ax=top, label="saved by smoothing (%)", pad=0.02)
-
-    optimal = study.optimal_ratio[i, middle, -1]
-    bottom.plot(lags, optimal, label="both optimal, linear loop", **TRUTH)
-    plot_curves(bottom, lags, dict(zip(study.orders, ratio[middle], strict=True)))
-    bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
-    bottom.axvline(1e6 * lag, **MARK)
-    bottom.set(xlabel="lag (µs)", ylabel="smoothed / filtered error")
-    bottom.set(ylim=(0.4, 1.6), xlim=lags[[0, -1]])
-    label_ticks(bottom.xaxis, _LAGS)
-    handles = [*top.patches, *top.lines, *bottom.get_legend_handles_labels()[0]]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2)
-    return figure
+from robsmooth.paper.figures import style
+from robsmooth.simulation.statistics import SamplePaths
 
 
 def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float], limit: float) -> Figure:
-    """Draw the errors of the named estimators in rows, from no uncertainty to the worst.
+    """Draw the errors of estimators in rows, at the slopes `at` and at worst.
 
-    The errors `at` are for the slopes. Estimators beyond the limit of the axis, in rad^2, are said
-    to be so.
+    Estimators beyond the limit of the axis, in rad^2, are said to be so.
     """
     figure, axes = plt.subplots(figsize=(3.4, 1.1 + 0.36 * len(compared)))
     legend = {}
-    for row, case in zip(label_rows(axes, compared), compared.values(), strict=True):
+    for row, case in zip(style.label_rows(axes, compared), compared.values(), strict=True):
         if case.at[0] > limit:
             text = f"off the scale: {case.at[0]:.2f}"
             axes.annotate(text, (limit, row), ha="right", va="center", color="0.3")
@@ -77,19 +35,18 @@ def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float], limi
         (legend["worst allowed"],) = axes.plot(allowed, row, "k|", markersize=8, ls="none")
         (legend["with the sine"],) = axes.plot(case.exact, row, "kx", ls="none")
     axes.set(xlabel=r"mean square error (rad$^2$)", xlim=(0.03, limit))
-    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=3)
-    return figure
+    return style.with_legend(figure, 3, handles=legend.values(), labels=legend.keys())
 
 
 def worst_spectra(found: WorstDynamicCase, slope: tuple[int, int]) -> Figure:
-    """Draw the error's spectrum without uncertainty and for the worst, and the worst's phase.
+    """Draw the error's spectrum without uncertainty and at worst, and the phase of one slope.
 
-    The phase is that of one slope, in this row and column of Delta.
+    It is the worst's, in this row and column of Delta.
     """
     shares = found.frequencies * found.spectra / np.pi  # of the error, per logarithm of frequency
     shown = shares[2] > 0.1 * shares[2].max()
     omega = found.frequencies[shown]
-    figure, (top, bottom) = stacked(3.8, (5, 4))
+    figure, (top, bottom) = style.stacked(3.8, (5, 4))
     labels = ("no uncertainty", "worst constant", "worst at each frequency")
     for label, share in zip(labels, shares, strict=True):
         top.semilogx(omega, share[shown], label=label)
@@ -100,8 +57,7 @@ def worst_spectra(found: WorstDynamicCase, slope: tuple[int, int]) -> Figure:
     bottom.set(xlabel=r"angular frequency $\omega$ (rad/s)", xlim=omega[[0, -1]])
     bottom.set(ylabel="phase of the\nworst slope (°)")
     bottom.yaxis.set_major_locator(MultipleLocator(360))
-    figure.legend(loc="outside lower center", ncols=2)
-    return figure
+    return style.with_legend(figure)
 
 
 def lag_and_order(sweeps: Mapping[str, LagSweep], lag: float) -> Figure:
@@ -109,18 +65,17 @@ def lag_and_order(sweeps: Mapping[str, LagSweep], lag: float) -> Figure:
 
     The sweeps are those of the named designs, all for the same orders; `lag` (s) is marked.
     """
-    shape = {"nrows": len(sweeps), "ncols": 2, "squeeze": False}
-    size = (3.4, 1.4 + 1.4 * len(sweeps))
-    figure, panels = plt.subplots(**shape, figsize=size, sharex=True, sharey="col")
+    options = {"squeeze": False, "sharex": True, "sharey": "col"}
+    figure, panels = plt.subplots(len(sweeps), 2, figsize=(3.4, 1.4 + 1.4 * len(sweeps)), **options)
     for (left, right), (name, sweep) in zip(panels, sweeps.items(), strict=True):
         lags = 1e6 * sweep.lags
-        plot_curves(left, lags, dict(zip(sweep.orders, sweep.nominal, strict=True)))
-        plot_curves(right, lags, dict(zip(sweep.orders, sweep.worst, strict=True)))
+        style.plot_curves(left, lags, dict(zip(sweep.orders, sweep.nominal, strict=True)))
+        style.plot_curves(right, lags, dict(zip(sweep.orders, sweep.worst, strict=True)))
         left.fill_between(lags, 0.0, sweep.optimal, color="0.85", lw=0, label="below the optimum")
-        dots = MARK | {"linestyle": (0, (1, 1)), "color": "0.2"}
+        dots = style.MARK | {"linestyle": (0, (1, 1)), "color": "0.2"}
         left.axhline(sweep.two_sided, label="two-sided optimum", **dots)
         for axes in (left, right):
-            axes.axvline(1e6 * lag, label=f"lag {1e6 * lag:.3g} µs", **MARK)
+            axes.axvline(1e6 * lag, label=f"lag {1e6 * lag:.3g} µs", **style.MARK)
             axes.set(xscale="log")
         left.set(ylabel=name)
     figure.supylabel(r"mean square error (rad$^2$)")
@@ -131,7 +86,52 @@ def lag_and_order(sweeps: Mapping[str, LagSweep], lag: float) -> Figure:
     for first, last in zip(panels[0], panels[-1], strict=True):
         first.locator_params(axis="y", nbins=4)
         last.set(xlabel="lag (µs)", xlim=(every.min(), every.max()))
-        label_ticks(last.xaxis, _LAGS)
+        style.label_ticks(last.xaxis, (0.3, 1, 3, 10, 30))
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    return style.with_legend(figure, handles=handles, labels=labels)
+
+
+# --- a system of one's own ----------------------------------------------------------------------
+
+
+def sample_path(paths: SamplePaths, unit: str, scale: float, quantity: str) -> Figure:
+    """Draw the first output, `quantity`, of the first path, and its estimates at their times.
+
+    The time axis is in a unit of which a second has `scale`.
+    """
+    figure, axes = plt.subplots(figsize=(3.4, 2.4))
+    time = scale * paths.time
+    axes.plot(time, paths.w[0, :, 0], label="true", **style.TRUTH)
+    style.plot_curves(axes, time, {"filtered": paths.filtered[0, :, 0]})
+    style.plot_curves(axes, time - scale * paths.delay, {"smoothed": paths.smoothed[0, :, 0]})
+    axes.set(xlabel=f"time ({unit})", ylabel=quantity, xlim=(0.0, time[-1]))
+    return style.with_legend(figure, 3)
+
+
+def gap(record: SamplePaths, estimates: NDArray[np.float64], missing: slice) -> Figure:
+    """Draw the first output of a record around the measurements that its estimates (N, m) miss."""
+    around = slice(max(missing.start - 600, 0), missing.stop + 600)
+    figure, axes = plt.subplots(figsize=(3.4, 2.2))
+    time = record.time[around]
+    ends = record.time[[missing.start, missing.stop]] - record.step
+    axes.axvspan(*ends, label="no measurement", **style.NOWHERE)
+    axes.plot(time, record.w[0, around, 0], label="true", **style.TRUTH)
+    style.plot_curves(axes, time - record.delay, {"smoothed": estimates[around, 0]})
+    axes.set(xlabel="time (s)", ylabel="angle (rad)", xlim=time[[0, -1]])
+    return style.with_legend(figure, 3)
+
+
+def smoother_response(
+    omega: NDArray[np.float64], response: NDArray[np.complexfloating], delay: float
+) -> Figure:
+    """Draw a smoother's response at the frequencies omega (rad/s) beside that of its delay (s)."""
+    figure, (top, bottom) = style.stacked(3.0, (1, 1))
+    top.loglog(omega, np.ones_like(omega), label="pure delay", **style.TRUTH)
+    style.plot_curves(top, omega, {"smoother": np.abs(response)})
+    top.set(ylabel="magnitude", ylim=(1e-2, 3.0))
+    top.legend(loc="lower left")
+    bottom.plot(omega, np.degrees(-omega * delay), **style.TRUTH)
+    style.plot_curves(bottom, omega, {"smoother": np.degrees(np.unwrap(np.angle(response)))})
+    bottom.set(ylabel="phase (°)", yticks=np.arange(-360, 1, 90), ylim=(-400.0, 20.0))
+    bottom.set(xlabel=r"angular frequency $\omega$ (rad/s)", xlim=omega[[0, -1]])
     return figure

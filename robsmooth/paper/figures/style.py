@@ -1,21 +1,25 @@
-"""The style of the figures, and the one way to save one."""
+"""The style of the figures, what several of them draw alike, and the one way to save one."""
 
 import itertools
-from collections.abc import Iterable
-from importlib.resources import as_file
-from importlib.resources import files as package_files
+import textwrap
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import files
+from robsmooth.homodyne.montecarlo import MeanSquare
 
-FORMATS = ("pdf", "svg", "png")
-# Nothing in a file says when, or by which release, it was made: equal figures are equal bytes.
-_METADATA = {
+# The formats of a file. Nothing in it says when, or by which release, it was made: equal figures
+# are equal bytes.
+FORMATS = {
     "pdf": {"CreationDate": None, "ModDate": None, "Producer": None, "Creator": None},
     "svg": {"Date": None, "Creator": None},
     "png": {"Software": None},
@@ -40,30 +44,23 @@ _CYCLE_POSITIONS: dict[str | int, int] = {
 
 # The truth under its estimates, or an ideal: a band, pale enough not to be taken for one of them.
 TRUTH = {"color": "0.78", "linestyle": "-", "linewidth": 2.5}
-# A place on an axis.
-MARK = {"color": "0.6", "linestyle": "-", "linewidth": 0.8}
+MARK = {"color": "0.6", "linestyle": "-", "linewidth": 0.8}  # a place on an axis
+DOTTED = {"color": "0.4", "linestyle": ":", "linewidth": 0.9}  # a line to compare with
+LOOSE = {"linestyle": "none", "clip_on": False}  # points, whole even at the edge of the axes
 # Where a map has no value. A shade of grey would be that of one of its colours in print.
 NOWHERE = {"facecolor": "w", "edgecolor": "0.55", "hatch": "/////", "linewidth": 0.0}
 
 
 def use_style() -> None:
     """Set matplotlib to the style of all figures."""
-    with as_file(package_files("robsmooth.paper.figures") / "robsmooth.mplstyle") as path:
-        plt.style.use(path)
+    plt.style.use("robsmooth.paper.figures.robsmooth")
 
 
 def styles(names: Iterable[str | int], markers: bool = False) -> list[dict[str, Any]]:
-    """Return how to draw the curves of the given names: the colour and dashes of each.
+    """Return the colour and dashes, and if asked the marker, of each estimator, estimate or order.
 
-    Estimators, estimates and orders that are in several figures look the same in all of them; other
-    names get what is left of the cycle.
-
-    Parameters
-    ----------
-    names : iterable of str or int
-        Of estimators or estimates, or orders of the model of a delay.
-    markers : bool
-        Whether each has a marker too.
+    Those that are in several figures look the same in all of them; others get what is left of the
+    cycle.
     """
     cycle = [
         style | {"color": mpl.colors.to_hex(style["color"])}
@@ -77,18 +74,53 @@ def styles(names: Iterable[str | int], markers: bool = False) -> list[dict[str, 
     return [cycle[next(others) if position is None else position] for position in positions]
 
 
-def save_figure(figure: Figure, directory: Path | str, name: str) -> None:
-    """Write a figure as PDF, SVG and PNG, byte for byte the same for the same figure.
+def stacked(height: float, ratios: tuple[float, float]) -> tuple[Figure, tuple[Axes, Axes]]:
+    """Return a figure with two panels, one above the other, over one x axis; inches."""
+    return plt.subplots(2, 1, sharex=True, figsize=(3.4, height), height_ratios=ratios)
 
-    Parameters
-    ----------
-    figure : Figure
-    directory : path
-        Made where missing.
-    name : str
-        File name without suffix.
-    """
-    for suffix in FORMATS:
+
+def label_ticks(axis: Axis, ticks: Sequence[float]) -> None:
+    """Label these ticks of a logarithmic axis, those in its view, as numbers without powers."""
+    low, high = axis.get_view_interval()
+    seen = [tick for tick in ticks if low * (1 - 1e-9) <= tick <= high * (1 + 1e-9)]
+    axis.set_ticks(seen, [f"{tick:g}" for tick in seen])
+    axis.axes.minorticks_off()
+
+
+def label_rows(axes: Axes, labels: Collection[str], width: int = 20) -> NDArray[np.int64]:
+    """Give each label a row of the axes, from the top, and return the rows' heights."""
+    heights = np.arange(len(labels))[::-1]
+    texts = [textwrap.fill(label, width) for label in labels]
+    axes.set(yticks=heights, yticklabels=texts, ylim=(-0.6, len(labels) - 0.4))
+    axes.grid(axis="y", visible=False)
+    return heights
+
+
+def plot_curves(axes: Axes, x: ArrayLike, curves: Mapping[str | int, ArrayLike]) -> None:
+    """Plot curves in the styles of their names; a number is the order of a delay's model."""
+    for name, style in zip(curves, styles(curves), strict=True):
+        label = name if isinstance(name, str) else f"order {name}"
+        axes.plot(x, curves[name], label=label, **style)
+
+
+def plot_intervals(
+    axes: Axes, values: Sequence[MeanSquare], heights: ArrayLike, **look: Any
+) -> None:
+    """Plot mean squares with their 95% intervals, each at its height."""
+    means = [value.mean_square for value in values]
+    reach = [1.96 * value.standard_error for value in values]
+    axes.errorbar(means, heights, xerr=reach, **look | {"linestyle": "none", "markersize": 3})
+
+
+def with_legend(figure: Figure, columns: int = 2, **of: Any) -> Figure:
+    """Return the figure with a legend below its panels, of all that has a label or of handles."""
+    figure.legend(loc="outside lower center", ncols=columns, **of)
+    return figure
+
+
+def save_figure(figure: Figure, directory: Path | str, name: str) -> None:
+    """Write a figure as `name`.pdf, .svg and .png, byte for byte the same for the same figure."""
+    for suffix, metadata in FORMATS.items():
         path = Path(directory) / f"{name}.{suffix}"
         with files.atomic_path(path) as temporary, mpl.rc_context({"svg.hashsalt": name}):
-            figure.savefig(temporary, format=suffix, metadata=_METADATA[suffix])
+            figure.savefig(temporary, format=suffix, metadata=metadata)

@@ -44,11 +44,11 @@ def lab(browser, tmp_path_factory):
     home = tmp_path_factory.mktemp("home")
     copies = home / "notebooks"
     copies.mkdir()
-    for task in runner.plan(ROOT, (), "quick", {}):
-        quick = load_notebook_node(str(task.path))
+    for task in runner.plan(runner.Request(ROOT, profile="quick")):
+        quick = load_notebook_node(str(task.notebook))
         if task.values:
             quick = parameterize_notebook(quick, task.values)
-        nbformat.write(quick, copies / task.path.name)
+        nbformat.write(quick, copies / task.notebook.name)
     kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3"}}
     nbformat.write(
         new_notebook(metadata=kernel, cells=[new_code_cell(LONG)]), copies / "long.ipynb"

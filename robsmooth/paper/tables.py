@@ -1,0 +1,428 @@
+"""The tables of the notebooks."""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import wraps
+from itertools import product
+from typing import Any, ParamSpec
+
+import numpy as np
+
+from robsmooth._numerics.riccati import RiccatiError
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.notation import matrix as matrix
+from robsmooth._support.tables import Table
+from robsmooth._support.validation import Matrix
+from robsmooth.analysis.constraints import AnalysisBound
+from robsmooth.analysis.covariance import delta_sweep, error_covariance
+from robsmooth.analysis.lag import choose_lag
+from robsmooth.analysis.worst_case import WorstCase
+from robsmooth.estimators.bound import minimize_bound
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.smoother import RobustSmoother, design_equations
+from robsmooth.homodyne import PAPER, HomodyneParameters, fraction_inside
+from robsmooth.homodyne.comparison import Compared
+from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
+from robsmooth.homodyne.study import Study
+from robsmooth.paper import predictions, published
+from robsmooth.simulation.statistics import SimulationResult
+from robsmooth.systems.augmented import AugmentedSystem, augment
+from robsmooth.systems.system import UncertainSystem
+
+P = ParamSpec("P")
+Records = Iterator[dict[str, Any]]  # the cells of each row, by their columns
+
+
+def _table(digits: int = 4) -> Callable[[Callable[P, Records]], Callable[P, Table]]:
+    """Make a function return the table of the records that it yields, with its text as caption."""
+
+    def decorate(records: Callable[P, Records]) -> Callable[P, Table]:
+        @wraps(records)
+        def table(*args: P.args, **kwargs: P.kwargs) -> Table:
+            caption = " ".join(records.__doc__.split())
+            return Table.of_records(records(*args, **kwargs), caption, digits)
+
+        return table
+
+    return decorate
+
+
+def _number(value: float, form: str = ".4f", error: str = "") -> str:
+    return "none" if math.isnan(value) else f"{value:{form}}{error}"
+
+
+def _estimate(found: MeanSquare, form: str = ".5f", error_form: str | None = None) -> str:
+    return _number(found.mean_square, form, f" ± {found.standard_error:{error_form or form}}")
+
+
+def _numbers(values: Iterable[complex], digits: int = 4) -> str:
+    """Return numbers or poles in a row, one of each conjugate pair."""
+    upper = (value for value in values if value.imag >= 0.0)
+    return ", ".join(f"{value:.{digits}g}" for value in upper).replace("+0j", "")
+
+
+# --- the model and the designs ----------------------------------------------------------------
+
+
+def sector_ranges(values: HomodyneParameters, variance: float) -> Table:
+    """Return how far each reading of the sector holds, and for what share of the time."""
+    wide, narrow = values.sector_slope, values.lower_slope
+    readings = {
+        f"sin e between {wide:.1f} e and e, as gamma = (1 - m)/2 says": values.sector_range(wide),
+        f"sin e between {narrow:.1f} e and e, as the design uses": values.sector_range(),
+        f"sin e - e Lipschitz with constant {values.gamma:g}": values.lipschitz_range,
+    }
+    records = []
+    for text, reach in readings.items():
+        inside = fraction_inside(reach, variance)
+        times = {"time inside": f"{inside:.5%}", "time outside": f"{1 - inside:.1e}"}
+        records.append({"what is assumed": text, "holds up to (rad)": reach} | times)
+    return Table.of_records(
+        records,
+        "How far each assumption on the sine holds, and how long the loop is within it, for a "
+        f"Gaussian error of variance {variance:.4f} rad².",
+    )
+
+
+@_table(digits=5)
+def sign_readings(plant: AugmentedSystem, tau: float, multipliers: Sequence[float]) -> Records:
+    """The gains at the printed tau and lambda for each reading of the X equation."""
+
+    def leading(A_c: Matrix, B_c: Matrix, C_c: Matrix, bound: float) -> dict[str, float]:
+        gains = {"$A_c[0,0]$": A_c[0, 0], "$B_c[0,1]$": B_c[0, 1]}
+        return gains | {"$C_c[0,0]$": C_c[0, 0], "$C_c[1,0]$": C_c[1, 0], "$V$": bound}
+
+    equations = design_equations(plant, tau, multipliers)
+    Y = equations.solve_Y().X
+    for text, sign in {"+, as written": 1.0, "-, flipped": -1.0, "left out": 0.0}.items():
+        try:
+            found = equations.gains(equations.solve_X(quadratic_sign=sign).X, Y)
+            yield {"sign": text} | leading(*found[:4])
+        except RiccatiError:
+            yield {"sign": text, "$A_c[0,0]$": "no real solution"}
+    names = ("A_c", "B_c", "C_c", "V at the printed tau, lambda")
+    yield {"sign": "printed"} | leading(*map(published.printed, names))
+
+
+def approach_to_infimum(best: RobustSmoother, vanishing: Iterable[float]) -> Table:
+    """Return how bound and gains settle as the multipliers of mu and its copy go to zero."""
+    records = []
+    for value in vanishing:
+        record = {r"$\lambda_3 = \lambda_4$": f"{value:.0e}"}
+        try:
+            design = published.design_near_edge(best, best.tau, value)
+            record |= {"$V$": design.bound, "$B_c[0,0]$": design.B_c[0, 0]}
+            record |= {r"$\lVert X\rVert$": np.linalg.norm(design.X, 2), "refused because": ""}
+        except InfeasibleDesignError as error:
+            record["refused because"] = error.condition
+        records.append(record)
+    return Table.of_records(
+        records,
+        "Towards the edge: the bound falls and X vanishes as the multipliers of the "
+        f"nonlinearity and its copy do. Over all the infimum is {best.bound_infimum:.5f}.",
+        digits=6,
+    )
+
+
+@_table()
+def designs(compared: Mapping[str, Estimator]) -> Records:
+    """The designs compared. V bounds half the filtered error covariance with the fictitious noise
+    of the copies; of a pair of complex poles one is shown.
+    """
+    for name, design in compared.items():
+        record = {"design": name}
+        if isinstance(design, RobustSmoother):
+            record |= {"$V$ (rad²)": design.bound, r"$\tau$ (rad² s)": f"{design.tau:.4g}"}
+            record[r"$\lambda$"] = _numbers(design.multipliers)
+        yield record | {"poles (1/s)": _numbers(design.poles, digits=3)}
+
+
+@_table()
+def covariances(compared: Mapping[str, Estimator]) -> Records:
+    """Error covariances (rad²) of the designs, with the fictitious noise of the copies, as in the
+    paper's formula, and without it, as in a real loop.
+    """
+    for name, design in compared.items():
+        for output in predictions.outputs(design):
+            record = {"error": f"{name}, {output}"}
+            for loop, kind in {"paper's formula": "theory", "no copy noise": "real"}.items():
+                errors = delta_sweep(design, (0.0, -1.0), output, kind)[:, 0, 0]
+                columns = rf"$\Delta_2=0$, {loop}", rf"$\Delta_2=-1$, {loop}"
+                record |= dict(zip(columns, errors, strict=True))
+            yield record
+
+
+@_table()
+def copy_noise(designs: Mapping[float, RobustSmoother]) -> Records:
+    """What the fictitious noise costs: least bound and nominal filtered error covariance (rad²)
+    against the intensity that the design assumes for it.
+    """
+    for intensity, design in designs.items():
+        record = {"$J_{21}$": f"{intensity:g}", "least $V$": design.bound_infimum or design.bound}
+        for column, loop in {"with copy noise": "theory", "without": "real"}.items():
+            nominal = design.plant.structured_delta()
+            error = error_covariance(design, nominal, "filtered", loop=loop)
+            record[f"filtered, {column}"] = error[0, 0]
+        yield record
+
+
+# --- the nonlinear loop, by simulation and without ----------------------------------------------
+
+
+def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Table:
+    """Return mean squares with standard errors, one case a row."""
+    records = [
+        {
+            "case": name,
+            "filtered (rad²)": _estimate(result.filtered),
+            "smoothed (rad²)": _estimate(result.smoothed) if result.provenance["delay"] else None,
+            "runs": result.runs,
+            "cycle slips": result.slips,
+            "in how many runs": result.slipped_paths,
+        }
+        for name, result in results.items()
+    ]
+    return Table.of_records(records, caption)
+
+
+@_table()
+def errors_by_method(found: predictions.ErrorsByMethod) -> Records:
+    """Three routes, one number: simulation (± one standard error), moments without sampling (±
+    estimated truncation), and statistical linearisation.
+    """
+    for error, methods in found.items():
+        moments = methods["moments"]
+        linearised = methods["statistical linearisation"].mean_square
+        yield {
+            "error": error,
+            "paper's protocol (rad²)": _estimate(methods["paper's protocol"]),
+            "ergodic protocol (rad²)": _estimate(methods["ergodic"], ".6f"),
+            "Hermite-Galerkin moments (rad²)": _estimate(moments, ".8f", ".0e"),
+            "statistical linearisation (rad²)": f"{linearised:.6f}",
+            "its error": f"{linearised / moments.mean_square - 1:+.2%}",
+        }
+
+
+@_table()
+def noise_sweep(found: Iterable[predictions.NoisySimulation]) -> Records:
+    """The filtered error of the printed smoother as the phase noise grows. Predictions are for a
+    loop in lock, and are left out where their method finds no such loop.
+    """
+    for case in found:
+        simulated = case.simulated
+        yield {
+            "phase noise": f"{case.factor:g}",
+            "all runs (rad²)": _estimate(simulated.filtered, ".4f"),
+            "runs in lock (rad²)": _estimate(simulated.filtered_in_lock, ".4f"),
+            "slips": simulated.slips,
+            "runs that slipped": f"{simulated.slipped_paths} of {simulated.runs}",
+            "slips (1/s)": f"{simulated.slip_rate:.3g}",
+            "moments (rad²)": _number(case.moments),
+            "statistical linearisation (rad²)": _number(case.linearised),
+        }
+
+
+def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParameters) -> Table:
+    """Return how far one number of the loop must change for the printed errors to be predicted.
+
+    Statistical linearisation predicts; the estimators stay as they are.
+    """
+    smoothed = published.printed("error covariance, smoother")
+    filtered, runs = published.printed("error covariance, NGCF"), published.printed("runs")
+    cases = {"smoother": (smoother, "smoothed", smoothed), "NGCF": (ngcf, "filtered", filtered)}
+    records = []
+    for change in predictions.CHANGES:
+        factors = {
+            f"factor for the {name}": predictions.factor_for(*case, change, values)
+            for name, case in cases.items()
+        }
+        middle = sum(factors.values()) / 2
+        record = {"changed": change} | factors
+        for name, (design, output, target) in cases.items():
+            error = getattr(predictions.predicted(design, change, middle, values), output)
+            # the standard error of a mean of squares of Gaussian errors
+            distance = (error - target) / (target * math.sqrt(2 / runs))
+            record[f"{name} at the mean factor"] = f"{error:.4f} ({distance:+.1f})"
+        records.append(record)
+    return Table.of_records(
+        records,
+        f"The factor on one number of the loop at which each printed error ({smoothed:g} and "
+        f"{filtered:g} rad²) is predicted, and what is predicted at the mean of the two factors; "
+        f"in brackets, how far off, in standard errors of a simulation of {runs:.0f} runs.",
+    )
+
+
+# --- beyond the paper ---------------------------------------------------------------------------
+
+
+@_table(digits=3)
+def study(found: Study, lag: float) -> Records:
+    """The best lag and order of those studied for each sector and noise, and what smoothing saves
+    there of the filtered error in the nonlinear loop.
+    """
+    near = int(np.argmin(np.abs(np.log(np.array(found.lags) / lag))))
+    for (i, gamma), (j, noise) in product(enumerate(found.gammas), enumerate(found.noises)):
+        record = {r"$\gamma$": f"{gamma:g}", "shot noise": f"{noise:.3g}"}
+        ratio = found.ratio[i, j]
+        if np.isnan(ratio).all():
+            failed = (gamma, noise) in found.failures
+            yield record | {"slips (1/s)": "no design" if failed else "no lock"}
+            continue
+        k, m = np.unravel_index(np.nanargmin(ratio), ratio.shape)
+        here = {name: values[i, j] for name, values in found.quantities.items()}
+        at_lag = np.fmin.reduce(ratio[:, near])  # of the orders that have a ratio
+        yield record | {
+            "filtered (rad²)": here["filtered"][k, m],
+            "smoothed (rad²)": here["smoothed"][k, m],
+            "best lag (µs)": 1e6 * found.lags[m],
+            "order": str(found.orders[k]),
+            "saved": f"{1 - ratio[k, m]:.0%}",
+            f"saved at {1e6 * found.lags[near]:.2g} µs": _number(1 - at_lag, ".0%"),
+            "slips (1/s)": f"{np.nanmax(here['slip_rate']):.2g}",
+        }
+
+
+@_table()
+def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float]) -> Records:
+    """Mean square errors (rad²) side by side: under constant uncertainties, the worst that the
+    constraints allow, and in the loop with its sine, simulated with the same noise for all (± one
+    standard error) and from the moments. $2V$ is what the design promises of the error that its
+    cost is for, in a loop whose copies have noise.
+    """
+    for name, case in compared.items():
+        yield {
+            "estimator": name,
+            **{rf"$\Delta_2 = {s:g}$": error for s, error in zip(slopes, case.at, strict=True)},
+            "worst constant": case.worst.mean_square,
+            "worst allowed": case.allowed.mean_square,
+            "$2V$": case.promised,
+            "with the sine": _estimate(case.simulated, ".4f"),
+            "without sampling": case.exact,
+            "slips": case.slips,
+        }
+
+
+@_table(digits=6)
+def optima(designs: Mapping[str, RobustSmoother]) -> Records:
+    """The true optimum: the infimum of the bound over all multipliers, where it is, and the
+    estimator in the limit; of a pair of complex poles one is shown.
+    """
+    for name, design in designs.items():
+        least = design.limit or design
+        yield {
+            "cost": name,
+            "infimum of $V$ (rad²)": least.bound,
+            "attained": "no" if design.limit else "yes",
+            r"$\tau$ (rad² µs)": 1e6 * least.tau,
+            r"$\lambda$": f"({_numbers(least.multipliers)})",
+            "poles (1/µs)": _numbers(least.poles / 1e6),
+        }
+
+
+@_table(digits=6)
+def gains(estimators: Mapping[str, Estimator]) -> Records:
+    r"""The gains of the phase: its own drift, what the measurement and the copy drive it with, and
+    what $\hat w$ and the copy's argument take of it.
+    """
+    for name, estimator in estimators.items():
+        yield {
+            "estimator": name,
+            "$A_c[0,0]$ (1/s)": estimator.A_c[0, 0],
+            "$B_c[0,0]$ (1/s)": estimator.B_c[0, 0],
+            "$B_c[0,1]$": estimator.B_c[0, 1],
+            "$C_c[0,0]$": estimator.C_c[0, 0],
+            "$C_c[1,0]$": estimator.C_c[1, 0],
+        }
+
+
+@_table()
+def tightness(found: Mapping[str, tuple[WorstCase | AnalysisBound, ...]]) -> Records:
+    """How tight the guarantee is (rad²): twice the bound against the worst error that the
+    constraints allow, which some input attains, against the worst constant uncertainty, and against
+    none; in the loop of the theory, whose copies have noise, and in a real one.
+    """
+    for name, (constant, allowed, constant_real, allowed_real) in found.items():
+        yield {
+            "design": name,
+            "$2V$": constant.guarantee,
+            "worst allowed": allowed.mean_square,
+            "worst constant": constant.mean_square,
+            "nominal": constant.nominal,
+            "share of $2V$": f"{allowed.mean_square / constant.guarantee:.0%}",
+            "worst allowed, real loop": allowed_real.mean_square,
+            "worst constant, real loop": constant_real.mean_square,
+            "share of $2V$, real loop": f"{allowed_real.mean_square / constant.guarantee:.0%}",
+        }
+
+
+@_table(digits=3)
+def lag_choices(system: UncertainSystem, names: Iterable[str], shares: Iterable[float]) -> Records:
+    """The shortest lag, and the lowest order for it, that take a design to a share of what
+    smoothing could gain; empty where no order does.
+    """
+    for design, share in product(names, shares):
+        record = {"design": design, "share of the gain": f"{100 * share:g}%"}
+        with suppress(InfeasibleDesignError):
+            choice = choose_lag(system, fraction=share, design=design)
+            record |= {
+                "lag (µs)": 1e6 * choice.lag,
+                "order": str(choice.order),
+                "error (rad²)": choice.error,
+                "shortest with an exact delay (µs)": 1e6 * choice.shortest,
+            }
+        yield record
+
+
+# --- a system of one's own ----------------------------------------------------------------------
+
+
+@_table()
+def refusals(attempts: Mapping[str, Callable[[], object]]) -> Records:
+    """Refusals."""
+    for name, attempt in attempts.items():
+        words = "not refused"
+        try:
+            attempt()
+        except InfeasibleDesignError as error:
+            words = str(error)
+        yield {"what is wrong": name, "what the library says": words}
+
+
+@_table(digits=3)
+def own_systems(results: Mapping[str, tuple[RobustSmoother, SimulationResult]]) -> Records:
+    """Mean square errors in the simulated nonlinear loop (± one standard error), against the
+    prediction by equivalent slopes and the guarantee; how much of the energy that the constraints
+    allow is used, and how long a nonlinearity is outside its slopes.
+    """
+    real = {"loop": "real", "allow_inadmissible": True, "reference": "system"}
+    for name, (design, found) in results.items():
+        smoothed, filtered = found.smoothed, found.filtered
+        yield {
+            "system": name,
+            "smoothed error": _estimate(smoothed, ".3g", ".1g"),
+            "predicted": np.trace(error_covariance(design, found.equivalent_delta, **real)),
+            "filtered error": _estimate(filtered, ".3g", ".1g"),
+            "saved": f"{1 - smoothed.mean_square / filtered.mean_square:.0%}",
+            "$2V$": design.mean_square_bound,
+            "constraints used": f"{found.constraints.max():.0%}",
+            "time outside": f"{100 * found.violated.max():.2g}%",
+        }
+
+
+@_table(digits=12)
+def in_units(units: Mapping[str, float]) -> Records:
+    """The least bound of the example, searched anew in each unit of time."""
+    for name, unit in units.items():
+        rates = {"lam": PAPER.lam * unit, "kappa": PAPER.kappa * unit}
+        parameters = replace(PAPER, **rates, alpha=PAPER.alpha * unit**0.5)
+        plant = augment(parameters.uncertain_system(), published.DELAY / unit, published.ORDER)
+        best = minimize_bound(plant)
+        edge = plant.structured_delta((), [-1.0])
+        yield {
+            "unit of time": name,
+            "infimum of $V$ (rad²)": best.bound_infimum,
+            r"error at $\Delta_2 = -1$ (rad²)": error_covariance(best.limit, edge)[0, 0],
+            r"$\tau$ (rad² s)": best.limit.tau * unit,
+        }
