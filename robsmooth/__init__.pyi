@@ -25,6 +25,8 @@ from robsmooth.estimators.bound import minimize_bound as minimize_bound
 from robsmooth.estimators.discrete import DiscreteSmoother as DiscreteSmoother
 from robsmooth.estimators.estimator import Estimator as Estimator
 from robsmooth.estimators.limit import limiting_smoother as limiting_smoother
+from robsmooth.estimators.minimax import MinimaxSmoother as MinimaxSmoother
+from robsmooth.estimators.minimax import minimax_smoother as minimax_smoother
 from robsmooth.estimators.smoother import RobustSmoother as RobustSmoother
 from robsmooth.estimators.smoother import design_smoother as design_smoother
 from robsmooth.homodyne.moments import StationaryErrors as StationaryErrors

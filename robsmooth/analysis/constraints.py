@@ -23,34 +23,24 @@ A design's V is this bound with :math:`\theta = \tau\lambda` and more noise: :ma
 """
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space, solve_continuous_lyapunov
-from scipy.optimize import minimize
 
-from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
+from robsmooth.estimators.certificate import (
+    ConstraintProblem,
+    largest_fraction,
+    least_certificate,
+)
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop, which_loop
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.delay import pade_delay
-
-_LEAST_START = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
-_LEAST_ENERGY = 1e-12  # of the largest that an output could have: one that no noise excites
-_LARGEST_CHANGE = 14.0  # of a multiplier in one search, in natural logarithms
-_INFEASIBLE = 1e2  # the objective, a logarithm, where the Riccati equation has no solution
-_RESTARTS = 8
-_LEAST_DECREASE = 1e-10  # a search that lowers the bound by less, relatively, is the last
-_CONTINUATION_ITERATIONS = 10  # of the search at a fraction of the uncertainty
-_MULTIPLES = 4.0 ** np.arange(10)  # of theta: the more, the more the uncertainty counts
-_SMALLEST_STEP = 1e-3  # in the fraction of the uncertainty
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,23 +141,45 @@ def analysis_bound(
     >>> round(rs.analysis_bound(ngcf, "filtered", loop="real").mean_square, 4)
     0.1388
     """
-    opened = open_loop(smoother, output, which_loop(loop, copy_noise))
+    loop = which_loop(loop, copy_noise)
+    opened = open_loop(smoother, output, loop)
     delay_order = validation.integer("delay_order", delay_order, low=1)
     if opened.delay > 0.0:
         opened = _with_delay_model(opened, delay_order)
-    problem = _Problem(opened, smoother.plant)
-    fraction, theta = _continuation(problem)
-    proven = guarantee(smoother, output)
+    proven = guarantee(smoother, output, loop)
+    fraction, problem, theta = _feasible(opened, smoother.plant)
     if fraction < 1.0:
         return AnalysisBound(math.inf, math.nan, fraction, proven, np.empty(0), np.empty((0, 0)))
-    theta = _minimise(problem, theta)
+    theta = least_certificate(problem, theta)
     point = problem.at(theta)
-    multipliers = np.full(len(smoother.plant.M_i), math.inf)
-    multipliers[problem.active] = theta
-    # what the worst input leaves of its constraints, weighted by their multipliers
-    gap = float(theta @ np.maximum(point.slack, 0.0)) / point.bound
-    feedback = frozen(problem.free @ point.feedback)
-    return AnalysisBound(point.bound, gap, 1.0, proven, frozen(multipliers), feedback)
+    return AnalysisBound(
+        mean_square=point.mean_square,
+        gap=problem.gap(theta),
+        fraction=1.0,
+        guarantee=proven,
+        multipliers=frozen(problem.all_multipliers(theta)),
+        feedback=frozen(point.feedback),
+    )
+
+
+def _feasible(
+    loop: OpenLoop, plant: AugmentedSystem
+) -> tuple[float, ConstraintProblem, np.ndarray]:
+    """Return the largest fraction of the uncertainty that has a bound, the problem and its theta.
+
+    Where there is none with all constraints, those of the nonlinearities and of the copies by
+    themselves are left out: what they let in may have no effect on the error.
+    """
+    problem = ConstraintProblem(loop, plant)
+    fraction, theta = largest_fraction(problem)
+    g = plant.system.g
+    if fraction < 1.0 and g:
+        kept = np.repeat([True, False], [plant.system.k + g, 2 * g])
+        reduced = ConstraintProblem(loop, plant, kept)
+        larger, found = largest_fraction(reduced)
+        if larger > fraction:
+            return larger, reduced, found
+    return fraction, problem, theta
 
 
 def _with_delay_model(loop: OpenLoop, order: int) -> OpenLoop:
@@ -184,118 +196,3 @@ def _with_delay_model(loop: OpenLoop, order: int) -> OpenLoop:
         estimate=np.hstack([loop.estimate, np.zeros((len(loop.estimate), states))]),
         delay=0.0,
     )
-
-
-class _Point(NamedTuple):
-    """The bound at one theta, its gradient, and the input that is worst there."""
-
-    bound: float
-    slack: np.ndarray  # the gradient: how much less energy than allowed that input has
-    feedback: Matrix
-
-
-class _Problem:
-    """The convex problem: the loop, with the inputs and constraints that are not void.
-
-    A constraint whose right hand side is zero forbids its input: `free` spans the inputs that are
-    left, and M (between these) and N (between states) are those of the `active` constraints.
-    """
-
-    def __init__(self, loop: OpenLoop, plant: AugmentedSystem):
-        constraints, inputs = len(plant.M_i), loop.inputs.shape[1]
-        M = np.reshape(plant.M_i, (constraints, inputs, inputs))
-        N = [loop.outputs.T @ N_i @ loop.outputs for N_i in plant.N_i]
-        N = np.reshape(N, (constraints, *loop.A.shape))
-        self.A, self.B, self.C = loop.A, loop.B, loop.truth - loop.estimate
-        self.active = N.any(axis=(1, 2))
-        self.free = null_space(M[~self.active].sum(axis=0))
-        self.inputs = loop.inputs @ self.free
-        self.M, self.N = self.free.T @ M[self.active] @ self.free, N[self.active]
-
-    def at(self, theta: np.ndarray, fraction: float = 1.0) -> _Point:
-        """Evaluate the bound with the outputs scaled; a RiccatiError says that there is none."""
-        weighted = np.tensordot(theta, self.N, axes=1)
-        gain = fraction * np.linalg.solve(np.tensordot(theta, self.M, axes=1), self.inputs.T)
-        P = solve_riccati(self.A, self.C.T @ self.C + fraction * weighted, -self.inputs @ gain).X
-        feedback = gain @ P
-        covariance = solve_continuous_lyapunov(self.A + self.inputs @ feedback, -self.B @ self.B.T)
-        allowed = fraction * np.tensordot(self.N, covariance, axes=2)
-        used = np.tensordot(self.M, feedback @ covariance @ feedback.T, axes=2) / fraction
-        return _Point(float(np.trace(self.B.T @ P @ self.B)), allowed - used, feedback)
-
-    def initial_multipliers(self) -> np.ndarray:
-        """Return the best theta for a vanishing uncertainty, each constraint by itself."""
-        P = solve_continuous_lyapunov(self.A.T, -self.C.T @ self.C)
-        covariance = solve_continuous_lyapunov(self.A, -self.B @ self.B.T)
-        largest = np.trace(self.N, axis1=1, axis2=2) * np.trace(covariance)
-        allowed = np.maximum(np.tensordot(self.N, covariance, axes=2), _LEAST_ENERGY * largest)
-        sensitivity = self.inputs.T @ P
-        used = np.tensordot(self.M, sensitivity @ covariance @ sensitivity.T, axes=2)
-        nominal = np.tensordot(self.C.T @ self.C, covariance, axes=2)
-        return np.sqrt(np.maximum(used, 0.0) / allowed) + _LEAST_START * nominal / allowed
-
-
-def _continuation(problem: _Problem) -> tuple[float, np.ndarray]:
-    """Return the largest fraction of the uncertainty that has a bound, at most 1, and its theta.
-
-    A good theta for some of the uncertainty, or a multiple of it, gives a bound for a little more.
-    """
-    if not np.linalg.eigvals(problem.A).real.max() < 0.0:
-        return 0.0, np.empty(0)
-    theta, fraction, step = problem.initial_multipliers(), 0.0, 1.0
-    while fraction < 1.0 and step > _SMALLEST_STEP:
-        trial = min(1.0, fraction + step)
-        feasible = _feasible_multiple(problem, theta, trial)
-        if feasible is None:
-            step /= 2.0
-        else:
-            theta = _quasi_newton(problem, feasible, trial, iterations=_CONTINUATION_ITERATIONS)
-            fraction = trial
-    return fraction, theta
-
-
-def _feasible_multiple(problem: _Problem, theta: np.ndarray, fraction: float) -> np.ndarray | None:
-    """Return the smallest of some multiples of theta that give a bound, or None."""
-    for multiple in _MULTIPLES:
-        with suppress(RiccatiError):
-            problem.at(multiple * theta, fraction)
-            return multiple * theta
-    return None
-
-
-def _minimise(problem: _Problem, theta: np.ndarray) -> np.ndarray:
-    """Return the theta of the least bound: a search started anew until it gains nothing."""
-    before = math.inf
-    for _ in range(_RESTARTS):
-        bound = problem.at(theta).bound
-        if bound > (1.0 - _LEAST_DECREASE) * before:
-            break
-        before, theta = bound, _quasi_newton(problem, theta)
-    return theta
-
-
-def _quasi_newton(
-    problem: _Problem, theta: np.ndarray, fraction: float = 1.0, iterations: int = 200
-) -> np.ndarray:
-    """Return a theta with a lower bound, by a quasi-Newton search over its logarithm."""
-    if not theta.size:
-        return theta
-
-    def objective(logarithms: np.ndarray) -> tuple[float, np.ndarray]:
-        trial = np.exp(logarithms)
-        try:
-            point = problem.at(trial, fraction)
-        except RiccatiError:
-            return _INFEASIBLE, np.zeros_like(trial)
-        return math.log(point.bound), point.slack * trial / point.bound
-
-    start = np.log(theta)
-    result = minimize(
-        objective,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=list(zip(start - _LARGEST_CHANGE, start + _LARGEST_CHANGE, strict=True)),
-        options={"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-11},
-    )
-    return np.exp(result.x) if result.fun <= objective(start)[0] else theta

@@ -152,7 +152,7 @@ def worst_case(
         return float(np.trace(error_covariance(smoother, Delta, output, loop)))
 
     worst, nominal = mean_square(Delta[best]), mean_square(np.zeros_like(Delta[best]))
-    return WorstCase(frozen(Delta[best]), worst, nominal, guarantee(smoother, output))
+    return WorstCase(frozen(Delta[best]), worst, nominal, guarantee(smoother, output, loop))
 
 
 @dataclass(frozen=True, eq=False)

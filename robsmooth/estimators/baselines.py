@@ -14,7 +14,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.systems.augmented import AugmentedSystem, augment, check_noise, compact
+from robsmooth.systems.augmented import AugmentedSystem, augment, check_noise
 from robsmooth.systems.channels import Uncertainty
 from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.system import UncertainSystem
@@ -79,7 +79,7 @@ def fixed_lag_smoother(
     >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, order=2)
     Estimator(3 states, delay=3.1e-06 s, order=2, 1 measurements, 1 outputs, 1 copies)
     """
-    plant = compact(system, delay, order)
+    plant = augment(system, delay, order)
     _, gain = _kalman(system, plant.delay_model)
     A_c = plant.A_p - gain @ plant.C2_tilde[: system.l]
     return _estimator(plant, A_c, gain, plant.C_p0, copies)
@@ -119,7 +119,7 @@ def linear_robust_filter(
     sectors = tuple(Uncertainty(c.B, c.lipschitz * c.C, c.D) for c in system.nonlinearities)
     linear = replace(system, uncertainties=(*system.uncertainties, *sectors), nonlinearities=())
     design = minimize_bound(augment(linear, delay, order))
-    plant = compact(system, delay, order)
+    plant = augment(system, delay, order)
     return _estimator(plant, design.A_c, design.B_c, design.C_c), design
 
 

@@ -14,10 +14,14 @@ every admissible uncertainty. The right hand side is convex in :math:`\theta`. T
 the feedback :math:`\tilde\xi = M^{-1}B_\xi'PX`.
 """
 
+import math
+import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import null_space, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, null_space, solve_continuous_lyapunov
+from scipy.optimize import minimize
 
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support.validation import Matrix
@@ -25,6 +29,18 @@ from robsmooth.estimators.descent import Slopes
 from robsmooth.estimators.loop import OpenLoop
 from robsmooth.systems.augmented import AugmentedSystem
 
+_LEAST_START = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
+_LEAST_ENERGY = 1e-12  # of the largest that an output could have: one that no noise excites
+_LARGEST_CHANGE = 14.0  # of a multiplier in one search, in natural logarithms
+_INFEASIBLE = 1e2  # the objective, a logarithm, where the Riccati equation has no solution
+_RESTARTS = 8
+_LEAST_DECREASE = 1e-10  # a search that lowers the bound by less, relatively, is the last
+_CONTINUATION_ITERATIONS = 10  # of the search at a fraction of the uncertainty
+_MULTIPLES = 4.0 ** np.arange(10)  # of theta: the more, the more the uncertainty counts
+_SMALLEST_STEP = 1e-3  # in the fraction of the uncertainty
+_FINISHED = 1e-4  # the gap of a search that has found the minimum
+_MARGINS = (0.0, *10.0 ** np.arange(-9.0, -1.0))  # of theta, to the edge of what has a bound
+_LEAST_RATIO = 1e-12  # of a multiplier to that before
 _NEGLIGIBLE = 1e-7  # an effect that is smaller, relative to its terms, is rounding
 
 
@@ -33,7 +49,7 @@ class Certificate:
     """The certified mean square error at one theta, with its gradients and the worst input."""
 
     mean_square: float
-    slack: np.ndarray  # the gradient in theta: how much less energy than allowed the worst input has
+    slack: np.ndarray  # the gradient in theta: the energy that the worst input leaves unused
     feedback: Matrix  # the worst input
     slopes: Slopes
 
@@ -55,15 +71,16 @@ class ConstraintProblem:
         N = [loop.outputs.T @ N_i @ loop.outputs for N_i in plant.N_i]
         N = np.reshape(N, (constraints, *loop.A.shape))
         self.loop, self.A, self.B, self.C = loop, loop.A, loop.B, loop.truth - loop.estimate
-        forbidding = ~N.any(axis=(1, 2))
-        self.active = ~forbidding if kept is None else ~forbidding & kept
-        allowed = null_space(M[forbidding].sum(axis=0))
+        self.forbidding = ~N.any(axis=(1, 2))
+        self.active = ~self.forbidding if kept is None else ~self.forbidding & kept
+        allowed = null_space(M[self.forbidding].sum(axis=0))
         between = allowed.T @ M[self.active].sum(axis=0) @ allowed
         unbounded = null_space(between)
         self.free = allowed @ null_space(unbounded.T)
         self.inputs, self.unbounded = loop.inputs @ self.free, loop.inputs @ allowed @ unbounded
         self.M, self.N = self.free.T @ M[self.active] @ self.free, N[self.active]
-        self._between_outputs = np.reshape(plant.N_i, (constraints, len(loop.outputs), -1))[self.active]
+        between = np.reshape(plant.N_i, (constraints, *[len(loop.outputs)] * 2))
+        self._between_outputs = between[self.active]
 
     def at(self, theta: np.ndarray, fraction: float = 1.0) -> Certificate:
         """Certify the error with the outputs scaled; a RiccatiError says that it cannot be."""
@@ -77,12 +94,146 @@ class ConstraintProblem:
         covariance = solve_continuous_lyapunov(self.A + self.inputs @ feedback, -self.B @ self.B.T)
         allowed = fraction * np.tensordot(self.N, covariance, axes=2)
         used = np.tensordot(self.M, feedback @ covariance @ feedback.T, axes=2) / fraction
-        both = 2.0 * P @ covariance
+        both, between = 2.0 * P @ covariance, np.tensordot(theta, self._between_outputs, axes=1)
         slopes = Slopes(
             A=both,
             B=2.0 * P @ self.B,
             inputs=both @ (self.free @ feedback).T,
-            outputs=2.0 * fraction * np.tensordot(theta, self._between_outputs, axes=1) @ self.loop.outputs @ covariance,
+            outputs=2.0 * fraction * between @ self.loop.outputs @ covariance,
             estimate=-2.0 * self.C @ covariance,
         )
-        return Certificate(float(np.trace(self.B.T @ P @ self.B)), allowed - used, self.free @ feedback, slopes)
+        mean_square = float(np.trace(self.B.T @ P @ self.B))
+        return Certificate(mean_square, allowed - used, self.free @ feedback, slopes)
+
+    def initial_multipliers(self) -> np.ndarray:
+        """Return the best theta for a vanishing uncertainty, each constraint by itself."""
+        P = solve_continuous_lyapunov(self.A.T, -self.C.T @ self.C)
+        covariance = solve_continuous_lyapunov(self.A, -self.B @ self.B.T)
+        largest = np.trace(self.N, axis1=1, axis2=2) * np.trace(covariance)
+        allowed = np.maximum(np.tensordot(self.N, covariance, axes=2), _LEAST_ENERGY * largest)
+        sensitivity = self.inputs.T @ P
+        used = np.tensordot(self.M, sensitivity @ covariance @ sensitivity.T, axes=2)
+        nominal = np.tensordot(self.C.T @ self.C, covariance, axes=2)
+        return np.sqrt(np.maximum(used, 0.0) / allowed) + _LEAST_START * nominal / allowed
+
+    def all_multipliers(self, theta: np.ndarray) -> np.ndarray:
+        """Return theta of all k + 3g constraints: infinite where the input is forbidden."""
+        multipliers = np.where(self.forbidding, math.inf, 0.0)
+        multipliers[self.active] = theta
+        return multipliers
+
+    def gap(self, theta: np.ndarray) -> float:
+        """Return what the worst input leaves of its constraints, relative to the error."""
+        found = self.at(theta)
+        return float(theta @ np.maximum(found.slack, 0.0)) / found.mean_square
+
+
+def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
+    """Return the largest fraction of the uncertainty that has a bound, at most 1, and its theta.
+
+    A good theta for some of the uncertainty, or a multiple of it, gives a bound for a little more.
+    """
+    if not np.linalg.eigvals(problem.A).real.max() < 0.0:
+        return 0.0, np.empty(0)
+    theta, fraction, step = problem.initial_multipliers(), 0.0, 1.0
+    while fraction < 1.0 and step > _SMALLEST_STEP:
+        trial = min(1.0, fraction + step)
+        feasible = _feasible_multiple(problem, theta, trial)
+        if feasible is None:
+            step /= 2.0
+        else:
+            theta = _quasi_newton(problem, feasible, trial, iterations=_CONTINUATION_ITERATIONS)
+            fraction = trial
+    return fraction, theta
+
+
+def _feasible_multiple(
+    problem: ConstraintProblem, theta: np.ndarray, fraction: float
+) -> np.ndarray | None:
+    """Return the smallest of some multiples of theta that give a bound, or None."""
+    for multiple in _MULTIPLES:
+        with suppress(RiccatiError):
+            problem.at(multiple * theta, fraction)
+            return multiple * theta
+    return None
+
+
+def least_certificate(problem: ConstraintProblem, theta: np.ndarray) -> np.ndarray:
+    """Return the theta of the least bound: a search started anew until it gains nothing."""
+    before = math.inf
+    for _ in range(_RESTARTS):
+        bound = problem.at(theta).mean_square
+        if bound > (1.0 - _LEAST_DECREASE) * before:
+            break
+        before, theta = bound, _quasi_newton(problem, theta)
+    if problem.gap(theta) < _FINISHED:
+        return theta
+    # The search stops where the edge of what has a bound is next to the minimum.
+    return min((theta, _by_programme(problem, theta)), key=lambda t: problem.at(t).mean_square)
+
+
+def _by_programme(problem: ConstraintProblem, theta: np.ndarray) -> np.ndarray:
+    """Return the best theta by the matrix inequality of the Riccati equation, from a feasible one.
+
+    Time and states are in natural units, P in that of the error, and theta relative to the given.
+    """
+    import cvxpy as cp
+
+    start, covariance = (
+        problem.at(theta),
+        solve_continuous_lyapunov(problem.A, -problem.B @ problem.B.T),
+    )
+    variances = np.diag(covariance)
+    x = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    time, unit = 1.0 / np.abs(np.linalg.eigvals(problem.A)).max(), start.mean_square
+    root = np.linalg.inv(np.linalg.cholesky(np.tensordot(theta, problem.M, axes=1)))
+    A, B, C = time * problem.A / x[:, None] * x, problem.B / x[:, None], problem.C * x
+    inputs = np.sqrt(unit * time) * problem.inputs / x[:, None] @ root.T
+    N = [t * time / unit * np.outer(x, x) * N_i for t, N_i in zip(theta, problem.N, strict=True)]
+    M = [t * root @ M_i @ root.T for t, M_i in zip(theta, problem.M, strict=True)]
+    P, relative = cp.Variable(A.shape, symmetric=True), cp.Variable(len(theta), nonneg=True)
+    states = (
+        A.T @ P
+        + P @ A
+        + time / unit * C.T @ C
+        + sum(r * N_i for r, N_i in zip(relative, N, strict=True))
+    )
+    worst = -sum(r * M_i for r, M_i in zip(relative, M, strict=True))
+    inequality = cp.bmat([[states, P @ inputs], [inputs.T @ P, worst]])
+    least = cp.Minimize(cp.trace(B.T @ P @ B))
+    with warnings.catch_warnings(), suppress(cp.SolverError):
+        warnings.simplefilter("ignore")  # of accuracy, which the certificate shows
+        cp.Problem(least, [(inequality + inequality.T) / 2 << 0]).solve(solver=cp.CLARABEL)
+    for margin in _MARGINS if relative.value is not None else ():
+        with suppress(RiccatiError, LinAlgError):
+            found = (1.0 + margin) * np.maximum(relative.value, _LEAST_RATIO) * theta
+            problem.at(found)
+            return found
+    return theta
+
+
+def _quasi_newton(
+    problem: ConstraintProblem, theta: np.ndarray, fraction: float = 1.0, iterations: int = 200
+) -> np.ndarray:
+    """Return a theta with a lower bound, by a quasi-Newton search over its logarithm."""
+    if not theta.size:
+        return theta
+
+    def objective(logarithms: np.ndarray) -> tuple[float, np.ndarray]:
+        trial = np.exp(logarithms)
+        try:
+            point = problem.at(trial, fraction)
+        except RiccatiError:
+            return _INFEASIBLE, np.zeros_like(trial)
+        return math.log(point.mean_square), point.slack * trial / point.mean_square
+
+    start = np.log(theta)
+    result = minimize(
+        objective,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=list(zip(start - _LARGEST_CHANGE, start + _LARGEST_CHANGE, strict=True)),
+        options={"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-11},
+    )
+    return np.exp(result.x) if result.fun <= objective(start)[0] else theta

@@ -22,10 +22,11 @@ _EQUALITY_SLACK = 1e-9  # of inequalities that hold with equality at an optimum
 
 
 def check_plant(plant: AugmentedSystem, cost: str) -> None:
-    """Check what a design is for, and Assumption 2."""
+    """Check what a design is for, and Assumptions 1 and 2."""
     hint = "; augment(system, delay, order) makes one"
     validation.instance("plant", plant, AugmentedSystem, hint)
     validation.choice("cost", cost, COSTS)
+    _ = plant.J  # exists by Assumption 1
     check_noise("Assumption 2", plant.D21_bar)
 
 

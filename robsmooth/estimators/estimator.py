@@ -44,6 +44,8 @@ class Estimator:
     C_a, C_f : (m, n_c) arrays
         The read-outs of the smoothed estimate of w one delay back, and of the filtered one of w
         now, which is w-hat for every design but one whose cost is on the smoothed error.
+    cost : {None, "filtered", "smoothed"}
+        Which error has a guarantee, where one has.
 
     Examples
     --------
@@ -58,10 +60,16 @@ class Estimator:
     C_c: Matrix
     C_a: Matrix
     C_f: Matrix
+    cost: str | None = None
 
     def __post_init__(self) -> None:
         for value in (self.A_c, self.B_c, self.C_c, self.C_a, self.C_f):
             frozen(value)
+
+    @property
+    def mean_square_bound(self) -> float | None:
+        """The guarantee, where there is one."""
+        return None
 
     @property
     def poles(self) -> NDArray[np.complex128]:

@@ -172,10 +172,11 @@ def error_rows(smoother: Estimator, output: str) -> tuple[Matrix, Matrix, float]
     if output != "smoothed":
         estimate, delay = smoother.C_f, 0.0
     if output == "guaranteed":
-        if not isinstance(smoother, RobustSmoother):
+        if smoother.cost is None:
             raise ValueError(
-                "output 'guaranteed' is for a RobustSmoother, which has a bound, got "
-                f"{type(smoother).__name__}; 'smoothed' and 'filtered' are for any estimator"
+                "output 'guaranteed' is for a RobustSmoother or MinimaxSmoother, which has a "
+                f"guarantee, got {type(smoother).__name__}; 'smoothed' and 'filtered' are for any "
+                "estimator"
             )
         truth = plant.C_p0 if smoother.cost == "filtered" else plant.C_a
         estimate = smoother.C_c[: plant.system.m]
@@ -201,14 +202,13 @@ def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
     return OpenLoop(A, B, inputs, outputs, truth, estimate, delay, blocks)
 
 
-def guarantee(smoother: Estimator, output: str) -> float | None:
-    """Return 2V where it is proven to be above the mean square of this error, else None.
+def guarantee(smoother: Estimator, output: str, loop: str) -> float | None:
+    """Return the guarantee where it is proven for this error in this loop, else None.
 
     What is proven for the theory's loop holds for the real one too, which has less noise.
     """
-    covered = isinstance(smoother, RobustSmoother) and (
-        output == "guaranteed" or output == smoother.cost == "filtered"
-    )
+    covered = output == "guaranteed" or output == smoother.cost == "filtered"
+    covered &= loop == "real" or isinstance(smoother, RobustSmoother)
     return smoother.mean_square_bound if covered else None
 
 

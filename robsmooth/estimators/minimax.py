@@ -1,182 +1,268 @@
-r"""The estimator with the least certified error: a semidefinite programme.
+r"""The estimator whose certified error is the least: by convex optimisation, or by descent.
 
-The plant with its delay model, in difference to what the estimator knows, is
-
-.. math::
-
-    dx = (A x + B_\xi\xi)\,dt + B_w\,dW,\quad dy = (C_2 x + D_\xi\xi)\,dt + D_w\,dW,\quad
-    \mathrm E|\xi_s|^2 \le \mathrm E|C_{1s} x|^2 .
-
-For an estimator :math:`d\hat x = A_c\hat x\,dt + B_c\,dy,\ \hat w = C_c\hat x` of the plant's
-order, and multipliers :math:`\theta`, the mean square of :math:`w_a - \hat w` is certified to be at
-most :math:`\operatorname{tr} W` by a Lyapunov function of both states. It is that of
-`robsmooth.analysis_bound`, which is exact. The usual change of variables of robust filtering makes
-the conditions linear in Z, X, F, L, K, :math:`\theta` and W:
-
-.. math::
-
-    \begin{bmatrix} W & * & * \\ ZB_w & Z & * \\ XB_w + LD_w & Z & X\end{bmatrix} > 0,
-
-.. math::
-
-    \begin{bmatrix}
-    A'Z + ZA + Q & ZA + A'X + C_2'L' + F' + Q & ZB_\xi & C_a' - K'\\
-    * & XA + A'X + LC_2 + C_2'L' + Q & XB_\xi + LD_\xi & C_a'\\
-    * & * & -\Theta & 0\\
-    * & * & * & -I
-    \end{bmatrix} < 0
-
-with :math:`Q = \sum_s\theta_s C_{1s}'C_{1s}`, and :math:`A_c = (Z-X)^{-1}F`,
-:math:`B_c = (Z-X)^{-1}L`, :math:`C_c = K`. Noise need not enter through the uncertainty's channels.
-
-**Copies.** The estimator knows the output :math:`\tilde\mu` of a copy. A nonlinearity is
-:math:`\tilde\mu` and a rest, :math:`|\mu - \tilde\mu| \le \beta|\nu - \tilde\nu|`. What
-:math:`\tilde\mu` does to the state, :math:`dx_2 = (A x_2 + \bar B\tilde\mu)\,dt`, and to the
-measurement, is known and taken off. The programme is for the rest, in which a nonlinearity is a
-channel whose argument is chosen: its output is :math:`\bar C x - \tilde\nu_1` with
-:math:`\tilde\nu_1 = \tilde K\hat x/\theta`, which adds a row to the inequality. This is the limit
-in which the multipliers of :math:`\mu` and of :math:`\tilde\mu` vanish.
-
-References: J. C. Geromel, "Optimal linear filtering under parameter uncertainty", IEEE Trans. Signal
-Process. 47(1), 1999; C. W. Scherer and I. E. Kose, "Robustness with dynamic IQCs: an exact
-state-space characterization of nominal stability with applications to robust estimation",
-Automatica 44(7), 2008.
+The programme of `robsmooth.estimators.programme` gives it for plants of a moderate size in which
+the copies' outputs drive no state that an uncertainty sees. Elsewhere the certified error of the
+best known estimator is made smaller by descent on all its matrices and multipliers; it is then the
+least near by. Either way the answer has the certificate of `robsmooth.estimators.certificate`.
 """
 
-import warnings
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
+from scipy.linalg import LinAlgError, expm, solve_continuous_lyapunov
 
+from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth._support.validation import Matrix, frozen
-from robsmooth.estimators.certificate import ConstraintProblem
+from robsmooth._support.validation import frozen
+from robsmooth.estimators.baselines import fixed_lag_smoother
+from robsmooth.estimators.bound import minimize_bound
+from robsmooth.estimators.certificate import ConstraintProblem, largest_fraction, least_certificate
+from robsmooth.estimators.conditions import check_stable
+from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.units import Units
+from robsmooth.estimators.loop import matrices, open_loop
+from robsmooth.estimators.programme import NoSolution, copies_are_known, least_certified
+from robsmooth.estimators.units import Units
+from robsmooth.systems.augmented import AugmentedSystem, check_noise
+from robsmooth.systems.delay import pade_delay
+
+OUTPUTS = ("smoothed", "filtered")
+LARGEST = 20  # states of a plant for the programme: it takes about 10 s there, and 0.1 s for 6
+CONDITION = "A finite guarantee"
+_PROGRAMME, _DESCENT = "semidefinite programme", "descent"
+_ROUNDS = 3  # of descent, each from coordinates balanced anew
 
 
-class NoSolution(ArithmeticError):
-    """The solver found no solution of the programme."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MinimaxSmoother(Estimator):
+    """An estimator with the least certified error.
 
+    Attributes
+    ----------
+    certified : float
+        The mean square error that no admissible uncertainty exceeds, in the squared unit of w. The
+        error is that of w-hat against the output of the delay model, or against w ("filtered").
+    multipliers : (k + 3g,) array
+        theta of the certificate, in the squared unit of w times seconds.
+    cost : {"smoothed", "filtered"}
+        Which error it is.
+    route : {"semidefinite programme", "descent"}
+        How it was found: the first is the least over all linear estimators, with copies in the
+        limit in which the multipliers of mu and mu-tilde vanish; the second is a local minimum.
 
-@dataclass(frozen=True, eq=False)
-class _Channel:
-    """An uncertainty of the programme, its output of norm one."""
+    See Also
+    --------
+    minimax_smoother : makes it.
 
-    B: Matrix
-    D: Matrix
-    C: Matrix
-    size: float  # by which its output was divided
-    constraint: int  # which of the k + 3g it is in
-    copied: bool
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> rs.minimax_smoother(plant)
+    MinimaxSmoother(certified=0.088669, cost='smoothed', delay=3.1e-06 s, order=2)
+    """
 
+    certified: float
+    multipliers: NDArray[np.float64]
+    cost: str
+    route: str
 
-def _channels(plant: AugmentedSystem) -> list[_Channel]:
-    """Return the channels that have an effect: of the uncertainties, then of the differences."""
-    system, l = plant.system, plant.system.l
-    columns = np.cumsum((0, *plant.input_sizes))
-    rows = np.cumsum((0, *plant.output_sizes))
-    found = []
-    for i in range(system.k + system.g):
-        copied = i >= system.k
-        gain = system.nonlinearities[i - system.k].lipschitz if copied else 1.0
-        C = gain * plant.C1_tilde[rows[i] : rows[i + 1]]
-        size = float(np.linalg.norm(C))
-        inputs = slice(columns[i], columns[i + 1])
-        if size > 0.0:
-            B, D = size * plant.B1_tilde[:, inputs], size * plant.D21_tilde[:l, inputs]
-            found.append(_Channel(B, D, C / size, size, i, copied))
-    return found
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        frozen(self.multipliers)
 
+    @property
+    def mean_square_bound(self) -> float:
+        """The guarantee: `certified`, by the name that it has for a `RobustSmoother`."""
+        return self.certified
 
-@dataclass(frozen=True, eq=False)
-class _Solution:
-    """The estimator that the programme gives, of the rest, and its multipliers."""
+    def __repr__(self) -> str:
+        return (
+            f"MinimaxSmoother(certified={self.certified:.5g}, cost={self.cost!r}, "
+            f"delay={self.plant.delay:g} s, order={self.plant.order})"
+        )
 
-    A_c: Matrix
-    B_c: Matrix
-    C_c: Matrix
-    arguments: Matrix  # of the copies that have an effect, (g, n)
-    multipliers: np.ndarray  # (k + 3g,)
-    mean_square: float
-
-
-def _solve(plant: AugmentedSystem, C_a: Matrix) -> _Solution:
-    """Solve the programme of the module docstring, for a plant in natural units."""
-    import cvxpy as cp
-
-    system, n, m = plant.system, plant.n, len(C_a)
-    A, B_w, C_2, D_w = plant.A_p, plant.B_p1[:, : system.q], plant.C2_tilde[: system.l], system.D21
-    channels = _channels(plant)
-    Z, X = (cp.Variable((n, n), symmetric=True) for _ in range(2))
-    F, L, K = cp.Variable((n, n)), cp.Variable((n, system.l)), cp.Variable((m, n))
-    W, theta = cp.Variable((system.q,) * 2, symmetric=True), cp.Variable(len(channels), nonneg=True)
-    arguments = {c.constraint: cp.Variable((1, n)) for c in channels if c.copied}
-
-    Q = np.zeros((n, n))
-    # the columns to the right of the first two, and the diagonal below them
-    right, diagonal = [(C_a.T - K.T, C_a.T)], [np.eye(m)]
-    for weight, c in zip(theta, channels, strict=True):
-        right.append((Z @ c.B, X @ c.B + L @ c.D))
-        diagonal.append(weight * np.eye(c.B.shape[1]))
-        if c.copied:
-            right.append((weight * c.C.T - arguments[c.constraint].T, weight * c.C.T))
-            diagonal.append(weight * np.eye(1))
-        else:
-            Q = Q + weight * (c.C.T @ c.C)
-    measured = L @ C_2
-    first = Z @ A + A.T @ Z + Q
-    middle = Z @ A + A.T @ X + measured.T + F.T + Q
-    second = X @ A + A.T @ X + measured + measured.T + Q
-    border = [cp.hstack([column[row] for column in right]) for row in (0, 1)]
-    below = _block_diagonal(diagonal)
-    decay = cp.bmat(
-        [
-            [first, middle, border[0]],
-            [middle.T, second, border[1]],
-            [border[0].T, border[1].T, -below],
+    def _repr_html_(self) -> str:
+        rows = [
+            (f"certified {self.cost} error, (unit of $w$)²", self.certified),
+            (r"multipliers $\theta$, s (unit of $w$)²", f"${notation.vector(self.multipliers)}$"),
+            ("found by", self.route),
         ]
+        return self._sheet("Minimax smoother", rows)
+
+
+@one_thread
+def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> MinimaxSmoother:
+    """Design the estimator whose certified error is the least.
+
+    Parameters
+    ----------
+    plant : AugmentedSystem
+        Made by `augment`. Noise need not enter through uncertainty channels, and J_21 is not used.
+    output : {"smoothed", "filtered"}
+        The error: of the smoothed estimate against the delay model's output, or the filtered one.
+
+    Returns
+    -------
+    MinimaxSmoother
+        With its certificate: the Riccati equation of `analysis_bound` was solved for it.
+
+    Raises
+    ------
+    InfeasibleDesignError
+        Where no estimator has a finite guarantee; it says with which fraction of the uncertainty
+        one has. Where the plant is not stable, or a measurement has no noise.
+    RuntimeError
+        Where the solver fails on a problem that has a solution.
+    ValueError, TypeError
+        For an argument that is not as described.
+
+    See Also
+    --------
+    minimize_bound : the paper's design, with the least bound V.
+    analysis_bound : the certified error of any estimator.
+
+    References
+    ----------
+    J. C. Geromel, "Optimal linear filtering under parameter uncertainty", IEEE Trans. Signal
+    Process. 47(1), 1999.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> round(rs.minimax_smoother(plant).certified, 4)
+    0.0887
+    """
+    hint = "; augment(system, delay, order) makes one"
+    validation.instance("plant", plant, AugmentedSystem, hint)
+    validation.choice("output", output, OUTPUTS)
+    check_noise("A measurement's noise", plant.system.D21)
+    check_stable(plant)
+    units = Units.of(plant.system)
+    natural = units.plant(plant)
+    if output == "filtered":  # which does not see the delay model
+        natural = AugmentedSystem(natural.system, pade_delay(0.0, 0, plant.system.m), plant.J_21)
+    route, found = _PROGRAMME, None
+    if natural.n <= LARGEST and copies_are_known(natural):
+        with suppress(NoSolution, RiccatiError, LinAlgError):
+            estimator, theta = least_certified(natural, natural.C_a)
+            positive = theta > 0.0
+            found = _problem(estimator, positive).at(theta[positive]).mean_square
+    if found is None:
+        route = _DESCENT
+        estimator, theta, found = _by_descent(natural)
+    estimator = _with_read_outs(estimator, units.plant(plant), output)
+    return MinimaxSmoother(
+        **units.restored(estimator, plant),
+        certified=units.w**2 * found,
+        multipliers=units.w**2 * units.time * theta,
+        cost=output,
+        route=route,
     )
-    in_Z, in_X = Z @ B_w, X @ B_w + L @ D_w
-    energy = cp.bmat([[W, in_Z.T, in_X.T], [in_Z, Z, Z], [in_X, Z, X]])
-    problem = cp.Problem(cp.Minimize(cp.trace(W)), [_symmetric(decay) << 0, _symmetric(energy) >> 0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # an answer that is inaccurate has no certificate
-        try:
-            problem.solve(solver=cp.CLARABEL)
-        except cp.SolverError as error:
-            raise NoSolution(str(error)) from None
-    if Z.value is None:
-        raise NoSolution(problem.status)
-    multipliers = np.zeros(len(plant.M_i))
-    for weight, c in zip(theta.value, channels, strict=True):
-        multipliers[c.constraint] = weight / c.size**2
-    into = np.linalg.inv(Z.value - X.value)
-    gain = into @ L.value
-    read = np.zeros((system.g, n))
-    for weight, c in zip(theta.value, channels, strict=True):
-        if c.copied:
-            row = c.constraint - system.k
-            read[row] = arguments[c.constraint].value * c.size / weight / system.nonlinearities[row].lipschitz
-    return _Solution(into @ F.value, gain, K.value, read, multipliers, float(problem.value))
 
 
-def _symmetric(matrix):
-    return (matrix + matrix.T) / 2
-
-
-def _block_diagonal(blocks):
-    import cvxpy as cp
-
-    sizes = [block.shape[0] for block in blocks]
-    return cp.bmat(
-        [
-            [block if i == j else np.zeros((sizes[i], sizes[j])) for j in range(len(blocks))]
-            for i, block in enumerate(blocks)
-        ]
+def _problem(estimator: Estimator, kept: np.ndarray | None = None) -> ConstraintProblem:
+    """Return the loop with the error of w-hat against the delay model's output."""
+    plant, none = estimator.plant, np.zeros_like(estimator.C_a)
+    loop = replace(
+        open_loop(estimator, "filtered", "real"),
+        truth=np.hstack([plant.C_a, none]),
+        estimate=np.hstack([np.zeros_like(plant.C_a), estimator.C_a]),
     )
+    return ConstraintProblem(loop, plant, kept)
+
+
+def _by_descent(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray, float]:
+    """Return a local minimum, with theta and its certified error, from the best candidate.
+
+    Raises
+    ------
+    InfeasibleDesignError
+        Where no candidate has a guarantee for all of the uncertainty.
+    """
+    fraction, best = 0.0, None
+    for candidate in _candidates(plant):
+        problem = _problem(candidate)
+        reached, theta = largest_fraction(problem)
+        fraction = max(fraction, reached)
+        if reached == 1.0:
+            theta = least_certificate(problem, theta)
+            found = problem.at(theta).mean_square
+            if best is None or found < best[0]:
+                multipliers = problem.all_multipliers(theta)
+                multipliers[problem.forbidding] = theta.max(initial=1.0)
+                best = found, candidate, multipliers
+    if best is None:
+        raise InfeasibleDesignError(
+            CONDITION,
+            "an uncertainty of this size, varying in time, could destabilise the plant, so that no "
+            f"estimator has one; {fraction:.3g} of the uncertainty has one (scale its outputs C or "
+            "the Lipschitz constants down)",
+        )
+    found, estimator, theta = best
+    for _ in range(_ROUNDS):
+        estimator, logarithms, found = descend(estimator, _objective, np.log(theta))
+        theta = np.exp(logarithms)
+    return estimator, theta, math.exp(found)
+
+
+def _objective(estimator: Estimator, logarithms: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the logarithm of the certified error, and its gradient."""
+    problem, theta = _problem(estimator), np.exp(logarithms)
+    certificate = problem.at(theta[problem.active])
+    in_theta = np.zeros_like(theta)
+    in_theta[problem.active] = certificate.slack * theta[problem.active]
+    gradient = np.concatenate([certificate.slopes.of_estimator(estimator), in_theta])
+    return math.log(certificate.mean_square), gradient / certificate.mean_square
+
+
+def _candidates(plant: AugmentedSystem) -> Iterator[Estimator]:
+    """Yield classical smoothers, those that the paper's theory gives, and the estimate zero."""
+    n, m, g = plant.n, plant.system.m, plant.system.g
+    with suppress(InfeasibleDesignError):
+        for copies in {False, g > 0}:
+            yield _of_w_hat(fixed_lag_smoother(plant.system, plant.delay, plant.order, copies))
+    for cost in ("smoothed", "filtered"):
+        with suppress(InfeasibleDesignError):
+            yield _of_w_hat(minimize_bound(plant, cost))
+    zeros = {"B_c": np.zeros((n, plant.system.l + g)), "C_c": np.zeros((m + g, n))}
+    none = np.zeros((m, n))
+    yield Estimator(plant=plant, A_c=-np.eye(n), C_a=none, C_f=none, **zeros)
+
+
+def _of_w_hat(estimator: Estimator) -> Estimator:
+    """Return an estimator whose w-hat is its smoothed estimate."""
+    arguments = estimator.C_c[estimator.plant.system.m :]
+    matrices = {name: getattr(estimator, name) for name in ("A_c", "B_c", "C_a")}
+    C_c = np.vstack([estimator.C_a, arguments])
+    return Estimator(plant=estimator.plant, C_c=C_c, C_f=estimator.C_a, **matrices)
+
+
+def _with_read_outs(estimator: Estimator, plant: AugmentedSystem, output: str) -> Estimator:
+    """Return the estimator on a plant with both its read-outs: one is w-hat, one nominally best.
+
+    A filter is followed by the delay model, so that there is something to smooth with.
+    """
+    m, model = plant.system.m, plant.delay_model
+    A_c, B_c, C_c = estimator.A_c, estimator.B_c, estimator.C_c
+    if output == "filtered":
+        states = len(model.F)
+        A_c = np.block([[A_c, np.zeros((len(A_c), states))], [model.G @ C_c[:m], model.F]])
+        B_c = np.pad(B_c, ((0, states), (0, 0)))
+        C_c = np.pad(C_c, ((0, 0), (0, states)))
+    w_hat = C_c[:m]
+    estimator = Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=w_hat, C_f=w_hat)
+    A, B, _, _ = matrices(estimator, "real")
+    covariance = solve_continuous_lyapunov(A, -B @ B.T)
+    lag = plant.delay if output == "filtered" else 0.0
+    known = (expm(lag * A) @ covariance)[plant.n :]  # of the estimator's states, at a past state
+    known = known[:, : plant.n] @ plant.C_p0.T
+    nominal = np.linalg.lstsq(covariance[plant.n :, plant.n :], known, rcond=None)[0].T
+    return replace(estimator, **{"C_a" if output == "filtered" else "C_f": nominal})

@@ -58,7 +58,7 @@ class DesignProblem:
         in_Y, in_X = np.concatenate([s, d | o]), np.concatenate([s, o | (d & c)])
         unknown, unbounded = ~in_Y[channels], ~in_X[channels]
         known, combinations = _known_inputs(system.D21, B[:, unknown], D[:, unknown])
-        if _reaches(plant.A_p, B[:, unbounded], C1[in_X[rows]]):
+        if reaches(plant.A_p, B[:, unbounded], C1[in_X[rows]]):
             raise refusal(
                 ASSUMPTION_X,
                 "towards the limit of these multipliers the bound grows without limit, because the "
@@ -119,7 +119,7 @@ def _known_inputs(D21: Matrix, B: Matrix, D: Matrix) -> tuple[Matrix, Matrix]:
     return B @ np.linalg.pinv(D) / deviations.T, null_space(D.T) / deviations
 
 
-def _reaches(A: Matrix, B: Matrix, C: Matrix) -> bool:
+def reaches(A: Matrix, B: Matrix, C: Matrix) -> bool:
     """Return whether inputs B of x' = A x + B u have any effect on C x."""
     size = np.abs(B)
     for _ in range(len(A)):

@@ -44,7 +44,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import matrices
 from robsmooth.homodyne.parameters import homodyne_system
-from robsmooth.systems.augmented import compact
+from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import REFERENCES
 from robsmooth.systems.system import UncertainSystem
 
@@ -241,7 +241,7 @@ def _estimator(smoother, system: UncertainSystem, copy: bool) -> Estimator:
     runs = np.array([1.0, float(copy)])[: C_c.shape[0]]
     missing = 2 - inputs
     return Estimator(
-        plant=compact(system, delay, order=0),
+        plant=augment(system, delay, order=0),
         A_c=A_c,
         B_c=np.pad(B_c * runs, ((0, 0), (0, missing))),
         C_c=np.pad(C_c * runs[:, None], ((0, missing), (0, 0))),

@@ -18,7 +18,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.systems.augmented import AugmentedSystem, compact
+from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.system import UncertainSystem
 
@@ -115,7 +115,7 @@ class Reader:
         delay = _numbers(f"{path}delay", table["delay"], 0)
         J_21 = _matrix(f"{path}J_21", table["J_21"]) if "J_21" in table else 1.0
         with _within(path):
-            return compact(system, delay, table["order"], J_21=J_21)
+            return augment(system, delay, table["order"], J_21=J_21)
 
     def estimator(self, table: object) -> Estimator:
         """Return the estimator of a table, a robust design where it has the parameters of one."""

@@ -267,8 +267,6 @@ def augment(
 
     Raises
     ------
-    InfeasibleDesignError
-        Where a noise does not enter through the uncertainty channels (Assumption 1).
     ValueError, TypeError
         For a bad delay, order or J_21.
 
@@ -279,15 +277,6 @@ def augment(
     >>> plant.delay, plant.order, plant.n
     (3.1e-06, 2, 3)
     """
-    plant = compact(system, delay, order, J_21=J_21)
-    _ = plant.J  # Assumption 1 is checked here, once, for everything built on the plant
-    return plant
-
-
-def compact(
-    system: UncertainSystem, delay: float, order: int, *, J_21: ArrayLike = 1.0
-) -> AugmentedSystem:
-    """Do as `augment`, for any noise: a Kalman filter, say, does not need Assumption 1."""
     validation.instance("system", system, UncertainSystem)
     if np.ndim(J_21) == 0:
         J_21 = validation.positive("J_21", J_21) * np.eye(system.g)

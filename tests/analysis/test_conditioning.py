@@ -28,7 +28,6 @@ from robsmooth.estimators.baselines import (
     optimal_two_sided_error,
 )
 from robsmooth.estimators.smoother import design_equations
-from robsmooth.systems.augmented import compact
 from robsmooth.systems.delay import pade_delay
 from tests.helpers.rational import exact_covariance
 from tests.helpers.strategies import orthogonal_matrix, random_multipliers, random_system, seeds
@@ -323,7 +322,7 @@ def test_delay_models_of_high_order_delay(order, delay):
 
 def test_augmented_matrices_scale_with_the_unit_of_time():
     system = random_system(np.random.default_rng(0), n=3, g=1)
-    here = compact(system, 0.5, 12)
-    there = compact(in_units(system, time=2.0**-30), 0.5 * 2.0**30, 12)
+    here = augment(system, 0.5, 12)
+    there = augment(in_units(system, time=2.0**-30), 0.5 * 2.0**30, 12)
     assert_allclose(there.A_p * 2.0**30, here.A_p, rtol=1e-15)
     assert_allclose(augment(system, 0.5, 12).J, augment(there.system, 1.0, 2).J, rtol=0, atol=1e-12)

@@ -32,7 +32,7 @@ from robsmooth.simulation import simulate as run
 from robsmooth.simulation.integrator import ExponentialIntegrator
 from robsmooth.simulation.loop import Function, NonlinearLoop, nonlinear_loop
 from robsmooth.simulation.simulate import InadmissibleWarning, sample_paths, simulate
-from robsmooth.systems.augmented import augment, compact
+from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.system import UncertainSystem
 from tests.helpers.loops import assert_within
@@ -193,7 +193,7 @@ def test_equations_are_those_of_the_paper(referenced):
 def test_errors_of_a_linear_loop_have_their_covariance(delay, order, loop):
     rng = np.random.default_rng(10 * order + (loop == "theory"))
     system = random_system(rng, n=3, m=2, measurements=2, g=2)
-    Delta = admissible_delta(rng, compact(system, delay, order))
+    Delta = admissible_delta(rng, augment(system, delay, order))
     # functions that are the slopes of Delta: rows are the inputs 2 + 2, then 2 and 2 copies
     slopes = np.diag(Delta[4:, 4:])[:2]
     system = with_functions(system, *(lambda v, s=s: s * v for s in slopes))
@@ -424,7 +424,7 @@ def test_errors_of_a_linear_loop_with_references_have_their_covariance(seed):
     system = with_functions(estimator.plant.system, *(lambda v, s=s: s * v for s in slopes))
     # with the plant's own gains for its copies, the error would not depend on the reference
     gains = estimator.B_c * [1.0, 1.0, -1.0, 2.0]
-    estimator = replace(estimator, plant=compact(system, 0.3, 2), B_c=gains)
+    estimator = replace(estimator, plant=augment(system, 0.3, 2), B_c=gains)
     reference = 0.5 * rng.standard_normal((2, len(estimator.A_c)))
     Delta = estimator.plant.structured_delta((), slopes)
     result = simulate(estimator, reference=reference, runs=200, duration=60.0, step=0.15)
@@ -592,7 +592,7 @@ def test_results_do_not_depend_on_the_unit_of_time(unit):
     )
     slow = replace(
         estimator,
-        plant=compact(other, estimator.plant.delay / unit, 2),
+        plant=augment(other, estimator.plant.delay / unit, 2),
         A_c=estimator.A_c * unit,
         B_c=estimator.B_c * [1.0, 1.0, unit, unit],
     )

@@ -159,14 +159,14 @@ def test_noise_that_bypasses_the_channels_is_refused_and_named(bypass, unit):
     B1 = np.array([[unit, 0, 0], [0, 0, bypass * unit]])
     system = noisy(B1, [[0.0, 1e-3, 0.0]], uncertainties=[drive, MEASURED])
     with pytest.raises(InfeasibleDesignError, match="Assumption 1 fails: noise 2 of 3") as caught:
-        augment(system, 1.0, 2)
+        rs.minimize_bound(augment(system, 1.0, 2))
     assert caught.value.condition == "Assumption 1"
 
 
 def test_declaring_a_channel_for_the_noise_makes_the_system_acceptable():
     system = noisy([[1.0, 0.0], [0.0, 0.0]], [[0.0, 1e-3]], uncertainties=[MEASURED])
     with pytest.raises(InfeasibleDesignError, match="noise 0 of 2"):
-        augment(system, 1.0, 2)
+        rs.minimize_bound(augment(system, 1.0, 2))
     drive = Uncertainty(B=[[1.0], [0.0]], C=np.zeros((1, 2)), D=[[0.0]])
     declared = noisy(system.B1, system.D21, uncertainties=[MEASURED, drive])
     assert_allclose(augment(declared, 1.0, 2).J, [[0, 1], [1, 0]], atol=1e-15)
@@ -174,7 +174,7 @@ def test_declaring_a_channel_for_the_noise_makes_the_system_acceptable():
 
 def test_a_system_without_channels_is_refused_and_one_without_noise_is_not():
     with pytest.raises(InfeasibleDesignError, match="Assumption 1"):
-        augment(noisy([[1.0], [0.0]], [[1.0]]), 0.0, 0)
+        rs.minimize_bound(augment(noisy([[1.0], [0.0]], [[1.0]]), 0.0, 0))
     plant = augment(noisy(np.zeros((2, 0)), np.zeros((1, 0)), uncertainties=[MEASURED]), 0.0, 0)
     assert plant.J.shape == (1, 0)
 

@@ -8,12 +8,14 @@ keeps its form with :math:`W = \sqrt T W'` and :math:`\xi = \xi'/\sqrt T`. A des
 natural units and then brought back, so that it does not depend on the units of its problem.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
 
+from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support.validation import Matrix
+from robsmooth.estimators.estimator import Estimator
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.delay import pade_delay
@@ -35,7 +37,7 @@ class Units:
         time = 1.0 / np.abs(np.linalg.eigvals(system.A)).max()
         noise = system.B1
         for _ in range(2):  # of the noise, then of the uncertainties that it excites, too
-            covariance = solve_continuous_lyapunov(system.A, -noise @ noise.T)
+            covariance = covariances(system.A, noise).stationary
             sizes = [np.sqrt(np.trace(u.C @ covariance @ u.C.T)) for u in system.uncertainties]
             driven = [u.B * size for u, size in zip(system.uncertainties, sizes, strict=True)]
             noise = np.hstack([system.B1, *(np.sqrt(time) * B for B in driven)])
@@ -69,3 +71,17 @@ class Units:
         )
         model = pade_delay(plant.delay / self.time, plant.order, old.m)
         return AugmentedSystem(system, model, plant.J_21)
+
+    def restored(self, estimator: Estimator, plant: AugmentedSystem) -> dict[str, Any]:
+        """Return the fields of an estimator of `plant`, made for the plant in these units."""
+        m, root = plant.system.m, np.sqrt(self.time)
+        inputs = np.concatenate([self.y, np.ones(plant.system.g)]) * root
+        outputs = np.concatenate([np.full(m, self.w), np.full(plant.system.g, 1.0 / root)])
+        return {
+            "plant": plant,
+            "A_c": estimator.A_c / self.time,
+            "B_c": estimator.B_c / inputs,
+            "C_c": outputs[:, None] * estimator.C_c,
+            "C_a": self.w * estimator.C_a,
+            "C_f": self.w * estimator.C_f,
+        }

@@ -1,0 +1,196 @@
+r"""The estimator with the least certified error: a semidefinite programme.
+
+The plant with its delay model, in difference to what the estimator knows, is
+
+.. math::
+
+    dx = (A x + B_\xi\xi)\,dt + B_w\,dW,\quad dy = (C_2 x + D_\xi\xi)\,dt + D_w\,dW,\quad
+    \mathrm E|\xi_s|^2 \le \mathrm E|C_{1s} x|^2 .
+
+For an estimator :math:`d\hat x = A_c\hat x\,dt + B_c\,dy,\ \hat w = C_c\hat x` of the plant's
+order, and multipliers :math:`\theta`, the mean square of :math:`w_a - \hat w` is certified to be at
+most :math:`\operatorname{tr} W` by a Lyapunov function of both states. It is that of
+`robsmooth.analysis_bound`, which is exact. The usual change of variables of robust filtering makes
+the conditions linear in Z, X, F, L, K, :math:`\theta` and W:
+
+.. math::
+
+    \begin{bmatrix} W & * & * \\ ZB_w & Z & * \\ XB_w + LD_w & Z & X\end{bmatrix} > 0,
+
+.. math::
+
+    \begin{bmatrix}
+    A'Z + ZA + Q & ZA + A'X + C_2'L' + F' + Q & ZB_\xi & C_a' - K'\\
+    * & XA + A'X + LC_2 + C_2'L' + Q & XB_\xi + LD_\xi & C_a'\\
+    * & * & -\Theta & 0\\
+    * & * & * & -I
+    \end{bmatrix} < 0
+
+with :math:`Q = \sum_s\theta_s C_{1s}'C_{1s}`, and :math:`A_c = (Z-X)^{-1}F`,
+:math:`B_c = (Z-X)^{-1}L`, :math:`C_c = K`. Noise need not enter through the uncertainty's channels.
+
+**Copies.** The estimator knows the output :math:`\tilde\mu` of a copy. A nonlinearity is
+:math:`\tilde\mu` and a rest, :math:`|\mu - \tilde\mu| \le \beta|\nu - \tilde\nu|`. What
+:math:`\tilde\mu` does to the state, :math:`dx_2 = (A x_2 + \bar B\tilde\mu)\,dt`, and to the
+measurement, is known and taken off. The programme is for the rest, in which a nonlinearity is a
+channel whose argument is chosen: its output is :math:`\bar C x - \tilde\nu_1` with
+:math:`\tilde\nu_1 = \tilde K\hat x/\theta`, which adds a row to the inequality. This is the limit
+in which the multipliers of :math:`\mu` and of :math:`\tilde\mu` vanish, and needs that no
+uncertainty sees the states that :math:`\tilde\mu` drives.
+
+References: J. C. Geromel, "Optimal linear filtering under parameter uncertainty", IEEE Trans.
+Signal Process. 47(1), 1999; C. W. Scherer and I. E. Kose, "Robustness with dynamic IQCs: an exact
+state-space characterization of nominal stability with applications to robust estimation",
+Automatica 44(7), 2008.
+"""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from robsmooth._support.validation import Matrix
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.problem import reaches
+from robsmooth.systems.augmented import AugmentedSystem
+
+
+class NoSolution(ArithmeticError):
+    """The solver found no solution of the programme."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Channel:
+    """An uncertainty, or a nonlinearity in difference to its copy, its output of norm one."""
+
+    B: Matrix
+    D: Matrix
+    C: Matrix
+    size: float  # by which its output was divided, and its inputs multiplied
+    constraint: int  # which of the k + 3g it is in
+    copied: bool
+
+
+def _channels(plant: AugmentedSystem) -> list[_Channel]:
+    """Return the channels that have an effect, those of the uncertainties first."""
+    k, columns, rows = plant.system.k, np.cumsum(plant.input_sizes), np.cumsum(plant.output_sizes)
+    gains = [1.0] * k + [c.lipschitz for c in plant.system.nonlinearities]
+    found = []
+    for i, gain in enumerate(gains):
+        inputs = slice(columns[i] - plant.input_sizes[i], columns[i])
+        C = gain * plant.C1_tilde[rows[i] - plant.output_sizes[i] : rows[i]]
+        size = float(np.linalg.norm(C))
+        if size > 0.0:
+            B, D = plant.B1_tilde[:, inputs], plant.D21_tilde[: plant.system.l, inputs]
+            found.append(_Channel(size * B, size * D, C / size, size, i, copied=i >= k))
+    return found
+
+
+def copies_are_known(plant: AugmentedSystem) -> bool:
+    """Return whether no uncertainty sees the states that the copies' outputs drive."""
+    channels = _channels(plant)
+    driven = np.hstack([np.zeros((plant.n, 0)), *(c.B for c in channels if c.copied)])
+    seen = np.vstack([np.zeros((0, plant.n)), *(c.C for c in channels if not c.copied)])
+    return not reaches(plant.A_p, driven, seen)
+
+
+def least_certified(plant: AugmentedSystem, C_a: Matrix) -> tuple[Estimator, np.ndarray]:
+    """Return the estimator of C_a x with the least certified error, and theta, (k + 3g,).
+
+    The plant is in natural units, and its copies are known.
+
+    Raises
+    ------
+    NoSolution
+        Where the solver finds none.
+    """
+    import cvxpy as cp
+
+    system, n, m = plant.system, plant.n, len(C_a)
+    A, B_w, C_2, D_w = plant.A_p, plant.B_p1[:, : system.q], plant.C2_tilde[: system.l], system.D21
+    channels = _channels(plant)
+    Z, X = (cp.Variable((n, n), symmetric=True) for _ in range(2))
+    F, L, K = cp.Variable((n, n)), cp.Variable((n, system.l)), cp.Variable((m, n))
+    W, theta = cp.Variable((system.q,) * 2, symmetric=True), cp.Variable(len(channels), nonneg=True)
+    arguments = {c.constraint: cp.Variable((1, n)) for c in channels if c.copied}  # times theta
+
+    Q = np.zeros((n, n))
+    # the columns to the right of the first two, and the diagonal below these
+    right, diagonal = [(C_a.T - K.T, C_a.T)], [np.eye(m)]
+    for weight, c in zip(theta, channels, strict=True):
+        right.append((Z @ c.B, X @ c.B + L @ c.D))
+        diagonal.append(weight * np.eye(c.B.shape[1]))
+        if c.copied:
+            right.append((weight * c.C.T - arguments[c.constraint].T, weight * c.C.T))
+            diagonal.append(weight * np.eye(1))
+        else:
+            Q = Q + weight * (c.C.T @ c.C)
+    measured = L @ C_2
+    first = Z @ A + A.T @ Z + Q
+    middle = Z @ A + A.T @ X + measured.T + F.T + Q
+    second = X @ A + A.T @ X + measured + measured.T + Q
+    upper, lower = (cp.hstack([column[row] for column in right]) for row in (0, 1))
+    rest = -_block_diagonal(diagonal)
+    decay = cp.bmat([[first, middle, upper], [middle.T, second, lower], [upper.T, lower.T, rest]])
+    in_Z, in_X = Z @ B_w, X @ B_w + L @ D_w
+    energy = cp.bmat([[W, in_Z.T, in_X.T], [in_Z, Z, Z], [in_X, Z, X]])
+    conditions = [_symmetric(decay) << 0, _symmetric(energy) >> 0]
+    problem = cp.Problem(cp.Minimize(cp.trace(W)), conditions)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of accuracy, which the certificate shows
+        try:
+            problem.solve(solver=cp.CLARABEL)
+        except cp.SolverError as error:
+            raise NoSolution(str(error)) from None
+    if Z.value is None:
+        raise NoSolution(problem.status)
+
+    multipliers, rows = np.zeros(len(plant.M_i)), np.zeros((system.g, n))
+    for weight, c in zip(theta.value if channels else (), channels, strict=True):
+        multipliers[c.constraint] = weight / c.size**2
+        if c.copied:
+            i = c.constraint - system.k
+            argument = arguments[c.constraint].value[0] / weight
+            rows[i] = c.size * argument / system.nonlinearities[i].lipschitz
+    to_gains = np.linalg.inv(Z.value - X.value)
+    rest = to_gains @ F.value, to_gains @ L.value, K.value
+    return _with_copies(plant, C_a, *rest, rows), multipliers
+
+
+def _with_copies(
+    plant: AugmentedSystem,
+    C_a: Matrix,
+    A_c: Matrix,
+    gain: Matrix,
+    read: Matrix,
+    arguments: Matrix,
+) -> Estimator:
+    """Return the estimator of the rest, with what the copies' outputs do to plant and measurement.
+
+    What they do to the state is a part x_2 of the estimator's, where they do anything.
+    """
+    system, n, m = plant.system, plant.n, len(read)
+    B, C, D = system.stacked(system.nonlinearities)
+    B, C = np.pad(B, ((0, n - system.n), (0, 0))), np.pad(C, ((0, 0), (0, n - system.n)))
+    B_c, C_c = np.hstack([gain, -gain @ D]), np.vstack([read, arguments])
+    if B.any():
+        A_c = np.block([[A_c, -gain @ plant.C2_tilde[: system.l]], [np.zeros((n, n)), plant.A_p]])
+        B_c = np.vstack([B_c, np.hstack([np.zeros((n, system.l)), B])])
+        C_c = np.hstack([C_c, np.vstack([C_a, C])])
+    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=C_c[:m], C_f=C_c[:m])
+
+
+def _symmetric(matrix):
+    return (matrix + matrix.T) / 2
+
+
+def _block_diagonal(blocks):
+    import cvxpy as cp
+
+    sizes = [block.shape[0] for block in blocks]
+    return cp.bmat(
+        [
+            [block if i == j else np.zeros((sizes[i], size)) for j, size in enumerate(sizes)]
+            for i, block in enumerate(blocks)
+        ]
+    )

@@ -1,0 +1,233 @@
+"""The estimator with the least certified error: known optima, limits, invariances, other routes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+import robsmooth as rs
+from robsmooth.analysis.worst_case import worst_dynamic_case
+from robsmooth.estimators import minimax
+from tests.helpers.strategies import admissible_delta, random_system
+
+DRIVE = rs.Uncertainty(B=[[1], [0]], C=[[0, 0.3]], D=[[0]])
+GAIN = rs.Uncertainty(B=[[0], [0]], C=[[10, 0]], D=[[1]])
+
+
+def cancelling(*uncertainties):
+    """A sensor that sees the difference of two states, nearly their derivative."""
+    A, B1, C2 = [[0, -1], [1, -0.5]], [[-2, 0], [1, 0]], [[-100, 100]]
+    return rs.UncertainSystem(A, B1, [[1, 0]], C2, [[0, 1]], uncertainties)
+
+
+def of_gain(size, decay=0.0):
+    """A signal of unit bandwidth that is measured with an uncertain gain."""
+    gain = rs.Uncertainty(B=[[0]], C=[[size]], D=[[1]])
+    rate = rs.Uncertainty(B=[[1]], C=[[decay]], D=[[0]])
+    return rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.1]], [gain, rate])
+
+
+def driven(size, seen=False):
+    """A resonance with a nonlinear restoring force, and an uncertainty that sees its states."""
+    force = rs.Nonlinearity(B=[[0], [1]], C=[[1, 0]], D=[[0]], lipschitz=size)
+    damping = rs.Uncertainty(B=[[0], [1]], C=[[0, 0.1]], D=[[0]])
+    A, B1 = [[0, 1], [-0.8, -0.5]], [[0, 0], [0.5, 0]]
+    uncertain = [damping] if seen else []
+    return rs.UncertainSystem(A, B1, [[1, 0]], [[1, 0]], [[0, 0.1]], uncertain, [force])
+
+
+EXAMPLE = rs.homodyne.PAPER.uncertain_system()
+# Optima of an independent prototype of the programme, with other scaling.
+OPTIMA = [
+    (EXAMPLE, 3.1e-6, 2, "smoothed", 0.0886686),
+    (EXAMPLE, 0.0, 0, "filtered", 0.1388071),
+    (cancelling(DRIVE), 1.0, 4, "smoothed", 2.227633),
+    (cancelling(DRIVE, GAIN), 1.0, 4, "smoothed", 2.736142),
+    (cancelling(DRIVE), 0.0, 0, "smoothed", 3.127394),
+    (of_gain(0.2), 0.2, 4, "smoothed", 0.0918279),
+    (of_gain(0.05, 0.1), 0.2, 4, "smoothed", 0.0593954),
+]
+
+
+@pytest.mark.parametrize(("system", "delay", "order", "output", "optimum"), OPTIMA)
+def test_known_optima_are_reached_with_a_certificate(system, delay, order, output, optimum):
+    smoother = rs.minimax_smoother(rs.augment(system, delay, order), output)
+    assert smoother.route == "semidefinite programme"
+    assert_allclose(smoother.certified, optimum, rtol=1e-6)
+    bound = rs.analysis_bound(smoother, loop="real")
+    assert_allclose(bound.mean_square, smoother.certified, rtol=1e-6)
+    assert bound.guarantee == smoother.certified
+
+
+@pytest.mark.parametrize(("system", "delay", "order", "output", "optimum"), OPTIMA[:2])
+def test_its_multipliers_are_those_of_the_certificate(system, delay, order, output, optimum):
+    smoother = rs.minimax_smoother(rs.augment(system, delay, order), output)
+    found = rs.analysis_bound(smoother, loop="real").multipliers
+    difference = system.k  # the only constraint that counts
+    assert_allclose(smoother.multipliers[difference], found[difference], rtol=1e-3)
+    assert not np.delete(smoother.multipliers, difference).any()
+
+
+def classical(plant, copies):
+    return rs.baselines.fixed_lag_smoother(plant.system, plant.delay, plant.order, copies)
+
+
+def against_the_model(plant, estimator):
+    """The estimator with the error that is certified: of w-hat against the delay model's output."""
+    C_c = np.vstack([estimator.C_a, estimator.C_c[plant.system.m :]])
+    parts = {name: getattr(estimator, name) for name in ("A_c", "B_c", "C_a", "C_f")}
+    return minimax.MinimaxSmoother(
+        plant=plant, C_c=C_c, certified=np.nan, multipliers=np.zeros(0), cost="smoothed",
+        route="none", **parts,
+    )  # fmt: skip
+
+
+@st.composite
+def plants(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    g = draw(st.integers(0, 1))
+    system = random_system(rng, n=draw(st.integers(1, 3)), g=g, size=draw(st.floats(0.02, 0.3)))
+    if g:  # as a detector's: in the measurement
+        channel = system.nonlinearities[0]
+        system = replace(system, nonlinearities=[replace(channel, B=np.zeros_like(channel.B))])
+    return rs.augment(system, draw(st.floats(0.1, 1.0)), draw(st.integers(0, 3)))
+
+
+@settings(max_examples=12, deadline=None)
+@given(plants(), st.integers(0, 2**32 - 1))
+def test_no_candidate_is_certified_lower_and_no_attack_is_above(plant, seed):
+    try:
+        smoother = rs.minimax_smoother(plant)
+    except rs.InfeasibleDesignError:
+        return
+    for copies in (False, True):
+        other = against_the_model(plant, classical(plant, copies))
+        bound = rs.analysis_bound(other, loop="real").mean_square
+        assert smoother.certified <= bound * (1.0 + 1e-6)
+    rng = np.random.default_rng(seed)
+    for Delta in (admissible_delta(rng, plant) for _ in range(4)):
+        error = rs.error_covariance(smoother, Delta, "guaranteed", loop="real").trace()
+        assert error <= smoother.certified * (1.0 + 1e-9)
+    assert rs.worst_case(smoother, "guaranteed", "real").mean_square <= smoother.certified
+
+
+@pytest.mark.parametrize(
+    ("system", "delay", "order"), [(EXAMPLE, 3.1e-6, 2), (of_gain(0.2), 0.2, 4)]
+)
+def test_descent_from_the_classical_smoother_ends_at_the_same_error(
+    system, delay, order, monkeypatch
+):
+    plant = rs.augment(system, delay, order)
+    optimum = rs.minimax_smoother(plant).certified
+    monkeypatch.setattr(minimax, "LARGEST", 0)
+    by_descent = rs.minimax_smoother(plant)
+    assert by_descent.route == "descent"
+    assert_allclose(by_descent.certified, optimum, rtol=1e-5)
+
+
+@pytest.mark.parametrize("copies", [False, True])
+def test_without_uncertainty_it_is_the_classical_smoother(copies):
+    system = replace(driven(0.2), nonlinearities=(), uncertainties=())
+    plant = rs.augment(system, 0.5, 3)
+    smoother = rs.minimax_smoother(plant)
+    other = against_the_model(plant, classical(plant, copies))
+    nominal = np.zeros((0, 0))
+    error = rs.error_covariance(other, nominal, "guaranteed", loop="real").trace()
+    assert_allclose(smoother.certified, error, rtol=1e-6)
+    filtered = rs.minimax_smoother(plant, "filtered")
+    kalman = rs.error_covariance(rs.baselines.kalman_bucy(system), nominal, "filtered").trace()
+    assert_allclose(filtered.certified, kalman, rtol=1e-6)
+
+
+def in_other_units(system, time, x, y):
+    """The same system with time, states and measurements in other units."""
+    root, x, y = np.sqrt(time), np.asarray(x)[:, None], np.asarray(y)[:, None]
+    channels = [
+        rs.Uncertainty(B=root * c.B / x, C=root * c.C * x.T, D=c.D / y)
+        for c in system.uncertainties
+    ]
+    return rs.UncertainSystem(
+        time * system.A / x * x.T, root * system.B1 / x, system.C0 * x.T,
+        root * system.C2 / y * x.T, system.D21 / y, channels,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("time", [1e-9, 1e9])
+def test_it_does_not_depend_on_units(time):
+    system = cancelling(DRIVE, GAIN)
+    here = rs.minimax_smoother(rs.augment(system, 1.0, 4))
+    other = in_other_units(system, time, [1e6, 1e-5], [1e4])
+    there = rs.minimax_smoother(rs.augment(other, 1.0 / time, 4))
+    assert_allclose(there.certified, here.certified, rtol=1e-6)
+    assert_allclose(np.sort(there.poles.real), np.sort(here.poles.real) * time, rtol=1e-3)
+
+
+@pytest.mark.parametrize("size", [0.2, 0.7])  # the second without a small gain
+def test_what_a_copy_does_to_the_state_is_taken_off(size):
+    plant = rs.augment(driven(size), 0.5, 2)
+    smoother = rs.minimax_smoother(plant)
+    assert smoother.route == "semidefinite programme"
+    assert smoother.A_c.shape == (2 * plant.n, 2 * plant.n)
+    assert_allclose(rs.analysis_bound(smoother, loop="real").mean_square, smoother.certified)
+    # below the classical smoother with its copy, which knows of no difference
+    other = against_the_model(plant, classical(plant, copies=True))
+    assert smoother.certified <= rs.analysis_bound(other, loop="real").mean_square
+
+
+def test_a_copy_whose_states_an_uncertainty_sees_is_treated_by_descent():
+    plant = rs.augment(driven(0.2, seen=True), 0.5, 2)
+    smoother = rs.minimax_smoother(plant)
+    assert smoother.route == "descent"
+    for copies in (False, True):
+        other = against_the_model(plant, classical(plant, copies))
+        assert smoother.certified <= rs.analysis_bound(other, loop="real").mean_square
+
+
+def test_dynamic_uncertainty_stays_below_what_is_certified_for_a_filter():
+    smoother = rs.minimax_smoother(rs.augment(of_gain(0.2), 0.0, 0), "filtered")
+    worst = rs.worst_case(smoother, "filtered", "real").mean_square
+    assert worst < smoother.certified
+    assert worst <= worst_dynamic_case(smoother, "filtered", "real").mean_square
+
+
+def test_the_filter_of_a_plant_with_a_delay_is_that_without_and_still_smooths():
+    system = of_gain(0.2)
+    filtered = rs.minimax_smoother(rs.augment(system, 0.2, 4), "filtered")
+    alone = rs.minimax_smoother(rs.augment(system, 0.0, 0), "filtered")
+    assert_allclose(filtered.certified, alone.certified, rtol=1e-7)
+    nominal = np.zeros_like(filtered.plant.structured_delta())
+    smoothed = rs.error_covariance(filtered, nominal, "smoothed").trace()
+    assert smoothed < rs.error_covariance(filtered, nominal, "filtered").trace()
+
+
+def test_an_uncertainty_that_could_destabilise_the_plant_is_refused_with_the_part_that_could_not():
+    spring = rs.Uncertainty(B=[[0], [1]], C=[[1.0, 0]], D=[[0]])
+    system = replace(driven(0.2), nonlinearities=(), uncertainties=[spring])
+    with pytest.raises(rs.InfeasibleDesignError, match="could destabilise the plant") as caught:
+        rs.minimax_smoother(rs.augment(system, 0.5, 2))
+    fraction = float(str(caught.value).split("; ")[1].split()[0])
+    # the small gain of the spring's loop, from its frequency response
+    omega = np.linspace(0.0, 2.0, 20001)
+    response = 1.0 / np.abs(0.8 - omega**2 + 0.5j * omega)
+    assert_allclose(fraction, 1.0 / response.max(), atol=2e-3)
+
+
+def test_noise_may_enter_where_no_uncertainty_does():
+    plant = rs.augment(cancelling(DRIVE), 1.0, 2)
+    with pytest.raises(rs.InfeasibleDesignError, match="Assumption 1"):
+        rs.minimize_bound(plant)
+    assert np.isfinite(rs.minimax_smoother(plant).certified)
+
+
+def test_bad_arguments_are_refused():
+    plant = rs.augment(of_gain(0.2), 0.2, 2)
+    with pytest.raises(TypeError, match="plant must be an AugmentedSystem, got UncertainSystem"):
+        rs.minimax_smoother(plant.system)
+    with pytest.raises(ValueError, match="output must be one of 'smoothed', 'filtered'"):
+        rs.minimax_smoother(plant, "both")
+    silent = replace(plant.system, D21=[[0.0, 0.0]])
+    with pytest.raises(rs.InfeasibleDesignError, match="measurement 0 has no noise"):
+        rs.minimax_smoother(rs.augment(silent, 0.2, 2))
