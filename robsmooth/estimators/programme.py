@@ -111,7 +111,10 @@ def least_certified(plant: AugmentedSystem, C_a: Matrix) -> tuple[Estimator, np.
     channels = _channels(plant)
     Z, X = (cp.Variable((n, n), symmetric=True) for _ in range(2))
     F, L, K = cp.Variable((n, n)), cp.Variable((n, system.l)), cp.Variable((m, n))
-    W, theta = cp.Variable((system.q,) * 2, symmetric=True), cp.Variable(len(channels), nonneg=True)
+    W, theta = (
+        cp.Variable((system.q,) * 2, symmetric=True),
+        [cp.Variable(nonneg=True) for _ in channels],
+    )
     arguments = {c.constraint: cp.Variable((1, n)) for c in channels if c.copied}  # times theta
 
     Q = np.zeros((n, n))
@@ -146,11 +149,11 @@ def least_certified(plant: AugmentedSystem, C_a: Matrix) -> tuple[Estimator, np.
         raise NoSolution(problem.status)
 
     multipliers, rows = np.zeros(len(plant.M_i)), np.zeros((system.g, n))
-    for weight, c in zip(theta.value if channels else (), channels, strict=True):
-        multipliers[c.constraint] = weight / c.size**2
+    for weight, c in zip(theta, channels, strict=True):
+        multipliers[c.constraint] = weight.value / c.size**2
         if c.copied:
             i = c.constraint - system.k
-            argument = arguments[c.constraint].value[0] / weight
+            argument = arguments[c.constraint].value[0] / weight.value
             rows[i] = c.size * argument / system.nonlinearities[i].lipschitz
     to_gains = np.linalg.inv(Z.value - X.value)
     rest = to_gains @ F.value, to_gains @ L.value, K.value
