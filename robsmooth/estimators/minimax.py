@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, expm, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, block_diag, solve_continuous_lyapunov
 
 from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth._support.validation import frozen
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.certificate import ConstraintProblem, largest_fraction, least_certificate
@@ -36,6 +36,7 @@ OUTPUTS = ("smoothed", "filtered")
 LARGEST = 20  # states of a plant for the programme: it takes about 10 s there, and 0.1 s for 6
 CONDITION = "A finite guarantee"
 _PROGRAMME, _DESCENT = "semidefinite programme", "descent"
+_LEAST_SEEN = 1e-7  # of a state's estimate, relative to the largest
 _ROUNDS = 3  # of descent, each from coordinates balanced anew
 
 
@@ -158,7 +159,7 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     if found is None:
         route = _DESCENT
         estimator, theta, found = _by_descent(natural)
-    estimator = _with_read_outs(estimator, units.plant(plant), output)
+    estimator = _of_plant(estimator, units.plant(plant), output)
     return MinimaxSmoother(
         **units.restored(estimator, plant),
         certified=units.w**2 * found,
@@ -245,24 +246,49 @@ def _of_w_hat(estimator: Estimator) -> Estimator:
     return Estimator(plant=estimator.plant, C_c=C_c, C_f=estimator.C_a, **matrices)
 
 
-def _with_read_outs(estimator: Estimator, plant: AugmentedSystem, output: str) -> Estimator:
-    """Return the estimator on a plant with both its read-outs: one is w-hat, one nominally best.
+def _of_plant(estimator: Estimator, plant: AugmentedSystem, output: str) -> Estimator:
+    """Return the estimator of a plant whose first n states estimate those of the plant.
 
     A filter is followed by the delay model, so that there is something to smooth with.
     """
-    m, model = plant.system.m, plant.delay_model
-    A_c, B_c, C_c = estimator.A_c, estimator.B_c, estimator.C_c
-    if output == "filtered":
-        states = len(model.F)
-        A_c = np.block([[A_c, np.zeros((len(A_c), states))], [model.G @ C_c[:m], model.F]])
-        B_c = np.pad(B_c, ((0, states), (0, 0)))
-        C_c = np.pad(C_c, ((0, 0), (0, states)))
-    w_hat = C_c[:m]
-    estimator = Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=w_hat, C_f=w_hat)
+    n, m, model, delayed = (
+        estimator.plant.n,
+        plant.system.m,
+        plant.delay_model,
+        output == "filtered",
+    )
+    to_plant = _to_plant_states(estimator)
+    back, C_c = np.linalg.inv(to_plant), estimator.C_c
+    parts = {"A_c": estimator.A_c, "B_c": estimator.B_c, "C_c": C_c}
+    if delayed:
+        at = np.r_[:n, len(back) : len(back) + len(model.F), n : len(back)]  # the model's after n
+        A_c = np.block(
+            [[estimator.A_c, np.zeros((len(back), len(model.F)))], [model.G @ C_c[:m], model.F]]
+        )
+        B_c = np.pad(estimator.B_c, ((0, len(model.F)), (0, 0)))
+        parts = {"A_c": A_c, "B_c": B_c, "C_c": np.pad(C_c, ((0, 0), (0, len(model.F))))}
+        to_plant, back = (block_diag(T, np.eye(len(model.F)))[at] for T in (to_plant, back.T))
+        back = back.T
+    A_c, C_c = to_plant @ parts["A_c"] @ back, parts["C_c"] @ back
+    none = np.zeros((m, len(A_c) - plant.n))
+    reads = {"C_a": C_c[:m], "C_f": np.hstack([plant.C_p0, none])}
+    if delayed:
+        reads = {"C_f": C_c[:m], "C_a": np.hstack([plant.C_a, none])}
+    return Estimator(plant=plant, A_c=A_c, B_c=to_plant @ parts["B_c"], C_c=C_c, **reads)
+
+
+def _to_plant_states(estimator: Estimator) -> Matrix:
+    """Return the coordinates in which the states are the nominal estimate of the plant's.
+
+    What the copies' outputs do to the state, in the states behind the first n, is part of it. In
+    directions of which the measurement says nothing the coordinates are of no account.
+    """
+    n = estimator.plant.n
     A, B, _, _ = matrices(estimator, "real")
+    own = slice(n, 2 * n)
     covariance = solve_continuous_lyapunov(A, -B @ B.T)
-    lag = plant.delay if output == "filtered" else 0.0
-    known = (expm(lag * A) @ covariance)[plant.n :]  # of the estimator's states, at a past state
-    known = known[:, : plant.n] @ plant.C_p0.T
-    nominal = np.linalg.lstsq(covariance[plant.n :, plant.n :], known, rcond=None)[0].T
-    return replace(estimator, **{"C_a" if output == "filtered" else "C_f": nominal})
+    to_plant = np.linalg.lstsq(covariance[own, own], covariance[own, :n], rcond=None)[0].T
+    U, sizes, V = np.linalg.svd(to_plant)
+    to_plant = U * np.maximum(sizes, _LEAST_SEEN * sizes.max()) @ V
+    more = len(A) - 2 * n
+    return np.block([[to_plant, np.eye(n, more)], [np.zeros((more, n)), np.eye(more)]])

@@ -56,7 +56,8 @@ def steps_of(estimator: Any, running: list[int], dt: float, missing: NDArray[np.
     _, _, D = system.stacked(system.nonlinearities)
     gain = B_y * missing
     inputs = np.hstack([B_y * ~missing, (B_mu + gain @ D)[:, running]])
-    A = estimator.A_c + gain @ estimator.plant.C2_tilde[: system.l]
+    A = estimator.A_c.copy()
+    A[:, : estimator.plant.n] += gain @ estimator.plant.C2_tilde[: system.l]
     transition, held, ramp = responses(A, inputs, dt)
     copies = slice(system.l, None)
     matrices = (transition, held[:, : system.l], held[:, copies], ramp[:, copies])

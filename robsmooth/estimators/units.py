@@ -73,15 +73,20 @@ class Units:
         return AugmentedSystem(system, model, plant.J_21)
 
     def restored(self, estimator: Estimator, plant: AugmentedSystem) -> dict[str, Any]:
-        """Return the fields of an estimator of `plant`, made for the plant in these units."""
-        m, root = plant.system.m, np.sqrt(self.time)
-        inputs = np.concatenate([self.y, np.ones(plant.system.g)]) * root
-        outputs = np.concatenate([np.full(m, self.w), np.full(plant.system.g, 1.0 / root)])
+        """Return the fields of an estimator of `plant`, made for the plant in these units.
+
+        Its first n states estimate the plant's, and so do the next, if there are more.
+        """
+        m, g, root = plant.system.m, plant.system.g, np.sqrt(self.time)
+        inputs = np.concatenate([self.y, np.ones(g)]) * root
+        outputs = np.concatenate([np.full(m, self.w), np.full(g, 1.0 / root)])[:, None]
+        each = np.concatenate([self.x, np.full(plant.n - plant.system.n, self.w)])
+        x = np.concatenate([each, each])[: len(estimator.A_c)]
         return {
             "plant": plant,
-            "A_c": estimator.A_c / self.time,
-            "B_c": estimator.B_c / inputs,
-            "C_c": outputs[:, None] * estimator.C_c,
-            "C_a": self.w * estimator.C_a,
-            "C_f": self.w * estimator.C_f,
+            "A_c": x[:, None] * estimator.A_c / x / self.time,
+            "B_c": x[:, None] * estimator.B_c / inputs,
+            "C_c": outputs * estimator.C_c / x,
+            "C_a": self.w * estimator.C_a / x,
+            "C_f": self.w * estimator.C_f / x,
         }

@@ -241,7 +241,5 @@ def test_what_is_not_understood_is_refused():
         analysis_bound(design, copy_noise=1)
     with pytest.raises(ValueError, match="delay_order must be an integer of at least 1"):
         analysis_bound(design, delay_order=0)
-    with pytest.raises(
-        ValueError, match=r"is for a RobustSmoother or .* got Estimator"
-    ):
+    with pytest.raises(ValueError, match=r"is for a RobustSmoother or .* got Estimator"):
         analysis_bound(linear)

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import robsmooth as rs
+from robsmooth._numerics.lyapunov import covariances
 from robsmooth.analysis.worst_case import worst_dynamic_case
 from robsmooth.estimators import minimax
+from robsmooth.estimators.loop import matrices
 from tests.helpers.strategies import admissible_delta, random_system
 
 DRIVE = rs.Uncertainty(B=[[1], [0]], C=[[0, 0.3]], D=[[0]])
@@ -231,3 +233,27 @@ def test_bad_arguments_are_refused():
     silent = replace(plant.system, D21=[[0.0, 0.0]])
     with pytest.raises(rs.InfeasibleDesignError, match="measurement 0 has no noise"):
         rs.minimax_smoother(rs.augment(silent, 0.2, 2))
+
+
+@pytest.mark.parametrize(("system", "delay"), [(cancelling(DRIVE, GAIN), 1.0), (driven(0.2), 0.5)])
+def test_its_first_states_are_the_nominal_estimate_of_the_plant(system, delay):
+    """So a discrete smoother knows what to expect of a measurement that is missing."""
+    smoother = rs.minimax_smoother(rs.augment(system, delay, 3))
+    n = smoother.plant.n
+    A, B, _, _ = matrices(smoother, "real")
+    covariance = covariances(A, B).stationary
+    own = slice(n, 2 * n)
+    size = np.sqrt(np.diag(covariance)[:n])
+    cross, square = covariance[:n, own], covariance[own, own]
+    assert_allclose(cross / np.outer(size, size), square / np.outer(size, size), atol=1e-6)
+
+
+def test_an_estimate_goes_on_where_samples_are_missing():
+    smoother = rs.minimax_smoother(rs.augment(of_gain(0.2), 0.2, 2))
+    record = np.random.default_rng(1).standard_normal((400, 1)).cumsum(axis=0) * 0.05
+    record[200:260] = np.nan
+    estimates = smoother.discretize(0.01).run(record)
+    assert np.isfinite(estimates).all()
+    # it decays as the signal does, one lag later
+    later = estimates[230:258, 0]
+    assert_allclose(np.diff(np.log(np.abs(later))) / 0.01, -1.0, atol=0.05)
