@@ -219,16 +219,21 @@ def _quasi_newton(
     if not theta.size:
         return theta
 
+    best = (math.inf, theta)  # only what was certified counts
+
     def objective(logarithms: np.ndarray) -> tuple[float, np.ndarray]:
+        nonlocal best
         trial = np.exp(logarithms)
         try:
             point = problem.at(trial, fraction)
         except RiccatiError:
             return _INFEASIBLE, np.zeros_like(trial)
+        if point.mean_square < best[0]:
+            best = point.mean_square, trial
         return math.log(point.mean_square), point.slack * trial / point.mean_square
 
     start = np.log(theta)
-    result = minimize(
+    minimize(
         objective,
         start,
         jac=True,
@@ -236,4 +241,4 @@ def _quasi_newton(
         bounds=list(zip(start - _LARGEST_CHANGE, start + _LARGEST_CHANGE, strict=True)),
         options={"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-11},
     )
-    return np.exp(result.x) if result.fun <= objective(start)[0] else theta
+    return best[1]

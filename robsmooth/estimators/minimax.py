@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, block_diag, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, block_diag, null_space, orth
 
+from robsmooth._numerics.lyapunov import covariances
 from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support import notation, validation
 from robsmooth._support.blas import one_thread
@@ -36,7 +37,8 @@ OUTPUTS = ("smoothed", "filtered")
 LARGEST = 20  # states of a plant for the programme: it takes about 10 s there, and 0.1 s for 6
 CONDITION = "A finite guarantee"
 _PROGRAMME, _DESCENT = "semidefinite programme", "descent"
-_LEAST_SEEN = 1e-7  # of a state's estimate, relative to the largest
+_LEAST_SEEN = 1e-4  # of an estimate's size, relative to the largest
+_ROUNDING = 1e-9  # of a row, relative to others
 _ROUNDS = 3  # of descent, each from coordinates balanced anew
 
 
@@ -278,17 +280,20 @@ def _of_plant(estimator: Estimator, plant: AugmentedSystem, output: str) -> Esti
 
 
 def _to_plant_states(estimator: Estimator) -> Matrix:
-    """Return the coordinates in which the states are the nominal estimate of the plant's.
+    """Return coordinates in which C_2 and C_p0 times the first n states are nominal estimates.
 
-    What the copies' outputs do to the state, in the states behind the first n, is part of it. In
-    directions of which the measurement says nothing the coordinates are of no account.
+    They are those of the measurement to come and of w. The other directions are of no account, and
+    make the coordinates as well conditioned as can be. What the copies' outputs do to the plant's
+    state, in the states behind the first n, is a part of them.
     """
-    n = estimator.plant.n
+    plant, n = estimator.plant, estimator.plant.n
     A, B, _, _ = matrices(estimator, "real")
-    own = slice(n, 2 * n)
-    covariance = solve_continuous_lyapunov(A, -B @ B.T)
-    to_plant = np.linalg.lstsq(covariance[own, own], covariance[own, :n], rcond=None)[0].T
-    U, sizes, V = np.linalg.svd(to_plant)
-    to_plant = U * np.maximum(sizes, _LEAST_SEEN * sizes.max()) @ V
+    covariance, own = covariances(A, B).stationary, slice(n, 2 * n)
+    estimate = np.linalg.lstsq(covariance[own, own], covariance[own, :n], rcond=None)[0].T
+    rows = orth(np.vstack([plant.C2_tilde[: plant.system.l], plant.C_p0]).T, rcond=_ROUNDING).T
+    U, sizes, V = np.linalg.svd(rows @ estimate, full_matrices=False)
+    size = sizes.max(initial=0.0) or 1.0
+    known = U * np.maximum(sizes, _LEAST_SEEN * size) @ V
+    to_plant = rows.T @ known + size * null_space(rows) @ null_space(known).T
     more = len(A) - 2 * n
     return np.block([[to_plant, np.eye(n, more)], [np.zeros((more, n)), np.eye(more)]])

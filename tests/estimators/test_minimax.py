@@ -236,16 +236,17 @@ def test_bad_arguments_are_refused():
 
 
 @pytest.mark.parametrize(("system", "delay"), [(cancelling(DRIVE, GAIN), 1.0), (driven(0.2), 0.5)])
-def test_its_first_states_are_the_nominal_estimate_of_the_plant(system, delay):
+def test_measurement_and_output_of_its_first_states_are_nominal_estimates(system, delay):
     """So a discrete smoother knows what to expect of a measurement that is missing."""
     smoother = rs.minimax_smoother(rs.augment(system, delay, 3))
-    n = smoother.plant.n
+    n, plant = smoother.plant.n, smoother.plant
     A, B, _, _ = matrices(smoother, "real")
-    covariance = covariances(A, B).stationary
-    own = slice(n, 2 * n)
-    size = np.sqrt(np.diag(covariance)[:n])
-    cross, square = covariance[:n, own], covariance[own, own]
-    assert_allclose(cross / np.outer(size, size), square / np.outer(size, size), atol=1e-6)
+    covariance, own = covariances(A, B).stationary, slice(n, 2 * n)
+    for rows in (plant.C2_tilde[: system.l], plant.C_p0):
+        error = rows @ (covariance[:n, own] - covariance[own, own])
+        size = np.sqrt(np.diag(rows @ covariance[:n, :n] @ rows.T))[:, None]
+        deviations = np.sqrt(np.diag(covariance[own, own]))
+        assert np.abs(error / size / deviations).max() < 1e-6
 
 
 def test_an_estimate_goes_on_where_samples_are_missing():
