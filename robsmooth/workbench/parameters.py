@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 TYPES = {"bool": bool, "int": int, "float": float, "str": str}
 # Set by the pipeline, for each run anew, and of no influence on the results. Every notebook has the
@@ -48,8 +49,7 @@ class Interval:
         return f"{left}{self.low:g}, {self.high:g}{right}"
 
 
-@dataclass(frozen=True)
-class Parameter:
+class Parameter(NamedTuple):
     """One line of the parameters cell."""
 
     name: str
@@ -89,9 +89,9 @@ def read(notebook: Path) -> dict[str, Parameter]:
     if len(tagged) != 1:
         message = "exactly one code cell must be tagged parameters, not"
         raise PipelineError(f"{notebook.name}: {message} {len(tagged)}")
-    parameters = {parameter.name: parameter for parameter in _lines(tagged[0], notebook)}
-    for parameter in parameters.values():
-        parameter.check(parameter.default, f"{notebook.name}, default")
+    parameters = {each.name: each for each in _lines(tagged[0], notebook)}
+    for each in parameters.values():
+        each.check(each.default, f"{notebook.name}, default")
     types = dict.fromkeys(OPTIONAL, "str") | {name: each.type for name, each in parameters.items()}
     for name in SET_BY_PIPELINE:
         if types.get(name) != "str":
@@ -131,10 +131,9 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
                 line = source.splitlines()[statement.end_lineno - 1].encode()
                 comment = line[statement.end_col_offset :].decode().strip().lstrip("# ")
                 try:
-                    parameter = Parameter(name, kind, ast.literal_eval(value), *_allowed(comment))
+                    yield Parameter(name, kind, ast.literal_eval(value), *_allowed(comment))
                 except ValueError as error:
                     raise PipelineError(f"{where}: {name}: {error}") from error
-                yield parameter
             case _:
                 form = f"name: type = value  # comment, with type one of {', '.join(TYPES)}"
                 raise PipelineError(f"{where}: line {statement.lineno} must read {form}")
@@ -143,8 +142,7 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
 def _allowed(comment: str) -> tuple[Interval | tuple[str, ...] | None, str]:
     """Split a comment into the values allowed, if it opens with them, and the rest."""
     if found := _CHOICES.match(comment):
-        choices = tuple(choice.strip(" \"'") for choice in found[1].split(","))
-        return choices, comment[found.end() :]
+        return tuple(re.split(r"\s*,\s*", found[1])), comment[found.end() :]
     if found := _INTERVAL.match(comment):
         left, low, high, right = found.groups()
         return Interval(float(low), float(high), left + right), comment[found.end() :]

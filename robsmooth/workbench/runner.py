@@ -30,8 +30,6 @@ from robsmooth.workbench.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineEr
 PROFILES = ("paper", "quick")
 NEEDED = ("ipykernel", "matplotlib", "nbformat", "papermill", "psutil")  # to run any notebook
 PACKAGE = Path(__file__).resolve().parent.parent
-# What reading a stamp or a provenance raises that is not there, or damaged.
-_DAMAGED = (OSError, ValueError, KeyError, TypeError, AttributeError)
 
 
 @dataclass(frozen=True)
@@ -54,8 +52,8 @@ class Request:
         if self.jobs < 1:
             raise PipelineError(f"jobs must be 1 or more, not {self.jobs}")
         if not self.time_limit > 0:
-            limit = f"not {self.time_limit}"
-            raise PipelineError(f"time_limit must be a positive number of seconds, {limit}")
+            wanted = "time_limit must be a positive number of seconds"
+            raise PipelineError(f"{wanted}, not {self.time_limit}")
 
     @property
     def work(self) -> Path:
@@ -105,8 +103,7 @@ def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResul
     waiting, running = [], []
     with _alone(run.work):
         for task in tasks:
-            produced = None if run.force else _fresh(task)
-            if produced is None:
+            if run.force or (produced := _fresh(task)) is None:
                 waiting.append(task)
             else:
                 yield NotebookResult(task, "fresh", produced)
@@ -178,10 +175,9 @@ def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
     """Those of `names` that `only` asks for, each by its name, its start, or a part of it."""
     chosen = set()
     for wanted in only:
-        for fits in (str.__eq__, str.startswith, str.__contains__):
-            found = [name for name in names if fits(name, wanted)]
-            if found:
-                break
+        tests = (str.__eq__, str.startswith, str.__contains__)
+        fitting = [[name for name in names if fits(name, wanted)] for fits in tests]
+        found = next(filter(None, fitting), [])
         if not found:
             raise unknown("--only: notebook", wanted, names)
         if len(found) > 1:
@@ -222,17 +218,21 @@ def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def _stored(path: Path) -> tuple[str, dict[str, str]]:
+    """Key and digests of the files of a run, by its stamp or provenance; none if it is damaged."""
+    try:
+        stored = json.loads(path.read_text())
+        return stored.get("key", ""), {**stored["files"]}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return "", {}
+
+
 def _fresh(task: Task) -> tuple[str, ...] | None:
     """Files the notebook produced, if it need not be run again."""
-    try:
-        stamp = json.loads(task.stamp.read_text())
-        same = stamp["key"] == task.key and all(
-            provenance.sha256(task.run.results / file) == digest
-            for file, digest in stamp["files"].items()
-        )
-        return tuple(stamp["files"]) if same else None
-    except _DAMAGED:  # or it was never run
-        return None
+    key, digests = _stored(task.stamp)
+    there = {task.run.results / file: digest for file, digest in digests.items()}
+    same = all(path.is_file() and provenance.sha256(path) == there[path] for path in there)
+    return tuple(digests) if key == task.key and same else None
 
 
 def _start(task: Task) -> Execution:
@@ -264,30 +264,17 @@ def _finish(task: Task, execution: Execution) -> NotebookResult:
     for file in produced:
         with files.atomic_path(task.run.results / file) as temporary:
             shutil.move(task.staging / file, temporary)
-    for file in _listed(task.about) - produced.keys():
-        (task.run.results / file).unlink(missing_ok=True)
-    provenance.write(
-        task.run.results / "figures" / task.name,
-        notebook=task.notebook.name,
-        profile=task.run.profile,
-        parameters=task.values,
-        files=produced,
-        seed=task.seed,
-        started=execution.started,
-    )
+    for file in _stored(task.about)[1].keys() - produced.keys():  # it no longer produces it
+        if file.startswith(("figures/", "data/")) and ".." not in file:
+            (task.run.results / file).unlink(missing_ok=True)
+    about = {"notebook": task.notebook.name, "profile": task.run.profile}
+    about |= {"parameters": task.values, "files": produced}
+    place = task.run.results / "figures" / task.name
+    provenance.write(place, **about, seed=task.seed, started=execution.started)
     produced[f"figures/{task.about.name}"] = provenance.sha256(task.about)
     files.write_json(task.stamp, {"key": task.key, "files": produced})
     _clear_checkpoints(task)
     return NotebookResult(task, "done", tuple(produced), seconds)
-
-
-def _listed(about: Path) -> set[str]:
-    """Files that the notebook's last run produced; those it no longer does are removed."""
-    try:
-        listed = [file for file in json.loads(about.read_text())["files"] if ".." not in file]
-        return {file for file in listed if file.startswith(("figures/", "data/"))}
-    except _DAMAGED:
-        return set()
 
 
 def _clear_checkpoints(task: Task, keep: Path | None = None) -> None:
