@@ -53,10 +53,9 @@ def figures(options: argparse.Namespace) -> int:
         print(_summary(failed, len(results)), file=sys.stderr)
     if not run.parameters and len(failed) < len(results):
         write_report(run, changed=any(result.status == "done" for result in results))
-    if failed:
-        return 1
-    print(f"figures and tables are in {_short(run.results / 'figures')}")
-    return 0
+    if not failed:
+        print(f"figures and tables are in {_short(run.results / 'figures')}")
+    return 1 if failed else 0
 
 
 def write_report(run: Request, changed: bool) -> None:
@@ -118,8 +117,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--only", metavar="NAME[,NAME]", type=_names, default=Request.only, help=words)
     words = "give a parameter a value of your own; the results go to build/custom"
     add("--set", metavar="NAME=VALUE", type=_setting, action="append", default=[], help=words)
-    words = "notebooks at a time (default: %(default)s)"
-    add("--jobs", type=int, default=Request.jobs, help=words)
+    add("--jobs", type=int, default=Request.jobs, help="notebooks at a time (default: %(default)s)")
     words = "for a notebook; a cell may take half as long (default: %(default)g)"
     add("--time-limit", metavar="SECONDS", type=float, default=Request.time_limit, help=words)
     add("--force", action="store_true", help="run the fresh ones, too")
@@ -136,10 +134,8 @@ def _parser() -> argparse.ArgumentParser:
 
     add = _command(commands, "bench", bench, "measure the speed of the simulation")
     add("--quick", action="store_true", help="in seconds; ratios mean little")
-    words = "write benchmarks/results.* and the README's block"
-    add("--write", action="store_true", help=words)
-    words = "parts of their names (default: all)"
-    add("--peers", metavar="NAME[,NAME]", default="", help=words)
+    add("--write", action="store_true", help="write benchmarks/results.* and the README's block")
+    add("--peers", metavar="NAME[,NAME]", default="", help="parts of their names (default: all)")
     return parser
 
 

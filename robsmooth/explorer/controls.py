@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from html import escape
 
 import ipywidgets as widgets
@@ -51,15 +52,16 @@ else document.execCommand("copy");
 
 
 class Controls:
-    """The widgets, and the settings that they stand for: to begin with, and to go back to, these."""
+    """The widgets, and the settings that they stand for: at first, and after a reset, these."""
 
     def __init__(self, settings: Settings, on_change: Callable[[], None]):
         self._on_change, self._muted = on_change, False
         self.panels = widgets.Image(format="png", layout=_AUTO)
         self.summary = widgets.HTML(layout={"min_height": _SUMMARY_HEIGHT})
         self.code = widgets.Textarea(layout={"width": "auto", "height": "26em"})
-        self.reset = _button("Reset", "back to the settings at the start")
-        self.copy = _button("Copy these settings as code", "to the clipboard")
+        button = partial(widgets.Button, layout=_AUTO)
+        self.reset = button(description="Reset", tooltip="back to the settings at the start")
+        self.copy = button(description="Copy these settings as code", tooltip="to the clipboard")
         self._script = widgets.Output()
         self._own_class = f"robsmooth-{self.code.model_id}"  # a notebook may show several
         self.inputs: dict[str, widgets.Widget] = {}  # by their settings
@@ -127,7 +129,3 @@ def _input(name: str, tooltip: str) -> widgets.Widget:
         return widgets.IntSlider(**common)
     decimals = len(f"{step:g}".partition(".")[2])
     return widgets.FloatSlider(**common, readout_format=f".{decimals}f")
-
-
-def _button(label: str, tooltip: str) -> widgets.Button:
-    return widgets.Button(description=label, tooltip=tooltip, layout=_AUTO)

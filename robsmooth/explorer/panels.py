@@ -1,7 +1,6 @@
-"""The six panels of the explorer: one figure, drawn once, of which only the data are drawn again.
+"""The six panels of the explorer: one figure, of which what the settings change is drawn again.
 
-Axes, labels and legends are the background. It is kept as pixels, and what depends on the settings
-is drawn on top. The axes never change: errors are relative to the Kalman-Bucy filter's.
+Axes, labels and legends are kept as pixels. The axes never change: errors are relative.
 """
 
 import io

@@ -146,10 +146,7 @@ def _poles(estimator: rs.Estimator, parameters: rs.homodyne.HomodyneParameters) 
 
 
 def _path(estimator: rs.Estimator) -> Path:
-    """Simulate one path, on the same noise whatever the loop: a change moves it, no more.
-
-    That of `sample_paths` depends on the lag, which its step divides, and on the order.
-    """
+    """Simulate one path, on the same noise whatever the loop, unlike `rs.sample_paths`."""
     loop = nonlinear_loop(estimator)
     integrator = ExponentialIntegrator(loop, STEP)
     noise = np.random.default_rng(SEED).standard_normal((1 + BEFORE + SHOWN, _MOST_STATES))

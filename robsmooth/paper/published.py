@@ -61,7 +61,7 @@ def read_published(path: Path) -> dict:
             name = entry.get("id", "without id")
             if missing := [field for field in required if field not in entry]:
                 raise ValueError(f"{path.name}: [[{section}]] {name} lacks {missing[0]!r}")
-            texts = [(f"{key} of {name}", entry[key]) for key in entry.keys() - {*required}]
+            texts = [(f"{key} of {name}", entry[key]) for key in entry if key not in required]
             if section == "quantity":
                 texts = [(f"{name}{at}", text) for at, text in each_entry(entry["printed"])]
             for key, text in texts:
@@ -123,9 +123,8 @@ def agrees(text: str, low: float, high: float, zero: float = 0.0) -> bool:
 
 def rounding_box() -> list[tuple[float, np.ndarray]]:
     """Return the printed tau and lambda and the corners of what rounds to them."""
-    names = ("tau", *LAMBDA)
-    half = np.array([last_digit(printed_text(name)) / 2 for name in names])
-    middle = np.array([printed(name) for name in names])
+    half = np.array([last_digit(printed_text(name)) / 2 for name in ("tau", *LAMBDA)])
+    middle = np.array([printed("tau"), *printed_multipliers()])
     corners = [middle + half * signs for signs in itertools.product((-1, 1), repeat=5)]
     return [(corner[0], corner[1:]) for corner in (middle, *corners)]
 

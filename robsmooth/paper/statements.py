@@ -66,7 +66,8 @@ def sector(parameters: HomodyneParameters) -> Finding:
     """Test the remainder against gamma = (1 - m)/2 wherever the sine is in the sector [m, 1]."""
     m, gamma, beta = parameters.sector_slope, parameters.gamma, parameters.beta
     error = np.linspace(0.0, np.pi, 5001)[1:]
-    ratio = _largest_ratio(parameters, error[np.sin(error) >= m * error])
+    error = error[np.sin(error) >= m * error]
+    ratio = np.abs(parameters.remainder(error) / error).max()
     value = f"m = {m:.3g}; where sin(mu_1)/mu_1 is in [m, 1], "
     value += f"|f| is up to {ratio:.3g} |mu_1|, and gamma is {gamma:g}"
     if ratio <= gamma * (1.0 + _EQUAL):
@@ -86,7 +87,8 @@ def sector(parameters: HomodyneParameters) -> Finding:
 def scaled_nonlinearity(parameters: HomodyneParameters) -> Finding:
     """Test with which power of gamma f~ = f gamma^power gives gamma f~ = f, in the unit sector."""
     gamma = parameters.gamma
-    ratio = _largest_ratio(parameters, np.linspace(0.0, parameters.sector_range(), 501)[1:])
+    error = np.linspace(0.0, parameters.sector_range(), 501)[1:]
+    ratio = np.abs(parameters.remainder(error) / error).max()
 
     def fits(power: float) -> bool:
         scale = gamma**power
@@ -99,16 +101,8 @@ def scaled_nonlinearity(parameters: HomodyneParameters) -> Finding:
         return True, value, ""
     readings = {-1.0: "f/gamma", 0.0: "f", 1.0: "f gamma"}
     right = " and ".join(text for power, text in readings.items() if fits(power)) or "none"
-    reason = (
-        f"of {', '.join(readings.values())} as f~, {right} alone has gamma f~/beta = f/beta, as "
-        "the measurement needs, and is in the unit sector"
-    )
-    return False, value, reason
-
-
-def _largest_ratio(parameters: HomodyneParameters, error: np.ndarray) -> float:
-    """Return the largest |f(e)/e|."""
-    return float(np.abs(parameters.remainder(error) / error).max())
+    needed = "alone has gamma f~/beta = f/beta, as the measurement needs, and is in the unit sector"
+    return False, value, f"of {', '.join(readings.values())} as f~, {right} {needed}"
 
 
 def inverse_of_M(plant: AugmentedSystem) -> Finding:

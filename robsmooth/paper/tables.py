@@ -150,8 +150,8 @@ def covariances(compared: Mapping[str, Estimator]) -> Records:
             record = {"error": f"{name}, {output}"}
             for loop, kind in {"paper's formula": "theory", "no copy noise": "real"}.items():
                 errors = delta_sweep(design, (0.0, -1.0), output, kind)[:, 0, 0]
-                columns = rf"$\Delta_2=0$, {loop}", rf"$\Delta_2=-1$, {loop}"
-                record |= dict(zip(columns, errors, strict=True))
+                for slope, error in zip((0, -1), errors, strict=True):
+                    record[rf"$\Delta_2={slope}$, {loop}"] = error
             yield record
 
 
@@ -219,10 +219,7 @@ def noise_sweep(found: Iterable[predictions.NoisySimulation]) -> Records:
 
 
 def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParameters) -> Table:
-    """Return how far one number of the loop must change for the printed errors to be predicted.
-
-    Statistical linearisation predicts; the estimators stay as they are.
-    """
+    """Return how far one number of the loop must change for the printed errors to be predicted."""
     smoothed = published.printed("error covariance, smoother")
     filtered, runs = published.printed("error covariance, NGCF"), published.printed("runs")
     cases = {"smoother": (smoother, "smoothed", smoothed), "NGCF": (ngcf, "filtered", filtered)}
@@ -300,14 +297,11 @@ def optima(designs: Mapping[str, RobustSmoother]) -> Records:
     """
     for name, design in designs.items():
         least = design.limit or design
-        yield {
-            "cost": name,
-            "infimum of $V$ (rad²)": least.bound,
-            "attained": "no" if design.limit else "yes",
-            r"$\tau$ (rad² µs)": 1e6 * least.tau,
-            r"$\lambda$": f"({_numbers(least.multipliers)})",
-            "poles (1/µs)": _numbers(least.poles / 1e6),
-        }
+        attained = "no" if design.limit else "yes"
+        record = {"cost": name, "infimum of $V$ (rad²)": least.bound, "attained": attained}
+        record |= {r"$\tau$ (rad² µs)": 1e6 * least.tau}
+        record |= {r"$\lambda$": f"({_numbers(least.multipliers)})"}
+        yield record | {"poles (1/µs)": _numbers(least.poles / 1e6)}
 
 
 @_table(digits=6)
@@ -360,12 +354,12 @@ def lag_choices(system: UncertainSystem, names: Iterable[str], shares: Iterable[
 def refusals(attempts: Mapping[str, Callable[[], object]]) -> Records:
     """Refusals."""
     for name, attempt in attempts.items():
-        words = "not refused"
+        said = "not refused"
         try:
             attempt()
         except InfeasibleDesignError as error:
-            words = str(error)
-        yield {"what is wrong": name, "what the library says": words}
+            said = str(error)
+        yield {"what is wrong": name, "what the library says": said}
 
 
 @_table(digits=3)
@@ -397,10 +391,7 @@ def in_units(units: Mapping[str, float]) -> Records:
         parameters = replace(PAPER, **rates, alpha=PAPER.alpha * unit**0.5)
         plant = augment(parameters.uncertain_system(), published.DELAY / unit, published.ORDER)
         best = minimize_bound(plant)
-        edge = plant.structured_delta((), [-1.0])
-        yield {
-            "unit of time": name,
-            "infimum of $V$ (rad²)": best.bound_infimum,
-            r"error at $\Delta_2 = -1$ (rad²)": error_covariance(best.limit, edge)[0, 0],
-            r"$\tau$ (rad² s)": best.limit.tau * unit,
-        }
+        error = error_covariance(best.limit, plant.structured_delta((), [-1.0]))[0, 0]
+        record = {"unit of time": name, "infimum of $V$ (rad²)": best.bound_infimum}
+        record[r"error at $\Delta_2 = -1$ (rad²)"] = error
+        yield record | {r"$\tau$ (rad² s)": best.limit.tau * unit}

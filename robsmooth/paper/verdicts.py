@@ -144,27 +144,17 @@ def table(verdicts: Iterable[Verdict], caption: str = "", merge_zeros: bool = Fa
 
 def _model() -> list[Values]:
     plant = published.paper_plant()
-    system = plant.system
-    noise = plant.D21_bar @ plant.D21_bar.T
-    values = {
-        "A_p": plant.A_p,
-        "B_p1": plant.B_p1[:, : system.q],
-        "B_p1,1": plant.B1_tilde[:, :1],
-        "Bbar_p1,1": plant.B1_tilde[:, 1:2],
-        "C_p0": plant.C_p0,
-        "C_p1,1": plant.C1_tilde[:1],
-        "Cbar_p1,1": plant.C1_tilde[1:2],
-        "C_p2": plant.C2_tilde[:1],
-        "h": sum(u.C.shape[0] for u in system.uncertainties),
-        "r": sum(u.B.shape[1] for u in system.uncertainties),
-        "p": plant.C1_tilde.shape[0],
-        "k_tilde": len(plant.M_i),
-        "g": system.g,
-        "k": system.k,
-        "largest d_0": float(np.linalg.eigvalsh(noise).min()),
-    }
-    same = ("B1_tilde", "C1_tilde", "D12_tilde", "C2_tilde", "D21_tilde", "D21_bar", "J")
-    return [values | {name: getattr(plant, name) for name in same}]
+    system, noise = plant.system, plant.D21_bar @ plant.D21_bar.T
+    same = ("A_p", "C_p0", "B1_tilde", "C1_tilde", "D12_tilde", "C2_tilde", "D21_tilde", "D21_bar")
+    values = {name: getattr(plant, name) for name in (*same, "J")}
+    values |= {"B_p1": plant.B_p1[:, : system.q], "C_p2": plant.C2_tilde[:1]}
+    values |= {"B_p1,1": plant.B1_tilde[:, :1], "Bbar_p1,1": plant.B1_tilde[:, 1:2]}
+    values |= {"C_p1,1": plant.C1_tilde[:1], "Cbar_p1,1": plant.C1_tilde[1:2]}
+    values |= {"g": system.g, "k": system.k, "k_tilde": len(plant.M_i)}
+    values |= {"p": plant.C1_tilde.shape[0], "largest d_0": float(np.linalg.eigvalsh(noise).min())}
+    values["h"] = sum(u.C.shape[0] for u in system.uncertainties)
+    values["r"] = sum(u.B.shape[1] for u in system.uncertainties)
+    return [values]
 
 
 def _optimum() -> list[Values]:

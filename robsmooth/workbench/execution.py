@@ -1,7 +1,6 @@
-"""One notebook in a process of its own, watched from outside, and judged by what it left.
+"""One notebook in a process of its own, as several in one hang, judged by its executed copy.
 
-A process a notebook: several through one process have been seen to hang. papermill's word is not
-enough: it takes `sys.exit(0)` in a cell for success, so the executed copy is read instead.
+papermill's word is not enough: it takes `sys.exit(0)` in a cell for success.
 """
 
 import os

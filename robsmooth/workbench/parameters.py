@@ -2,9 +2,7 @@
 
 The cell tagged `parameters` holds lines such as `lag: float = 3.1e-6  # (0, 1e-3] s, of smoothing`.
 The comment may open with what is allowed: an interval (with `inf`, too), or a set `{one, other}`.
-
-papermill itself only warns of an unknown name and checks no type. Its own reader of this cell is
-not used: it skips a line whose comment holds an equals sign.
+papermill checks neither name nor type, and its reader skips comments that hold an equals sign.
 """
 
 import ast
@@ -87,8 +85,8 @@ def read(notebook: Path) -> dict[str, Parameter]:
     code = [cell for cell in cells if cell.cell_type == "code"]
     tagged = [cell.source for cell in code if "parameters" in cell.metadata.get("tags", [])]
     if len(tagged) != 1:
-        message = "exactly one code cell must be tagged parameters, not"
-        raise PipelineError(f"{notebook.name}: {message} {len(tagged)}")
+        message = f"exactly one code cell must be tagged parameters, not {len(tagged)}"
+        raise PipelineError(f"{notebook.name}: {message}")
     parameters = {each.name: each for each in _lines(tagged[0], notebook)}
     for each in parameters.values():
         each.check(each.default, f"{notebook.name}, default")

@@ -1,12 +1,10 @@
 """Run the notebooks that are not fresh, and publish what those that succeed have written.
 
-Notebooks write to a staging folder. Only what a notebook that ran to its end has left there is
-moved to where results live, file by file, each by a rename; so a failed or interrupted run leaves
-the results of earlier ones as they were. A notebook that keeps checkpoints finds them again when it
-is next run with the same inputs.
+What a notebook that ran to its end has left in its staging folder is moved to where results live,
+each file by a rename; so a run that fails leaves the results of earlier ones as they were. Its
+checkpoints are there again when it is next run with the same inputs.
 
-Freshness is judged by content, not by times: a notebook is fresh when everything it depends on has
-the hash it had, and everything it produced is still there unchanged.
+A notebook is fresh when all it depends on has the hash it had, and all it produced is unchanged.
 """
 
 import hashlib
@@ -26,6 +24,7 @@ from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
 from robsmooth.workbench.execution import Execution, Failure
 from robsmooth.workbench.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineError, unknown
+from robsmooth.workbench.provenance import sha256
 
 PROFILES = ("paper", "quick")
 NEEDED = ("ipykernel", "matplotlib", "nbformat", "papermill", "psutil")  # to run any notebook
@@ -96,10 +95,7 @@ class NotebookResult:
 
 
 def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResult]:
-    """Run each task in a process of its own, all of them even when some fail; results as they come.
-
-    Whatever ends this early ends all that it has started.
-    """
+    """Run all tasks, each in its process; results as they come. An early end ends them all."""
     waiting, running = [], []
     with _alone(run.work):
         for task in tasks:
@@ -153,16 +149,12 @@ def _task(
     values |= cell.check(parameters, profile.get(name, {}), where)
     values |= cell.check(parameters, own, f"--set for {name}")
     defaults = {key: each.default for key, each in parameters.items()}
+    seed = (defaults | values).get("seed")
+    optional = tuple(each for each in OPTIONAL if each in parameters)
     notebook = run.root / "notebooks" / f"{name}.ipynb"
     key = _key(run, notebook, values)
     return Task(
-        run,
-        name,
-        values,
-        seed=(defaults | values).get("seed"),
-        optional=tuple(each for each in OPTIONAL if each in parameters),
-        key=key,
-        notebook=notebook,
+        *(run, name, values, seed, optional, key, notebook),
         executed=run.work / "notebooks" / notebook.name,
         about=run.results / "figures" / f"{name}.provenance.json",
         staging=run.work / "staging" / name,
@@ -193,12 +185,12 @@ def _profiles(folder: Path) -> dict:
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
     listed = sorted(profiles.get("notebooks", []))
-    there = {path.stem for path in folder.glob("*.ipynb")}
-    for name in sorted({*listed} - there):
-        raise PipelineError(f"notebooks/{name}.ipynb is missing; profiles.toml lists it")
-    numbered = {path.stem for path in folder.glob("[0-9][0-9]_*.ipynb")}  # others may be a user's
-    for name in sorted(numbered - {*listed}):
-        raise PipelineError(f"notebooks/{name}.ipynb is not listed in profiles.toml")
+    for name in listed:
+        if not (folder / f"{name}.ipynb").is_file():
+            raise PipelineError(f"notebooks/{name}.ipynb is missing; profiles.toml lists it")
+    for path in sorted(folder.glob("[0-9][0-9]_*.ipynb")):  # others may be a user's
+        if path.stem not in listed:
+            raise PipelineError(f"notebooks/{path.name} is not listed in profiles.toml")
     for profile in PROFILES:
         for name in profiles.setdefault(profile, {}):
             if name not in listed:
@@ -212,7 +204,7 @@ def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
     inputs = [run.root / "data/published.toml", run.root / provenance.LOCK, notebook]
     named = {str(path.relative_to(PACKAGE.parent)): path for path in sorted(sources)}
     named |= {path.name: path for path in inputs if path.is_file()}
-    digests = {name: provenance.sha256(path) for name, path in named.items()}
+    digests = {name: sha256(path) for name, path in named.items()}
     environment = [platform.python_version(), platform.system(), platform.machine()]
     text = json.dumps([digests, environment, run.profile, values], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -231,7 +223,7 @@ def _fresh(task: Task) -> tuple[str, ...] | None:
     """Files the notebook produced, if it need not be run again."""
     key, digests = _stored(task.stamp)
     there = {task.run.results / file: digest for file, digest in digests.items()}
-    same = all(path.is_file() and provenance.sha256(path) == there[path] for path in there)
+    same = all(path.is_file() and sha256(path) == there[path] for path in there)
     return tuple(digests) if key == task.key and same else None
 
 
@@ -254,12 +246,9 @@ def _finish(task: Task, execution: Execution) -> NotebookResult:
     seconds, failure = execution.seconds, execution.failure()
     if failure:
         return NotebookResult(task, "failed", (), seconds, failure)
-    produced = {
-        path.relative_to(task.staging).as_posix(): provenance.sha256(path)
-        for folder in ("figures", "data")
-        for path in sorted((task.staging / folder).rglob("*"))
-        if path.is_file()
-    }
+    places = [task.staging / folder for folder in ("figures", "data")]
+    paths = [path for place in places for path in sorted(place.rglob("*")) if path.is_file()]
+    produced = {path.relative_to(task.staging).as_posix(): sha256(path) for path in paths}
     task.stamp.unlink(missing_ok=True)
     for file in produced:
         with files.atomic_path(task.run.results / file) as temporary:
@@ -271,7 +260,7 @@ def _finish(task: Task, execution: Execution) -> NotebookResult:
     about |= {"parameters": task.values, "files": produced}
     place = task.run.results / "figures" / task.name
     provenance.write(place, **about, seed=task.seed, started=execution.started)
-    produced[f"figures/{task.about.name}"] = provenance.sha256(task.about)
+    produced[f"figures/{task.about.name}"] = sha256(task.about)
     files.write_json(task.stamp, {"key": task.key, "files": produced})
     _clear_checkpoints(task)
     return NotebookResult(task, "done", tuple(produced), seconds)

@@ -1,8 +1,4 @@
-"""Maps: numbers on a grid as shades, and hatched where there are none.
-
-A point of the grid stands for what is nearer to it than to the next ones. What is beyond the grid
-is not shown: there nothing was computed.
-"""
+"""Maps: numbers on a grid as shades, and hatched where there are none."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
