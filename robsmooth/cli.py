@@ -78,7 +78,7 @@ def verdicts(options: argparse.Namespace) -> int:
     from robsmooth.paper import report
     from robsmooth.paper import verdicts as paper_verdicts
 
-    project = _project_above()
+    project = _project(needed=False)
     try:
         print(report.markdown(paper_verdicts.verdicts(project and project / "data")))
     except ValueError as error:  # no Monte Carlo results, or damaged ones
@@ -163,19 +163,17 @@ def _setting(text: str) -> tuple[str, object]:
         return name, value
 
 
-def _project() -> Path:
+def _project(needed: bool = True) -> Path | None:
     """Folder of the project: this one or one above it."""
-    if project := _project_above():
-        return project
-    raise PipelineError(
-        "there is no notebooks/profiles.toml here or above: say this in a checkout of the "
-        "project, which holds the notebooks and more than the installed package"
-    )
-
-
-def _project_above() -> Path | None:
-    folders = (Path.cwd(), *Path.cwd().parents)
-    return next((each for each in folders if (each / "notebooks/profiles.toml").is_file()), None)
+    for folder in (Path.cwd(), *Path.cwd().parents):
+        if (folder / "notebooks/profiles.toml").is_file():
+            return folder
+    if needed:
+        raise PipelineError(
+            "there is no notebooks/profiles.toml here or above: say this in a checkout of the "
+            "project, which holds the notebooks and more than the installed package"
+        )
+    return None
 
 
 def _line(result: NotebookResult) -> str:

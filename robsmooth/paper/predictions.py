@@ -16,13 +16,9 @@ from robsmooth.analysis.statistical_linearisation import (
     statistical_linearisation,
 )
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.homodyne import montecarlo
 from robsmooth.homodyne.moments import stationary_errors
-from robsmooth.homodyne.montecarlo import (
-    LossOfLockWarning,
-    MeanSquare,
-    MonteCarloResult,
-    monte_carlo,
-)
+from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.homodyne.whitening import LARGEST_DEVIATION
 
@@ -76,8 +72,10 @@ def noise_sweep(
     for factor in factors:
         noisier = replace(values, kappa=factor * values.kappa)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LossOfLockWarning)  # the slips are what is shown
-            simulated = monte_carlo(noisier, design, **arguments)
+            warnings.simplefilter(
+                "ignore", montecarlo.LossOfLockWarning
+            )  # the slips are what is shown
+            simulated = montecarlo.monte_carlo(noisier, design, **arguments)
         moments = linearised = math.nan
         with suppress(UnstableLoopError, ArithmeticError):
             moments = stationary_errors(noisier, design).filtered
