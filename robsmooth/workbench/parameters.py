@@ -140,7 +140,8 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
 def _allowed(comment: str) -> tuple[Interval | tuple[str, ...] | None, str]:
     """Split a comment into the values allowed, if it opens with them, and the rest."""
     if found := _CHOICES.match(comment):
-        return tuple(re.split(r"\s*,\s*", found[1])), comment[found.end() :]
+        choices = tuple(choice.strip(" \"'") for choice in found[1].split(","))
+        return choices, comment[found.end() :]
     if found := _INTERVAL.match(comment):
         left, low, high, right = found.groups()
         return Interval(float(low), float(high), left + right), comment[found.end() :]
