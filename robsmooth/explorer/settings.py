@@ -14,10 +14,7 @@ _PAPER = rs.homodyne.PAPER
 
 
 class Range(NamedTuple):
-    """The values of a setting in the unit of its slider.
-
-    The defaults are among them: a slider in a browser takes its value to the nearest one.
-    """
+    """The values of a setting in the unit of its slider; its default must be one of them."""
 
     low: float
     high: float
@@ -41,20 +38,14 @@ RANGES = {
     "lam": Range(1.0, 50.0, 0.02, 3),
     "kappa": Range(4.0, 250.0, 2.0, 3),
     "tau": Range(0.2, 10.0, 0.01, -6),
-    "lambda1": Range(0.0, 1.0, 0.0001),
-    "lambda2": Range(0.0, 1.0, 0.0001),
-    "lambda3": Range(0.0, 0.02, 0.0001),
-    "lambda4": Range(0.0, 0.02, 0.0001),
+    **dict.fromkeys(("lambda1", "lambda2"), Range(0.0, 1.0, 0.0001)),
+    **dict.fromkeys(("lambda3", "lambda4"), Range(0.0, 0.02, 0.0001)),
 }
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What the explorer shows; by default the paper's example.
-
-    The design is the robust one with the least bound, a robust one with the tau and multipliers
-    given here (by default what the paper prints), or the fixed-lag smoother of the nominal system.
-    """
+    """What the explorer shows; by default the paper's example."""
 
     lag: float = DELAY  # how far back the smoothed estimate looks, s
     order: int = ORDER  # of the Pade model of the lag
@@ -63,7 +54,7 @@ class Settings:
     lam: float = _PAPER.lam  # decay rate of the phase, rad/s
     kappa: float = _PAPER.kappa  # diffusion of the phase, rad^2/s
     cost: str = COSTS[0]  # the error that a robust design keeps low
-    design: str = DESIGNS[0]
+    design: str = DESIGNS[0]  # least bound, these tau and lambda, or the nominal smoother
     tau: float = printed("tau")  # rad^2 s
     lambda1: float = printed("lambda_1")
     lambda2: float = printed("lambda_2")

@@ -6,10 +6,11 @@ that says so.
 
 import math
 import warnings
+from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, lru_cache
-from typing import NamedTuple, TypeVar
+from functools import lru_cache, partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,35 +38,18 @@ Poles = NDArray[np.complex128]
 T = TypeVar("T")
 
 
-class Guarantee(NamedTuple):
-    """The error that a design's bound is for, with the fictitious noise that the bound counts."""
-
-    errors: Array  # mean squares at each of `ADMISSIBLE`, rad^2
-    bound: float  # on them, rad^2: twice V; infinity for a design that comes without
-
-
-class Sweep(NamedTuple):
-    """Mean square errors at each of `SLOPES`, rad^2, in a loop without the fictitious noise."""
-
-    filtered: Array
-    smoothed: Array
-
-
-class Path(NamedTuple):
-    """A path of the phase, rad, and its estimates, made at the same times."""
-
-    time: Array
-    phase: Array
-    filtered: Array
-    smoothed: Array
+# Mean squares at each of `ADMISSIBLE`, rad^2, with the fictitious noise, and what bounds them: 2V,
+# or infinity for a design that comes without.
+Guarantee = namedtuple("Guarantee", "errors bound")
+# Mean square errors at each of `SLOPES`, rad^2, in a loop without the fictitious noise.
+Sweep = namedtuple("Sweep", "filtered smoothed")
+# A path of the phase, rad, and its estimates, made at the same times.
+Path = namedtuple("Path", "time phase filtered smoothed")
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What there is to see at some settings, but for the simulation of many paths.
-
-    A sentence stands for what there is not.
-    """
+    """What there is to see at some settings, but for the simulation of many paths."""
 
     settings: Settings
     filtering: float  # the Kalman-Bucy filter's error without uncertainty, rad^2
@@ -82,14 +66,12 @@ class Snapshot:
 def take_snapshot(settings: Settings) -> Snapshot:
     """Return what there is to see at some settings."""
     parameters = settings.parameters
-    system = parameters.uncertain_system()
-    least = (rs.baselines.optimal_fixed_lag_error(system, lag) for lag in (0.0, settings.lag))
-    filtering, optimum = (float(error[0, 0]) for error in least)
+    least = partial(rs.baselines.optimal_fixed_lag_error, parameters.uncertain_system())
     estimator = _found(design, settings)
     return Snapshot(
         settings=settings,
-        filtering=filtering,
-        optimum=optimum,
+        filtering=least(0.0).item(),
+        optimum=least(settings.lag).item(),
         estimator=estimator,
         poles=_found(_poles, estimator, parameters),
         sweep=_found(_sweep, estimator),
@@ -145,8 +127,7 @@ def _found(find: Callable[..., T], *given: object, **options: object) -> T | str
 
 
 def _sweep(estimator: rs.Estimator) -> Sweep:
-    outputs = ("filtered", "smoothed")
-    found = (rs.delta_sweep(estimator, SLOPES, output, loop="real") for output in outputs)
+    found = (rs.delta_sweep(estimator, SLOPES, output, loop="real") for output in Sweep._fields)
     return Sweep(*(errors[:, 0, 0] for errors in found))
 
 
@@ -165,13 +146,11 @@ def _poles(estimator: rs.Estimator, parameters: rs.homodyne.HomodyneParameters) 
 
 
 def _path(estimator: rs.Estimator) -> Path:
-    """Simulate one path, on the same noise whatever the loop: a change moves it, no more.
-
-    That of `sample_paths` depends on the lag, which its step divides, and on the order.
-    """
+    """Simulate one path, on the same noise whatever the loop, unlike `rs.sample_paths`."""
     loop = nonlinear_loop(estimator)
     integrator = ExponentialIntegrator(loop, STEP)
-    start, *steps = _normals()[:, : loop.order, None]
+    noise = np.random.default_rng(SEED).standard_normal((1 + BEFORE + SHOWN, _MOST_STATES))
+    start, *steps = noise[:, : loop.order, None]
     z = loop.stationary_root @ start
     states = []
     for normals in steps:
@@ -179,9 +158,3 @@ def _path(estimator: rs.Estimator) -> Path:
         states.append(z[:, 0])
     time = STEP * np.arange(1, SHOWN + 1)
     return Path(time, *loop.readout @ np.array(states[BEFORE:]).T)  # w and its two estimates
-
-
-@cache
-def _normals() -> Array:
-    """Return the noise of each state at the start and in each step."""
-    return np.random.default_rng(SEED).standard_normal((1 + BEFORE + SHOWN, _MOST_STATES))

@@ -21,8 +21,8 @@ def write(figures: Path, data: Path) -> list[Verdict]:
     """Write the report to the folder `figures`, from the results in `data`; return its verdicts."""
     started = time.perf_counter()
     verdicts = paper_verdicts.verdicts(data)
-    for name, text in zip(_REPORT, (markdown(verdicts), table(verdicts).csv()), strict=True):
-        files.write_text(figures / name, text)
+    files.write_text(figures / _REPORT[0], markdown(verdicts))
+    files.write_text(figures / _REPORT[1], table(verdicts).csv())
     provenance.write(figures / _REPORT[0], started=started, files=_digests(figures, data))
     return verdicts
 
@@ -87,15 +87,12 @@ def markdown(verdicts: Sequence[Verdict]) -> str:
 def about() -> Table:
     """Return what a notebook was run with: versions, revision, lock and machine."""
     facts = provenance.collect()
-    revision = facts["revision"]
+    revision, machine = facts["revision"], facts["machine"]
     rows = [*facts["versions"].items()]
     if revision:
         changed = ", with changes" if revision["dirty"] else ""
         rows.append(("git revision", revision["commit"][:12] + changed))
-    rows += [
-        ("lock (SHA-256)", (facts["lock_sha256"] or "none")[:12]),
-        ("processor", f"{facts['machine']['processor']}, {facts['machine']['cores']} cores"),
-        ("platform", facts["machine"]["platform"]),
-        ("run at", facts["written"]),
-    ]
-    return Table(columns=("what", "version"), rows=rows, caption="Run with.")
+    rows.append(("lock (SHA-256)", (facts["lock_sha256"] or "none")[:12]))
+    rows.append(("processor", f"{machine['processor']}, {machine['cores']} cores"))
+    rows += [("platform", machine["platform"]), ("run at", facts["written"])]
+    return Table(("what", "version"), rows, "Run with.")

@@ -50,9 +50,6 @@ def write(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) 
         for name, result in results.items()
     }
     files.write_json(path, {"cases": cases})
-    provenance.write(
-        path,
-        seed=seed,
-        started=time.perf_counter() - sum(result.wall_time for result in results.values()),
-        wall_time_seconds={name: round(result.wall_time, 3) for name, result in results.items()},
-    )
+    times = {name: round(result.wall_time, 3) for name, result in results.items()}
+    started = time.perf_counter() - sum(times.values())
+    provenance.write(path, seed=seed, started=started, wall_time_seconds=times)
