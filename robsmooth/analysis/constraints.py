@@ -275,7 +275,5 @@ def _quasi_newton(
     start = np.log(theta)
     bounds = np.array([start - _LARGEST_CHANGE, start + _LARGEST_CHANGE]).T
     options = {"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-11}
-    result = minimize(
-        objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options
-    )
+    result = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return np.exp(result.x) if result.fun <= objective(start)[0] else theta

@@ -32,20 +32,20 @@ class RobustSmoother(Estimator):
     ----------
     tau, multipliers, cost
         As in `design_smoother`.
-    X, Y : (n, n) arrays
-        The solutions of the Riccati equations.
-    certificates : dict of RiccatiSolution
-        Residual, definiteness and stability of each.
+    X, Y : (n, n) arrays, the solutions of the Riccati equations
+    certificates : dict of RiccatiSolution, the residual, definiteness and stability of each
     bound : float
         V: half the mean square of w-hat's error, in the loop with the copies' fictitious noise, is
         below it for every admissible uncertainty. The error is that against w, or with
         cost="smoothed" that against the output w_a of the delay model (not of the true delay).
-    bound_infimum : float or None
-        Where `minimize_bound` made the design and the least bound is not attained: its infimum.
-    limit : RobustSmoother or None
-        Then the design that attains it in the limit.
-    spectral_radius : float
-        rho(YX), below tau.
+    bound_infimum, limit : float and RobustSmoother, or None
+        Where `minimize_bound` found no least bound: its infimum, and the design that attains it in
+        the limit.
+    spectral_radius : float, rho(YX), below tau
+
+    See Also
+    --------
+    error_covariance, worst_case : its errors under given and worst uncertainties.
 
     Examples
     --------
@@ -102,10 +102,8 @@ def design_smoother(
 
     Parameters
     ----------
-    plant : AugmentedSystem
-        Made by `augment`.
-    tau : float
-        :math:`\bar\tau > 0`, in seconds times the squared unit of w.
+    plant : AugmentedSystem, made by `augment`
+    tau : float, :math:`\bar\tau > 0`, in seconds times the squared unit of w
     multipliers : (k + 3g,) sequence
         lambda, not negative: those of the k uncertainties, then for the g nonlinearities those of
         the difference constraints, of the mu constraints and of the mu-tilde constraints.
@@ -126,8 +124,7 @@ def design_smoother(
 
     See Also
     --------
-    minimize_bound : finds tau and lambda.
-    limiting_smoother : where multipliers vanish.
+    minimize_bound, limiting_smoother : the search for tau and lambda; multipliers that vanish.
 
     References
     ----------
