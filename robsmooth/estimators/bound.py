@@ -75,26 +75,26 @@ def minimize_bound(
 
     Parameters
     ----------
-    plant : AugmentedSystem
-        Made by `augment`.
-    cost : {"filtered", "smoothed"}
-        The error that the bound is for, as in `design_smoother`.
+    plant, cost
+        As in `design_smoother`.
     starts, seed : int
-        Number of starting points to descend from, the best of a random sample over decades, and
-        the sample's seed.
+        Number of starting points, the best of a random sample over decades, and its seed.
 
     Returns
     -------
     RobustSmoother
         The best design found. Where the bound falls as some multipliers go to zero, so that no
-        design attains the least one, those multipliers are at most `VANISHING` of the largest,
-        `bound_infimum` is the limit of the bound, and `limit` that of the designs
-        (`limiting_smoother`); otherwise these two are None.
+        design attains the least one, they are at most a millionth of the largest, `bound_infimum`
+        is the limit of the bound, and `limit` that of the designs; otherwise these two are None.
 
     Raises
     ------
     InfeasibleDesignError
         Where no design was found; it says for which fraction of the uncertainty one was.
+
+    See Also
+    --------
+    design_smoother, best_lag, choose_lag : at given tau and lambda; the delay and the order, too.
 
     Examples
     --------
