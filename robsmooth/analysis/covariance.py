@@ -20,9 +20,8 @@ cannot be negative,
              + C_s \mathbf W C_s', \qquad
     \mathbf W = \mathbf P - e^{\mathbf A\delta}\mathbf P e^{\mathbf A'\delta}:
 
-what the state one lag back contributes, and the noise since then (`robsmooth._numerics.lyapunov`
-finds `W` without the subtraction). The state is :math:`[x_p;\; x_p - \hat x_p]`, so that a small
-error is small from the start.
+what the state one lag back contributes, and the noise since then. The state is
+:math:`[x_p;\; x_p - \hat x_p]`, so that a small error is small from the start.
 """
 
 from collections.abc import Iterable
@@ -42,7 +41,7 @@ from robsmooth.estimators.loop import OUTPUTS, Reference, error_rows, matrices, 
 from robsmooth.systems.augmented import AugmentedSystem
 
 _BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once
-_EIGENVALUE_ERROR = 1e-12  # relative to the largest entry of the matrix
+_EIGENVALUE_ERROR = 1e-12  # relative to the largest entry; the covariance tells the rest
 _NORM_ERROR = 1e-12
 
 
@@ -118,10 +117,7 @@ def _check_norm(plant: AugmentedSystem, Delta: Matrix) -> None:
 def _closed(
     estimator: Estimator, Delta: Matrix, loop: str, reference: Reference = None
 ) -> ClosedLoop:
-    """Close the loop for one Delta or (N, ., .) of them; refuse what is clearly not stable.
-
-    What rounding hides, the covariance will tell.
-    """
+    """Close the loop for one Delta or (N, ., .) of them; refuse what is clearly not stable."""
     A, B, inputs, outputs = matrices(estimator, loop, reference)
     A = A + inputs @ Delta @ outputs
     abscissa = np.linalg.eigvals(A).real.max()

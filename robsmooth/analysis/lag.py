@@ -142,9 +142,8 @@ def lag_sweep(
     validation.instance("system", system, UncertainSystem)
     lags = np.array([validation.real("lags", lag, low=0.0) for lag in lags])
     orders = np.array([validation.integer("orders", order, low=1) for order in orders], dtype=int)
-    for name, axis in (("lags", lags), ("orders", orders)):
-        if not axis.size:
-            raise ValueError(f"{name} must have at least one value")
+    if not lags.size * orders.size:
+        raise ValueError(f"{'orders' if lags.size else 'lags'} must have at least one value")
     validation.boolean("progress", progress)
     make = _family(system, design)
     grid = [(lag, int(order)) for order in orders for lag in lags]

@@ -36,16 +36,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
-from robsmooth.estimators.sample_loop import (
-    Record,
-    Steps,
-    running_copies,
-    running_functions,
-    sample_loop,
-    sizes_of,
-    steps_of,
-    takes_numbers,
-)
+from robsmooth.estimators import sample_loop
+from robsmooth.estimators.sample_loop import Record, Steps
 
 OUTPUTS = ("smoothed", "filtered")
 
@@ -97,13 +89,15 @@ class DiscreteSmoother:
         self.lag: float = self.delay
         system = estimator.plant.system
         self.l, self.m, self.g = system.l, system.m, system.g
-        self._estimator, self._running = estimator, running_copies(estimator)
+        self._estimator, self._running = estimator, sample_loop.running_copies(estimator)
         self._C_nu = np.ascontiguousarray(estimator.C_c[system.m :][self._running])
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
-        self._sizes = sizes_of(len(estimator.A_c), self.l, self.m, len(self._running))
-        run = running_functions(system.nonlinearities, functions, self._running)
-        self.compiled: bool = all(map(takes_numbers, run)) and not numba.config.DISABLE_JIT
-        self._advance = sample_loop(run, self.compiled)
+        self._sizes = sample_loop.sizes_of(len(estimator.A_c), self.l, self.m, len(self._running))
+        run = sample_loop.running_functions(system.nonlinearities, functions, self._running)
+        self.compiled: bool = (
+            all(map(sample_loop.takes_numbers, run)) and not numba.config.DISABLE_JIT
+        )
+        self._advance = sample_loop.sample_loop(run, self.compiled)
         self._patterns: dict[bytes, int] = {}  # of missing channels, to a row of the steps
         self._steps: Steps | None = None
         self._pattern(np.zeros(self.l, dtype=bool))
@@ -246,7 +240,7 @@ class DiscreteSmoother:
         """Return the index of the matrices for these missing channels; make them where needed."""
         key = missing.tobytes()
         if key not in self._patterns:
-            steps = steps_of(self._estimator, self._running, self.dt, missing)
+            steps = sample_loop.steps_of(self._estimator, self._running, self.dt, missing)
             if self._steps is not None:
                 steps = Steps(*map(np.concatenate, zip(self._steps, steps, strict=True)))
             self._patterns[key], self._steps = len(self._patterns), steps

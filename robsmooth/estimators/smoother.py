@@ -8,16 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from robsmooth._numerics.riccati import RiccatiSolution
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.estimators.conditions import (
-    ASSUMPTION_X,
-    ASSUMPTION_Y,
-    certified_solution,
-    check_multipliers,
-    check_plant,
-    check_stable,
-    singular,
-    weights,
-)
+from robsmooth.estimators import conditions
 from robsmooth.estimators.equations import DesignEquations
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.problem import DesignProblem
@@ -151,14 +142,14 @@ def design_equations(
     rates: ArrayLike | None = None,
 ) -> DesignEquations:
     """Return the equations of a design or of a limit, after checking all but Assumption 3."""
-    check_plant(plant, cost)
+    conditions.check_plant(plant, cost)
     tau = validation.positive("tau", tau)
-    multipliers = weights("multipliers", plant, multipliers)
-    zeros = 1.0 * singular(plant, multipliers)
-    rates = zeros if rates is None else weights("rates", plant, rates)
+    multipliers = conditions.weights("multipliers", plant, multipliers)
+    zeros = 1.0 * conditions.singular(plant, multipliers)
+    rates = zeros if rates is None else conditions.weights("rates", plant, rates)
     rates = np.where(multipliers == 0.0, rates, 0.0)
-    check_multipliers(plant, multipliers, limit)
-    if singular(plant, multipliers + rates).any():
+    conditions.check_multipliers(plant, multipliers, limit)
+    if conditions.singular(plant, multipliers + rates).any():
         raise ValueError(
             "rates must be positive for enough of the vanishing multipliers to make M positive, "
             f"got {rates.tolist()}"
@@ -169,9 +160,9 @@ def design_equations(
 
 def solve_design(plant: AugmentedSystem, equations: DesignEquations, cost: str) -> RobustSmoother:
     """Solve the equations of a design, after checking Assumption 3."""
-    check_stable(plant)
-    Y = certified_solution(ASSUMPTION_Y, equations.solve_Y)
-    X = certified_solution(ASSUMPTION_X, equations.solve_X)
+    conditions.check_stable(plant)
+    Y = conditions.certified_solution(conditions.ASSUMPTION_Y, equations.solve_Y)
+    X = conditions.certified_solution(conditions.ASSUMPTION_X, equations.solve_X)
     A_c, B_c, C_c, bound, radius = equations.gains(X.X, Y.X)
     C_f = C_c[: plant.system.m] if cost == "filtered" else plant.C_p0
     matrices = {"A_c": A_c, "B_c": B_c, "C_c": C_c, "C_a": plant.C_a, "C_f": C_f}

@@ -217,10 +217,7 @@ class _Run:
         self.integrator = ExponentialIntegrator(loop, step, measured)
 
     def records(self, paths: range, bar=None) -> Iterator[dict[str, NDArray]]:
-        """Simulate paths, and yield what is from time zero on, (steps, rows, paths), by its name.
-
-        The reference was subtracted from zeta-tilde to give "zeta".
-        """
+        """Simulate paths; yield what is from time zero on, (steps, rows, paths), by its name."""
         m, g = self.plant.system.m, self.plant.system.g
         arguments = len(self.integrator.loop.arguments)
         names = ("w", "filtered", "smoothed", "zeta", "subtracted", "y")
@@ -240,10 +237,7 @@ class _Run:
                 bar.update(len(records) * len(paths))
 
     def averages(self, paths: range, bar) -> tuple[NDArray, NDArray]:
-        """Return averages over time, (2, m, m, paths) and (3, k + 3g, paths).
-
-        They are of the products of filtered and smoothed errors, and of what `_constraints` has.
-        """
+        """Return averages over time: of errors' products, (2, m, m, paths), and of checks."""
         m, samples = self.plant.system.m, 0
         products = np.zeros((2, m, m, len(paths)))
         checks = np.zeros((3, len(self.plant.M_i), len(paths)))
