@@ -64,8 +64,7 @@ class AnalysisBound:
         The share of `mean_square` that no admissible input was shown to reach, to first order.
     fraction : float
         The share of the uncertainty for which there is a bound: 0 for a loop unstable without it.
-    guarantee : float or None
-        Twice the bound V of the design, where that is for this error.
+    guarantee : float or None, twice the bound V of the design, where that is for this error
     multipliers : (k + 3g,) array
         theta, s (unit of w)^2; infinity for a constraint that allows its input no energy.
     feedback : (r + 2g, N) array

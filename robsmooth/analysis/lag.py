@@ -215,8 +215,7 @@ def best_lag(
     order : int, of the delay's Pade model, at least one
     design
         As in `lag_sweep`.
-    criterion : {"nominal", "worst"}
-        The error without uncertainty, or under the worst constant one.
+    criterion : {"nominal", "worst"}, the error without uncertainty, or under the worst constant one
 
     Returns
     -------
@@ -263,16 +262,14 @@ def choose_lag(
     Parameters
     ----------
     system : UncertainSystem
-    target : float, optional
-        The mean square error to meet, in the squared unit of w.
+    target : float, optional, the mean square error to meet, in the squared unit of w
     fraction : float, optional
         In its place: the share, from 0 to 1, of the gain from optimal filtering to two-sided
         smoothing.
     design, criterion
         As in `best_lag`: the error that is to meet the target.
     max_order : int, the highest order to try
-    slack : float
-        How much longer than the shortest the lag may be, relatively, for a lower order.
+    slack : float, how much longer than the shortest the lag may be, relatively, for a lower order
 
     Returns
     -------

@@ -57,8 +57,7 @@ class WorstCase:
     mean_square, nominal : float
         The mean square error under it and without uncertainty, in the squared unit of w; infinity
         where the loop is not stable.
-    guarantee : float or None
-        Twice the bound V of the design, where that is for this error.
+    guarantee : float or None, twice the bound V of the design, where that is for this error
 
     Examples
     --------
@@ -111,8 +110,7 @@ def worst_case(
     ----------
     smoother, output, loop
         As in `error_covariance`.
-    starts : int
-        Number of corners of the admissible set to start from, besides its centre.
+    starts : int, number of corners of the admissible set to start from, besides its centre
     seed : int, of the corners
 
     Returns

@@ -166,15 +166,6 @@ def solve_design(plant: AugmentedSystem, equations: DesignEquations, cost: str) 
     A_c, B_c, C_c, bound, radius = equations.gains(X.X, Y.X)
     C_f = C_c[: plant.system.m] if cost == "filtered" else plant.C_p0
     matrices = {"A_c": A_c, "B_c": B_c, "C_c": C_c, "C_a": plant.C_a, "C_f": C_f}
-    return RobustSmoother(
-        plant=plant,
-        **matrices,
-        tau=equations.tau,
-        multipliers=equations.multipliers,
-        cost=cost,
-        X=X.X,
-        Y=Y.X,
-        certificates={"X": X, "Y": Y},
-        bound=bound,
-        spectral_radius=radius,
-    )
+    given = {"tau": equations.tau, "multipliers": equations.multipliers, "cost": cost}
+    found = {"X": X.X, "Y": Y.X, "certificates": {"X": X, "Y": Y}, "bound": bound}
+    return RobustSmoother(plant=plant, **matrices, **given, **found, spectral_radius=radius)

@@ -128,12 +128,10 @@ def simulate(
             checks += of_checks.sum(axis=2) / run.runs
 
     used, allowed, violated = checks
+    constraints = np.divide(used, allowed, out=0.0 * used, where=used > 0.0)
     result = SimulationResult(
-        smoothed=_error(products, traces, 1),
-        filtered=_error(products, traces, 0),
-        constraints=frozen(np.divide(used, allowed, out=0.0 * used, where=used > 0.0)),
-        violated=frozen(violated),
-        equivalent_delta=frozen(joined.delta.copy()),
+        *(_error(products, traces, which) for which in (1, 0)),
+        *map(frozen, (constraints, violated, joined.delta.copy())),
         runs=run.runs,
         path_steps=path_steps,
         wall_time=time.perf_counter() - started,

@@ -31,8 +31,7 @@ class MeanSquare:
     mean_square, standard_error : float
         In the squared unit of the estimated quantity: rad^2 for a phase. The second is not a
         number for a single path.
-    variance_reduction : float
-        How many times as many paths it would take without control variates.
+    variance_reduction : float, how many times as many paths it would take without control variates
 
     Examples
     --------
