@@ -176,7 +176,7 @@ class LagChoice:
     --------
     >>> import robsmooth as rs
     >>> rs.choose_lag(rs.homodyne.PAPER.uncertain_system(), fraction=0.8)
-    LagChoice(lag=1.881e-06 s, order=1, error=0.0513, target=0.0513, shortest=1.851e-06 s)
+    LagChoice(lag=1.827e-06 s, order=1, error=0.051293, target=0.051293, shortest=1.731e-06 s)
     """
 
     lag: float

@@ -41,10 +41,9 @@ class RobustSmoother(Estimator):
     Examples
     --------
     >>> import robsmooth as rs
-    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-    >>> smoother = rs.design_smoother(plant, tau=1.1e-6, multipliers=[1.0, 0.49, 1e-4, 1e-4])
-    >>> smoother.A_c.shape, round(smoother.bound, 4), round(smoother.mean_square_bound, 4)
-    ((3, 3), 0.1233, 0.2465)
+    >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
+    >>> ngcf.A_c.shape, round(ngcf.mean_square_bound, 4), round(2.0 * ngcf.bound_infimum, 4)
+    ((1, 1), 0.2434, 0.2433)
     """
 
     tau: float
