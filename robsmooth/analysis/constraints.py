@@ -1,8 +1,7 @@
 r"""The exact worst case of a given estimator under the paper's constraints.
 
-A design's bound V is for the best estimator that the theory can prove it for. How large can the
-error of a *given* estimator become? The constraints (eqIQC1) to (eqIQC4) speak of mean energies of
-inputs :math:`\tilde\xi` that may depend on all that has happened. For multipliers
+How large can the error of a *given* estimator become? The constraints (eqIQC1) to (eqIQC4) speak of
+mean energies of inputs :math:`\tilde\xi` that may depend on all that has happened. For multipliers
 :math:`\theta \ge 0` and the stabilising solution of
 
 .. math::
@@ -46,7 +45,6 @@ _LEAST_START = 1e-6  # of the nominal error: what a multiplier is worth, at leas
 _LEAST_ENERGY = 1e-12  # of the largest that an output could have: one that no noise excites
 _LARGEST_CHANGE = 14.0  # of a multiplier in one search, in natural logarithms
 _INFEASIBLE = 1e2  # the objective, a logarithm, where the Riccati equation has no solution
-_RESTARTS = 8
 _LEAST_DECREASE = 1e-10  # a search that lowers the bound by less, relatively, is the last
 _CONTINUATION_ITERATIONS = 10  # of the search at a fraction of the uncertainty
 _MULTIPLES = 4.0 ** np.arange(10)  # of theta: the more, the more the uncertainty counts
@@ -65,13 +63,10 @@ class AnalysisBound:
     gap : float
         The share of `mean_square` that no admissible input was shown to reach, to first order.
     fraction : float
-        The share of the uncertainty's outputs for which there is a bound: 0 for a loop that is not
-        stable without them.
-    guarantee : float or None
-        Twice the bound V of the design, where that is for this error.
+        The share of the uncertainty for which there is a bound: 0 for a loop unstable without it.
+    guarantee : float or None, twice the bound V of the design, where that is for this error
     multipliers : (k + 3g,) array
-        theta, in the squared unit of w times seconds; infinity for a constraint that allows its
-        input no energy.
+        theta, s (unit of w)^2; infinity for a constraint that allows its input no energy.
     feedback : (r + 2g, N) array
         The worst input as a feedback of the states X. Both are empty where there is no bound.
 
@@ -122,10 +117,8 @@ def analysis_bound(
 
     Parameters
     ----------
-    smoother, output, loop
-        As in `error_covariance`, of any design, robust or not.
-    copy_noise : bool, optional
-        Another way to say `loop`, also in its place: True for "theory", False for "real".
+    smoother, output, loop, copy_noise
+        As in `error_covariance`.
     delay_order : int
         Pade order of the delay of w where `output` is "smoothed": the true delay has no finite
         state. The result is for that model, whose states follow those of the loop.
@@ -134,10 +127,9 @@ def analysis_bound(
     -------
     AnalysisBound
 
-    Raises
-    ------
-    ValueError, TypeError
-        For an argument that is not as described.
+    See Also
+    --------
+    worst_case, minimize_bound : the worst constant uncertainty; the paper's own bound.
 
     References
     ----------
@@ -160,8 +152,9 @@ def analysis_bound(
     proven = guarantee(smoother, output)
     if fraction < 1.0:
         return AnalysisBound(math.inf, math.nan, fraction, proven, np.empty(0), np.empty((0, 0)))
-    theta = _minimise(problem, theta)
-    point = problem.at(theta)
+    before = math.inf  # the search starts anew until it gains nothing
+    while (point := problem.at(theta)).bound < (1.0 - _LEAST_DECREASE) * before:
+        before, theta = point.bound, _quasi_newton(problem, theta)
     multipliers = np.full(len(smoother.plant.M_i), math.inf)
     multipliers[problem.active] = theta
     # what the worst input leaves of its constraints, weighted by their multipliers
@@ -173,15 +166,15 @@ def analysis_bound(
 def _with_delay_model(loop: OpenLoop, order: int) -> OpenLoop:
     """Return the loop with its delay of the truth as a Pade model, in states of its own."""
     model = pade_delay(loop.delay, order, len(loop.truth))
-    states = len(model.F)
+    below, beside = ((0, len(model.F)), (0, 0)), ((0, 0), (0, len(model.F)))
     return replace(
         loop,
-        A=np.block([[loop.A, np.zeros((len(loop.A), states))], [model.G @ loop.truth, model.F]]),
-        B=np.vstack([loop.B, np.zeros((states, loop.B.shape[1]))]),
-        inputs=np.vstack([loop.inputs, np.zeros((states, loop.inputs.shape[1]))]),
-        outputs=np.hstack([loop.outputs, np.zeros((len(loop.outputs), states))]),
+        A=np.vstack([np.pad(loop.A, beside), np.hstack([model.G @ loop.truth, model.F])]),
+        B=np.pad(loop.B, below),
+        inputs=np.pad(loop.inputs, below),
+        outputs=np.pad(loop.outputs, beside),
         truth=np.hstack([model.J @ loop.truth, model.H]),
-        estimate=np.hstack([loop.estimate, np.zeros((len(loop.estimate), states))]),
+        estimate=np.pad(loop.estimate, beside),
         delay=0.0,
     )
 
@@ -263,17 +256,6 @@ def _feasible_multiple(problem: _Problem, theta: np.ndarray, fraction: float) ->
     return None
 
 
-def _minimise(problem: _Problem, theta: np.ndarray) -> np.ndarray:
-    """Return the theta of the least bound: a search started anew until it gains nothing."""
-    before = math.inf
-    for _ in range(_RESTARTS):
-        bound = problem.at(theta).bound
-        if bound > (1.0 - _LEAST_DECREASE) * before:
-            break
-        before, theta = bound, _quasi_newton(problem, theta)
-    return theta
-
-
 def _quasi_newton(
     problem: _Problem, theta: np.ndarray, fraction: float = 1.0, iterations: int = 200
 ) -> np.ndarray:
@@ -290,12 +272,7 @@ def _quasi_newton(
         return math.log(point.bound), point.slack * trial / point.bound
 
     start = np.log(theta)
-    result = minimize(
-        objective,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=list(zip(start - _LARGEST_CHANGE, start + _LARGEST_CHANGE, strict=True)),
-        options={"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-11},
-    )
+    bounds = np.array([start - _LARGEST_CHANGE, start + _LARGEST_CHANGE]).T
+    options = {"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-11}
+    result = minimize(objective, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return np.exp(result.x) if result.fun <= objective(start)[0] else theta

@@ -9,9 +9,8 @@ sought:
 - Some multipliers are zero there, on a *face*. Where :math:`M(\lambda)` is singular, the least
   bound is an infimum that no design attains: the search is for the limit
   (`robsmooth.estimators.limit`), and its answer is a design next to it. So it is in the paper's
-  example, for both costs, at :math:`\lambda = (1, \tfrac12, 0, 0)`. Where a copy is of no use, the
-  multiplier of the difference vanishes, and where a measurement is, that of its uncertainty. These
-  faces are tried, and then those of the multipliers that are small where a search ends.
+  example, for both costs, at :math:`\lambda = (1, \tfrac12, 0, 0)`. Known faces are tried, and then
+  those of the multipliers that are small where a search ends.
 - V has more than one local minimum, so that there are several starts. Where none is feasible, the
   uncertainty is made small until one is, and brought back along the way.
 
@@ -75,26 +74,26 @@ def minimize_bound(
 
     Parameters
     ----------
-    plant : AugmentedSystem
-        Made by `augment`.
-    cost : {"filtered", "smoothed"}
-        The error that the bound is for, as in `design_smoother`.
+    plant, cost
+        As in `design_smoother`.
     starts, seed : int
-        Number of starting points to descend from, the best of a random sample over decades, and
-        the sample's seed.
+        Number of starting points, the best of a random sample over decades, and its seed.
 
     Returns
     -------
     RobustSmoother
         The best design found. Where the bound falls as some multipliers go to zero, so that no
-        design attains the least one, those multipliers are at most `VANISHING` of the largest,
-        `bound_infimum` is the limit of the bound, and `limit` that of the designs
-        (`limiting_smoother`); otherwise these two are None.
+        design attains the least one, they are at most a millionth of the largest, `bound_infimum`
+        is the limit of the bound, and `limit` that of the designs; otherwise these two are None.
 
     Raises
     ------
     InfeasibleDesignError
         Where no design was found; it says for which fraction of the uncertainty one was.
+
+    See Also
+    --------
+    design_smoother, best_lag, choose_lag : at given tau and lambda; the delay and the order, too.
 
     Examples
     --------
@@ -128,11 +127,10 @@ def minimize_bound(
 
 @one_thread
 def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float:
-    """Return the tau, s times (unit of w)^2, with the least bound at given multipliers.
+    """Return the tau, s (unit of w)^2, with the least bound at multipliers, or in their limit.
 
-    Where some are zero it is that of the limit. The bound falls with tau, from the least one that
-    has a design, and then grows: its slope has one zero. Where no tau has a design, the design at
-    this one says why.
+    The bound falls with tau, from the least one that has a design, and then grows: its slope has
+    one zero. Where no tau has a design, the design at this one says why.
     """
     multipliers = np.asarray(multipliers, dtype=float)
     v = BoundFunction.of(plant, cost, multipliers > 0.0)
@@ -158,10 +156,9 @@ def _best_tau(v: BoundFunction, multipliers: np.ndarray, guess: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Face:
-    """The bound where some multipliers are zero.
+    """The bound where some multipliers are zero, as a function of a point.
 
-    A point holds log tau, the logarithms of the positive multipliers, then those of the rates at
-    which the others vanish, where these matter.
+    That holds the logarithms of tau, the positive multipliers, and the rates that matter of others.
     """
 
     v: BoundFunction  # in whose unit of time tau is
@@ -294,10 +291,7 @@ class Face:
         return [point for _, point in sorted(found, key=itemgetter(0))[:count]]
 
     def small(self, point: np.ndarray, threshold: float) -> np.ndarray:
-        """Return which multipliers are zero, or smaller than this relative to their natural size.
-
-        A copy's own does nothing where that of the difference is zero, and stays.
-        """
+        """Return which multipliers are small; a copy's stays where the difference's is zero."""
         k = self.v.problem.k
         small = self.arguments(point)[1] < threshold * self.natural
         difference, own, copy = np.split(small[k:], 3)
@@ -325,10 +319,7 @@ def _quotients(
 
 
 def _known_faces(plant: AugmentedSystem) -> Iterator[np.ndarray]:
-    """Yield which multipliers are zero on the faces that are tried in any case.
-
-    No multiplier is; a channel is ignored; all copies are trusted, or none is of use.
-    """
+    """Yield zeros to try: none; a channel is ignored; all copies are trusted, or of no use."""
     k, g = plant.system.k, plant.system.g
     yield np.zeros(k + 3 * g, dtype=bool)
     for one in np.eye(k + g, dtype=bool):
