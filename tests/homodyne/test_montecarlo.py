@@ -24,7 +24,6 @@ from robsmooth.homodyne.montecarlo import (
     MeanSquare,
     euler,
     kernels,
-    layout,
     monte_carlo,
     noise,
     run,
@@ -194,7 +193,7 @@ def test_compiled_code_is_kept_for_the_sources_that_it_was_made_from(monkeypatch
     assert kernel.signatures
     for signature in kernel.signatures:  # of what is kept on disk, too
         assert signature[-1] == numba.types.Omitted(sources)
-    for module in (kernels, layout, noise):
+    for module in (kernels, noise):
         with monkeypatch.context() as patch:
             patch.setattr(module, "__file__", __file__)
             assert kernels.shared_sources() != sources

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numba import njit
 
-from robsmooth.homodyne.montecarlo import layout, noise
+from robsmooth.homodyne.montecarlo import noise
 
 TURN = 2 * np.pi
 SLIP = 0.75 * TURN  # this far from the point that it was locked to, a loop is at the next one
@@ -45,5 +45,5 @@ def shared_sources() -> str:
     A default argument of this value has the kernel compiled anew when one of the sources changes:
     numba itself looks at the kernel's own file only.
     """
-    sources = (Path(file) for file in (__file__, layout.__file__, noise.__file__))
+    sources = (Path(file) for file in (__file__, noise.__file__))
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()

@@ -29,12 +29,20 @@ state of a block is :math:`\varphi`, the estimator's part of y, and :math:`d = \
 starts at zero and has no noise of its own.
 """
 
+from collections import namedtuple
+
 import numpy as np
 from numba import njit, prange
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+from scipy.linalg import expm
 
+from robsmooth._numerics.exponential import responses
+from robsmooth._numerics.lyapunov import noise_root, square_root
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.kernels import kept
+from robsmooth.homodyne.loop import Loop
 from robsmooth.homodyne.montecarlo.kernels import TURN, shared_sources, slip
-from robsmooth.homodyne.montecarlo.layout import splitting_indices, splitting_rows
 from robsmooth.homodyne.montecarlo.noise import (
     BLOCK,
     DRAWS,
@@ -56,16 +64,101 @@ ERRORS, CONTROLS = slice(FILTERED, CONTROL_FILTERED), slice(CONTROL_FILTERED, SL
 SOURCES = shared_sources()
 
 
+# Of a step with m Gaussians; in a kernel, the indices at which they begin in a flat array of all.
+Coefficients = namedtuple(
+    "Coefficients",
+    "transition root sine_gain copy_gain reference copy sine_response copy_response push "
+    "slopes curvatures quarter_turn start",
+)
+# Where the rows of BLOCK numbers begin in a block's state: n for y, n for d. The kick has terms of
+# first and second order along h b_s and h b_c; `delayed` is the phase a delay ago; turns are T.
+Rows = namedtuple(
+    "Rows",
+    "phase control difference sine_first sine_second copy_first copy_second delayed turns end",
+)
+
+
+@register_jitable
+def indices(n, m):
+    """Return the indices of the coefficients, constants in a kernel."""
+    root = (1 + n) * (1 + n)
+    v = root + (1 + n) * m  # where the vectors begin
+    s = v + 7 * n  # and the scalars
+    vectors = (v, v + n, v + 2 * n, v + 3 * n, v + 4 * n, v + 5 * n, v + 6 * n)
+    return Coefficients(0, root, *vectors, s, s + 2, s + 6, s + 7)
+
+
+@register_jitable
+def rows_of(n):
+    """Return the indices of the rows, constants in a kernel."""
+    b, kick = BLOCK, (1 + 2 * n) * BLOCK
+    last = (kick + 3 * b, kick + 4 * b, kick + 5 * b, kick + 6 * b)
+    return Rows(0, b, (1 + n) * b, kick, kick + b, kick + 2 * b, *last)
+
+
+def draws(n: int) -> int:
+    """Return m: Gaussians a step, one for each state, in pairs."""
+    return DRAWS * -(-(1 + n) // DRAWS)
+
+
+def coefficients_of(loop: Loop, step: float, slopes: tuple[float, float]) -> Coefficients:
+    """Return the coefficients of a step, in s, the control with these slopes."""
+    drift = loop.linearised_drift(*slopes)
+    transition, push, _ = responses(drift, -slopes[0] * loop.gains()[:, :1], step)
+    noise = noise_root(drift, loop.noise_gains(), step)
+    root = np.zeros((1 + loop.order, draws(loop.order)))
+    # Not the triangular root itself: with that, a seed would have other paths.
+    root[:, : 1 + loop.order] = square_root(noise @ noise.T)
+    gains = step * loop.gains()[1:].T
+    curvatures = np.vstack([loop.reference, loop.copy]) @ gains.T
+    return Coefficients(
+        transition,  # (1 + n, 1 + n), Phi
+        root,  # (1 + n, m), of the covariance of eta
+        *gains,  # (n,) each, h b_s and h b_c
+        loop.reference,  # (n,), r
+        loop.copy,  # (n,), c
+        *(gains @ transition[1:, 1:].T),  # (n,) each, the gains after the transition
+        push[1:],  # (n,), of the exact step by T
+        slopes,  # rho_s, rho_c
+        curvatures,  # r h b_s, r h b_c, c h b_s, c h b_c
+        quarter_turn=np.pi / 2,
+        start=square_root(loop.covariance(*slopes)),  # the control is stationary
+    )
+
+
+def control_slopes(loop: Loop) -> tuple[float, float]:
+    """Slopes of the sines in the control: those of statistical linearisation, where it has any.
+
+    The control's means are exact for any slopes. These make it the nearest to the loop.
+    """
+    try:
+        return loop.equivalent_slopes()
+    except UnstableLoopError:
+        return 1.0, 1.0
+
+
+def control_means(loop: Loop, slopes: tuple[float, float]) -> NDArray[np.float64]:
+    """Means, rad^2 and rad^4, of the control's squared errors and fourth power of the filtered."""
+    P = loop.covariance(*slopes)
+    filtered = np.concatenate([[1.0], -loop.filtered])
+    smoothed = np.concatenate([[0.0], -loop.smoothed])
+    # covariance of now and the phase a delay ago
+    cross = (expm(loop.linearised_drift(*slopes) * loop.delay) @ P)[:, 0]
+    square = float(filtered @ P @ filtered)
+    lagged = float(P[0, 0] + 2 * smoothed @ cross + smoothed @ P @ smoothed)
+    return np.array([square, lagged, 3 * square**2])  # it is Gaussian
+
+
 @njit
 def find_kick(pair, copies, order, coefficients, state):
     """Write the kick's terms of first and of second order along h b_s, and along h b_c."""
     n = len(order)
-    row, at = splitting_rows(n), splitting_indices(n, len(pair))
-    sine_slope, copy_slope = coefficients[at.sine_slope], coefficients[at.copy_slope]
-    r_s, r_c = coefficients[at.reference_of_sine], coefficients[at.reference_of_copy]
-    c_s, c_c = coefficients[at.copy_of_sine], coefficients[at.copy_of_copy]
+    row, at = rows_of(n), indices(n, len(pair))
+    sine_slope, copy_slope = coefficients[at.slopes], coefficients[at.slopes + 1]
+    r_s, r_c = coefficients[at.curvatures], coefficients[at.curvatures + 1]
+    c_s, c_c = coefficients[at.curvatures + 2], coefficients[at.curvatures + 3]
     quarter_turn = coefficients[at.quarter_turn]
-    if copies:
+    if copies:  # two loops, because one with branches would not be vectorised
         for path in range(BLOCK):
             e = state[row.phase + path]
             v = e - e
@@ -103,7 +196,7 @@ def find_kick(pair, copies, order, coefficients, state):
 def split_step(pair, copies, order, coefficients, gaussians, state):
     """Advance a block by the kick that was found, and by the exact step after it."""
     n, m = len(order), len(pair)
-    row, at = splitting_rows(n), splitting_indices(n, m)
+    row, at = rows_of(n), indices(n, m)
     for path in range(BLOCK):
         phase = state[row.phase + path]
         kick_s = fma(state[row.sine_second + path], 0.5, state[row.sine_first + path])
@@ -142,7 +235,7 @@ def collect(pair, copies, order, coefficients, readout, state, result):
     The filtered error is taken against the phase, the smoothed one against the phase a delay ago.
     """
     n = len(order)
-    row, at = splitting_rows(n), splitting_indices(n, len(pair))
+    row, at = rows_of(n), indices(n, len(pair))
     for path in range(BLOCK):
         kick_s = 0.5 * state[row.sine_first + path] + 0.125 * state[row.sine_second + path]
         kick_c = 0.5 * state[row.copy_first + path] + 0.125 * state[row.copy_second + path]
@@ -184,7 +277,7 @@ def simulate_block(
     """Simulate paths `first_path` to `first_path + BLOCK - 1`, from a stationary start."""
     start, stride, lag, samples = schedule
     n, m = len(order), len(pair)
-    row, at = splitting_rows(n), splitting_indices(n, m)
+    row, at = rows_of(n), indices(n, m)
     generator = np.empty(WORDS * BLOCK, np.uint32)
     gaussians = np.empty(CHUNK * m * BLOCK, np.float32)
     history = np.zeros((lag + 1, BLOCK), state.dtype)  # the phase at the last samples, a ring
@@ -225,7 +318,7 @@ def simulate_block(
 
 def state_size(n: int) -> int:
     """Return the size of the state of a block."""
-    return splitting_rows(n).end
+    return rows_of(n).end
 
 
 @kept(parallel=True, nogil=True)
