@@ -15,7 +15,7 @@ from robsmooth.analysis.statistical_linearisation import (
     statistical_linearisation,
 )
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne.moments import stationary_errors
+from robsmooth.homodyne.moments import LARGEST_DEVIATION, stationary_errors
 from robsmooth.homodyne.montecarlo import (
     LossOfLockWarning,
     MeanSquare,
@@ -23,7 +23,6 @@ from robsmooth.homodyne.montecarlo import (
     monte_carlo,
 )
 from robsmooth.homodyne.parameters import HomodyneParameters
-from robsmooth.homodyne.whitening import LARGEST_DEVIATION
 
 # What of the loop is multiplied, and the matrix of the system that has the root of its power.
 CHANGES = {

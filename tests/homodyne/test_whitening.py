@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
-from robsmooth.homodyne.whitening import whitened
+from robsmooth.homodyne.moments import whitened
 from robsmooth.paper import published
 
 
