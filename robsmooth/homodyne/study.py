@@ -36,10 +36,9 @@ if TYPE_CHECKING:
 
 Axis = Sequence[float] | NDArray[np.float64]
 
-AXES = ("gamma", "noise", "order", "lag")
-LINEAR = ("bound", "nominal", "edge", "optimal", "optimal_filtered")
-NONLINEAR = ("filtered", "filtered_error", "smoothed", "smoothed_error", "slip_rate")
-QUANTITIES = LINEAR + NONLINEAR
+AXES = ("gammas", "noises", "orders", "lags")
+QUANTITIES = ("bound", "nominal", "edge", "optimal", "optimal_filtered")  # of the linear loop
+QUANTITIES += ("filtered", "filtered_error", "smoothed", "smoothed_error", "slip_rate")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +58,10 @@ class Study:
         without a design or a path in lock.
     failures : dict of (gamma, noise) to str
         Why there is no design.
+
+    See Also
+    --------
+    parameter_study : makes it.
 
     Examples
     --------
@@ -93,7 +96,7 @@ class Study:
         return self.quantities["optimal"] / self.quantities["optimal_filtered"]
 
     def __repr__(self) -> str:
-        sizes = " x ".join(f"{len(getattr(self, name + 's'))} {name}s" for name in AXES)
+        sizes = " x ".join(f"{len(getattr(self, name))} {name}" for name in AXES)
         return f"Study({sizes}: {self.designs} designs, {len(self.failures)} columns without)"
 
     def _repr_html_(self) -> str:
@@ -151,6 +154,7 @@ def parameter_study(
     See Also
     --------
     design_smoother, monte_carlo : what is done for each point of the grid.
+    best_lag : the lag alone.
 
     Examples
     --------
@@ -166,21 +170,21 @@ def parameter_study(
     orders = tuple(validation.integer("orders", order, low=1) for order in orders)
     gammas = tuple(replace(parameters, gamma=gamma).gamma for gamma in gammas)
     noises = tuple(validation.positive("noises", noise) for noise in noises)
-    for name, axis in zip(AXES, (gammas, noises, orders, lags), strict=True):
+    axes = dict(zip(AXES, (gammas, noises, orders, lags), strict=True))
+    for name, axis in axes.items():
         if not axis or len(set(axis)) < len(axis):
-            raise ValueError(f"{name}s must be one or more different values, got {axis}")
+            raise ValueError(f"{name} must be one or more different values, got {axis}")
     runs, seed = validation.integer("runs", runs, low=2), validation.integer("seed", seed, low=0)
     validation.boolean("progress", progress)
 
-    axes = {"gammas": gammas, "noises": noises, "orders": orders, "lags": lags}
     identity = {
         "study": {**axes, "parameters": vars(parameters), "runs": runs, "seed": seed},
         "software": cluster.software(),
     }
-    columns = list(product(range(len(gammas)), range(len(noises))))
+    columns = list(product(gammas, noises))
     loops = [
-        replace(parameters, gamma=gammas[i], alpha=parameters.alpha / noises[j] ** 0.5)
-        for i, j in columns
+        replace(parameters, gamma=gamma, alpha=parameters.alpha / noise**0.5)
+        for gamma, noise in columns
     ]
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
     with open_journal(checkpoint, identity) as journal:
@@ -195,14 +199,13 @@ def parameter_study(
                 results.append(result)
                 bar.update()
 
-    shape = tuple(len(axis) for axis in axes.values())
-    quantities = {name: np.full(shape, np.nan) for name in QUANTITIES}
-    failures = {}
-    for (i, j), result in zip(columns, results, strict=True):
-        if "failure" in result:
-            failures[gammas[i], noises[j]] = result["failure"]
-        for name, values in result.get("quantities", {}).items():
-            quantities[name][i, j] = values
+    nothing, shape = np.full((len(orders), len(lags)), np.nan), tuple(map(len, axes.values()))
+    quantities = {
+        name: np.array([result.get(name, nothing) for result in results]).reshape(shape)
+        for name in QUANTITIES
+    }
+    found = zip(columns, results, strict=True)
+    failures = {column: result["failure"] for column, result in found if "failure" in result}
     return Study(gammas, noises, orders, lags, quantities, failures)
 
 
@@ -216,14 +219,14 @@ def _column(
         best = minimize_bound(augment(system, 0.0, 0))
     except InfeasibleDesignError as error:
         return {"failure": str(error)}
-    quantities = {name: np.full((len(orders), len(lags)), np.nan) for name in QUANTITIES}
+    found = {name: np.full((len(orders), len(lags)), np.nan) for name in QUANTITIES}
     for (a, order), (b, lag) in product(enumerate(orders), enumerate(lags)):
         smoother = design_smoother(augment(system, lag, order), best.tau, best.multipliers)
         for name, value in _measure(loop, smoother, runs, seed).items():
-            quantities[name][a, b] = value
-        quantities["optimal"][a, b] = baselines.optimal_fixed_lag_error(system, lag)[0, 0]
-    quantities["optimal_filtered"][:] = baselines.optimal_fixed_lag_error(system, 0.0)[0, 0]
-    return {"quantities": {name: values.tolist() for name, values in quantities.items()}}
+            found[name][a, b] = value
+        found["optimal"][a, b] = baselines.optimal_fixed_lag_error(system, lag)[0, 0]
+    found["optimal_filtered"][:] = baselines.optimal_fixed_lag_error(system, 0.0)[0, 0]
+    return {name: values.tolist() for name, values in found.items()}
 
 
 def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[str, float]:
