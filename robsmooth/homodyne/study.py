@@ -23,7 +23,7 @@ from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
-from robsmooth.analysis.covariance import error_covariance
+from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import design_smoother
@@ -65,12 +65,9 @@ class Study:
 
     Examples
     --------
-    >>> import numpy as np
     >>> import robsmooth as rs
-    >>> found = {"smoothed": np.array([[[[0.08, 0.06]]]]), "filtered": np.array([[[[0.1, 0.1]]]])}
-    >>> study = rs.Study((0.4,), (1.0,), (2,), (1e-6, 3e-6), found, failures={})
-    >>> study.ratio.round(2)
-    array([[[[0.8, 0.6]]]])
+    >>> rs.Study((0.4,), (1.0,), (2,), (1e-6, 3e-6), {"bound": [[[[0.1, 0.1]]]]}, failures={})
+    Study(1 gammas x 1 noises x 1 orders x 2 lags: 2 designs, 0 columns without)
     """
 
     gammas: tuple[float, ...]
@@ -100,12 +97,13 @@ class Study:
         return f"Study({sizes}: {self.designs} designs, {len(self.failures)} columns without)"
 
     def _repr_html_(self) -> str:
-        ranges = {
-            r"half width $\gamma$ of the sector": self.gammas,
-            "power of the shot noise": self.noises,
-            "order": self.orders,
-            "lag (s)": self.lags,
-        }
+        names = (
+            r"half width $\gamma$ of the sector",
+            "power of the shot noise",
+            "order",
+            "lag (s)",
+        )
+        ranges = dict(zip(names, (self.gammas, self.noises, self.orders, self.lags), strict=True))
         if (found := self.ratio[np.isfinite(self.ratio)]).size:
             ranges["smoothed / filtered"] = found
         rows = [(name, len(r), float(min(r)), float(max(r))) for name, r in ranges.items()]
@@ -182,10 +180,7 @@ def parameter_study(
         "software": cluster.software(),
     }
     columns = list(product(gammas, noises))
-    loops = [
-        replace(parameters, gamma=gamma, alpha=parameters.alpha / noise**0.5)
-        for gamma, noise in columns
-    ]
+    loops = [replace(parameters, gamma=g, alpha=parameters.alpha / s**0.5) for g, s in columns]
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
     with open_journal(checkpoint, identity) as journal:
         results = list(journal.records()) if journal else []
@@ -230,11 +225,8 @@ def _column(
 
 
 def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[str, float]:
-    def linear(slope: float) -> float:
-        Delta = smoother.plant.structured_delta((), [slope])
-        return float(error_covariance(smoother, Delta, loop="real")[0, 0])
-
-    found = {"bound": smoother.mean_square_bound, "nominal": linear(0.0), "edge": linear(-1.0)}
+    nominal, edge = delta_sweep(smoother, (0.0, -1.0), "smoothed", loop="real")[:, 0, 0].tolist()
+    found = {"bound": smoother.mean_square_bound, "nominal": nominal, "edge": edge}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LossOfLockWarning)  # slips are a result here

@@ -21,8 +21,7 @@ from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run, splitting
 from robsmooth.homodyne.montecarlo.euler import CHUNK
-from robsmooth.homodyne.montecarlo.kernels import SLIP, TURN
-from robsmooth.homodyne.montecarlo.noise import BLOCK
+from robsmooth.homodyne.montecarlo.noise import BLOCK, SLIP, TURN
 from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK, time_average
 from robsmooth.homodyne.montecarlo.splitting import coefficients_of, control_slopes
 from robsmooth.paper import published

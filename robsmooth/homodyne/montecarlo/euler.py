@@ -22,22 +22,23 @@ from numba.extending import register_jitable
 
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
-from robsmooth.homodyne.montecarlo.kernels import TURN, shared_sources, slip
 from robsmooth.homodyne.montecarlo.noise import (
     BLOCK,
     DRAWS,
+    SOURCES,
+    TURN,
     WORDS,
     fill_gaussians,
     fma,
     seed_paths,
     sine,
+    slip,
     with_item,
 )
 
 CHUNK = 32  # steps for which noise is drawn ahead (32 KiB), and between two looks at the lock
 OUTPUTS = 3  # of a path: squared filtered and smoothed error at the end, and cycle slips
 FILTERED, SMOOTHED, SLIPS = range(OUTPUTS)
-SOURCES = shared_sources()
 UNDAMPED = 1e-12  # of a mode's rate: less damping is rounding
 
 

@@ -11,11 +11,14 @@ long as they are merged in the order of their index.
 """
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
 from typing import ClassVar, NamedTuple, Self
 
+import numba
 import numpy as np
 
 from robsmooth._numerics.steps import (
@@ -32,7 +35,6 @@ from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop
 from robsmooth.homodyne.montecarlo import euler, splitting
-from robsmooth.homodyne.montecarlo.kernels import threads_of_kernels
 from robsmooth.homodyne.montecarlo.noise import BLOCK
 from robsmooth.simulation.statistics import MeanSquare, Tally, control_weights
 
@@ -50,6 +52,17 @@ STABLE_PART = 0.5  # of the longest step for which the Euler-Maruyama scheme is 
 
 FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, below which there are no control variates
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
+
+
+@contextmanager
+def threads_of_kernels(count: int | None) -> Iterator[None]:
+    """Have kernels use `count` threads, or as many of them as there are; None changes nothing."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(min(count or before, numba.config.NUMBA_NUM_THREADS))
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
 
 
 class Schedule(NamedTuple):
@@ -243,9 +256,10 @@ class ErgodicSimulation(Simulation):
 
     @property
     def compiled_for(self) -> tuple:
-        """The Gaussians of a step, and whether the copy of the nonlinearity has any effect."""
+        """The Gaussians of a step, and the copy of the nonlinearity where it has any effect."""
         c = self.coefficients
-        return (np.float32(0),) * c.root.shape[1], bool(c.copy.any() and c.copy_gain.any())
+        runs_copy = c.copy.any() and c.copy_gain.any()
+        return (np.float32(0),) * c.root.shape[1], (0,) * int(runs_copy)
 
     @cached_property
     @one_thread

@@ -25,9 +25,8 @@ from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import homodyne_loop, numbers_of
-from robsmooth.homodyne.montecarlo.kernels import threads_of_kernels
 from robsmooth.homodyne.montecarlo.noise import BLOCK, GENERATOR
-from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, Simulation, plan
+from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, Simulation, plan, threads_of_kernels
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.simulation.statistics import MeanSquare, Tally
 

@@ -42,15 +42,17 @@ from robsmooth._numerics.lyapunov import noise_root, square_root
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
-from robsmooth.homodyne.montecarlo.kernels import TURN, shared_sources, slip
 from robsmooth.homodyne.montecarlo.noise import (
     BLOCK,
     DRAWS,
+    SOURCES,
+    TURN,
     WORDS,
     fill_gaussians,
     fma,
     seed_paths,
     sine,
+    slip,
     whole_turns,
     with_item,
 )
@@ -61,7 +63,6 @@ FILTERED, SMOOTHED, CONTROL_FILTERED, CONTROL_SMOOTHED, CONTROL_FOURTH, SLIPS, T
     OUTPUTS
 )
 ERRORS, CONTROLS = slice(FILTERED, CONTROL_FILTERED), slice(CONTROL_FILTERED, SLIPS)
-SOURCES = shared_sources()
 
 
 # Of a step with m Gaussians; in a kernel, the indices at which they begin in a flat array of all.
@@ -150,7 +151,7 @@ def control_means(loop: Loop, slopes: tuple[float, float]) -> NDArray[np.float64
 
 
 @njit
-def find_kick(pair, copies, order, coefficients, state):
+def find_kick(pair, copy, order, coefficients, state):
     """Write the kick's terms of first and of second order along h b_s, and along h b_c."""
     n = len(order)
     row, at = rows_of(n), indices(n, len(pair))
@@ -158,42 +159,33 @@ def find_kick(pair, copies, order, coefficients, state):
     r_s, r_c = coefficients[at.curvatures], coefficients[at.curvatures + 1]
     c_s, c_c = coefficients[at.curvatures + 2], coefficients[at.curvatures + 3]
     quarter_turn = coefficients[at.quarter_turn]
-    if copies:  # two loops, because one with branches would not be vectorised
-        for path in range(BLOCK):
-            e = state[row.phase + path]
-            v = e - e
-            for j in range(n):
-                k = j * BLOCK + path
-                x = state[row.control + k] + state[row.difference + k]
-                e = fma(-coefficients[at.reference + j], x, e)
+    for path in range(BLOCK):
+        e = state[row.phase + path]
+        v = e - e
+        for j in range(n):
+            k = j * BLOCK + path
+            x = state[row.control + k] + state[row.difference + k]
+            e = fma(-coefficients[at.reference + j], x, e)
+            if len(copy) > 0:
                 v = fma(coefficients[at.copy + j], x, v)
-            # Half of the kick ends a step, with that T; half starts the next, with a new one.
-            turns = whole_turns(e)
-            s = fma(-sine_slope, fma(turns + state[row.turns + path], -0.5, e), sine(e))
-            state[row.turns + path] = turns
+        # Half of the kick ends a step, with that T; half starts the next, with a new one.
+        turns = whole_turns(e)
+        s = fma(-sine_slope, fma(turns + state[row.turns + path], -0.5, e), sine(e))
+        state[row.turns + path] = turns
+        state[row.sine_first + path] = s
+        bend = sine_slope - sine(e + quarter_turn)
+        if len(copy) > 0:
             q = fma(-copy_slope, v, sine(v))
-            state[row.sine_first + path] = s
             state[row.copy_first + path] = q
-            bend = sine_slope - sine(e + quarter_turn)
             state[row.sine_second + path] = bend * fma(r_s, s, r_c * q)
             bend = sine(v + quarter_turn) - copy_slope
             state[row.copy_second + path] = bend * fma(c_s, s, c_c * q)
-    else:  # the same without q
-        for path in range(BLOCK):
-            e = state[row.phase + path]
-            for j in range(n):
-                k = j * BLOCK + path
-                x = state[row.control + k] + state[row.difference + k]
-                e = fma(-coefficients[at.reference + j], x, e)
-            turns = whole_turns(e)
-            s = fma(-sine_slope, fma(turns + state[row.turns + path], -0.5, e), sine(e))
-            state[row.turns + path] = turns
-            state[row.sine_first + path] = s
-            state[row.sine_second + path] = (sine_slope - sine(e + quarter_turn)) * (r_s * s)
+        else:
+            state[row.sine_second + path] = bend * (r_s * s)
 
 
 @njit
-def split_step(pair, copies, order, coefficients, gaussians, state):
+def split_step(pair, copy, order, coefficients, gaussians, state):
     """Advance a block by the kick that was found, and by the exact step after it."""
     n, m = len(order), len(pair)
     row, at = rows_of(n), indices(n, m)
@@ -213,7 +205,7 @@ def split_step(pair, copies, order, coefficients, gaussians, state):
             of_y = coefficients[of_state] * phase
             of_d = coefficients[at.push + i] * state[row.turns + path]
             of_d = fma(coefficients[at.sine_response + i], kick_s, of_d)
-            if copies:
+            if len(copy) > 0:
                 of_d = fma(coefficients[at.copy_response + i], kick_c, of_d)
             for j in range(m):
                 of_y = fma(coefficients[of_noise + j], g[j], of_y)
@@ -229,7 +221,7 @@ def split_step(pair, copies, order, coefficients, gaussians, state):
 
 
 @njit
-def collect(pair, copies, order, coefficients, readout, state, result):
+def collect(pair, copy, order, coefficients, readout, state, result):
     """Add the errors of a block and of its control after half a kick; note cycle slips.
 
     The filtered error is taken against the phase, the smoothed one against the phase a delay ago.
@@ -250,7 +242,7 @@ def collect(pair, copies, order, coefficients, readout, state, result):
                 coefficients[at.sine_gain + j],
                 np.float64(state[row.difference + j * BLOCK + path]),
             )
-            if copies:
+            if len(copy) > 0:
                 d = fma(kick_c, coefficients[at.copy_gain + j], d)
             control_filtered = fma(-readout[j], y, control_filtered)
             control_smoothed = fma(-readout[n + j], y, control_smoothed)
@@ -272,7 +264,7 @@ def collect(pair, copies, order, coefficients, readout, state, result):
 
 @njit
 def simulate_block(
-    pair, copies, order, coefficients, readout, schedule, seed, first_path, state, result
+    pair, copy, order, coefficients, readout, schedule, seed, first_path, state, result
 ):
     """Simulate paths `first_path` to `first_path + BLOCK - 1`, from a stationary start."""
     start, stride, lag, samples = schedule
@@ -299,19 +291,19 @@ def simulate_block(
         fill_gaussians(generator, CHUNK * (m // DRAWS), gaussians)
         # The last sample is taken at the start of a step, which is then made for nothing.
         for step in range(min(CHUNK, 1 + last - chunk * CHUNK)):
-            find_kick(pair, copies, order, coefficients, state)
+            find_kick(pair, copy, order, coefficients, state)
             if left == 0:
                 record, delayed = history[sample % (lag + 1)], history[(sample + 1) % (lag + 1)]
                 for path in range(BLOCK):
                     record[path] = state[row.phase + path]
                     state[row.delayed + path] = delayed[path]
                 if sample >= lag:
-                    collect(pair, copies, order, coefficients, readout, state, result)
+                    collect(pair, copy, order, coefficients, readout, state, result)
                 sample += 1
                 left = stride
             left -= 1
             draws_of_step = gaussians[step * m * BLOCK :]
-            split_step(pair, copies, order, coefficients, draws_of_step, state)
+            split_step(pair, copy, order, coefficients, draws_of_step, state)
     for i in range(SLIPS * BLOCK):
         result[i] /= samples
 
@@ -323,16 +315,16 @@ def state_size(n: int) -> int:
 
 @kept(parallel=True, nogil=True)
 def simulate_blocks(
-    pair, copies, order, coefficients, readout, schedule, seed, first, states, results, code=SOURCES
+    pair, copy, order, coefficients, readout, schedule, seed, first, states, results, code=SOURCES
 ):
     """Simulate consecutive blocks, as `euler.simulate_blocks` does, with a `Schedule`.
 
-    Of `pair`, only the length counts: the Gaussians of a step. Without `copies`, there is no second
-    sine.
+    Of `pair` and `copy`, only the lengths count: the Gaussians of a step, and the sines besides the
+    first, one or none.
     """
     for block in prange(results.shape[0]):
         path = np.uint64(first + block) * np.uint64(BLOCK)
         state, result = states[block], results[block]
         simulate_block(
-            pair, copies, order, coefficients, readout, schedule, seed, path, state, result
+            pair, copy, order, coefficients, readout, schedule, seed, path, state, result
         )
