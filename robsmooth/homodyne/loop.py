@@ -66,15 +66,13 @@ class Loop:
     copy_gain: Matrix  # (n,), b_c, 1/s
     sine_noise: float  # nu, s^(1/2)
     noise_gain: Matrix  # (n,), nu b_s, of dW
-    filtered: Matrix  # (n,), as the next two rows that read an angle out of the state, rad
-    smoothed: Matrix
-    oscillator: Matrix
+    readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase, rad
     delay: float  # of the smoothed estimate, s
 
     @property
     def order(self) -> int:
         """Number of states of the estimator."""
-        return len(self.filtered)
+        return len(self.drift)
 
     def linearised_drift(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
         r"""Drift of :math:`(\varphi, \hat x)`, each sine replaced by a slope, 1/s."""
@@ -112,10 +110,6 @@ class Loop:
             largest=LARGEST_VARIANCE,
         )
         return tuple(slopes.tolist())
-
-    def readout(self) -> Matrix:
-        """Rows of the filtered estimate, the smoothed estimate and the oscillator's phase."""
-        return np.vstack([self.filtered, self.smoothed, self.oscillator])
 
     def noise_gains(self) -> Matrix:
         r"""Columns by which dV and dW drive :math:`(\varphi, \hat x)`."""
@@ -189,9 +183,7 @@ def homodyne_loop(
         copy_gain=gains[1:, 1],
         sine_noise=sine_noise,
         noise_gain=sine_noise * gains[1:, 0],
-        filtered=estimator.C_f[0],
-        smoothed=estimator.C_a[0],
-        oscillator=u[0],
+        readout=np.vstack([estimator.C_f, estimator.C_a, u]),
         delay=estimator.plant.delay,
     )
 

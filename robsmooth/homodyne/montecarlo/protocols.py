@@ -200,7 +200,7 @@ class PaperSimulation(Simulation):
             warm_up=0.0,
             duration=steps * step,
             steps=steps,
-            readout=loop.readout(),
+            readout=loop.readout,
             coefficients=euler.coefficients_of(loop, step),
             schedule=(steps - delay, delay),  # before the delayed phase is recorded, and after
         )
@@ -248,7 +248,7 @@ class ErgodicSimulation(Simulation):
             warm_up=warm_up * step,
             duration=(schedule.samples - 1) * schedule.stride * step,
             steps=schedule.steps,
-            readout=loop.readout(),
+            readout=loop.readout,
             coefficients=splitting.coefficients_of(loop, step, slopes),
             schedule=schedule,
             control=splitting.control_means(loop, slopes),

@@ -41,7 +41,11 @@ CHECKPOINT_EVERY = 2.0  # s
 
 
 class LossOfLockWarning(RuntimeWarning):
-    """Some of the paths slipped: their errors depend on the duration; see `in_lock` for the others.
+    """Some of the paths slipped: their errors depend on the duration.
+
+    See Also
+    --------
+    MonteCarloResult.in_lock : the errors of the paths that did not.
 
     Examples
     --------
@@ -74,6 +78,10 @@ class MonteCarloResult:
         Of a path, in whole steps; before sampling began; of the scheme; s.
     provenance : dict
         Everything else that the numbers depend on, in a JSON form.
+
+    See Also
+    --------
+    monte_carlo, stationary_errors : makes it; the errors in lock without sampling.
 
     Examples
     --------
@@ -126,12 +134,10 @@ class MonteCarloResult:
         return result
 
     def __repr__(self) -> str:
+        errors = f"smoothed {self.smoothed} rad^2, filtered {self.filtered} rad^2"
         lock = f"smoothed {self.smoothed_in_lock}, filtered {self.filtered_in_lock}"
         slips = f"{self._slips}, without which {lock}" if self.slips else self._slips
-        return (
-            f"MonteCarloResult(smoothed {self.smoothed} rad^2, filtered {self.filtered} rad^2, "
-            f"{slips}; {self._setting})"
-        )
+        return f"MonteCarloResult({errors}, {slips}; {self._setting})"
 
     def _repr_html_(self) -> str:
         errors = {"smoothed": self.smoothed, "filtered": self.filtered}

@@ -141,8 +141,8 @@ def control_slopes(loop: Loop) -> tuple[float, float]:
 def control_means(loop: Loop, slopes: tuple[float, float]) -> NDArray[np.float64]:
     """Means, rad^2 and rad^4, of the control's squared errors and fourth power of the filtered."""
     P = loop.covariance(*slopes)
-    filtered = np.concatenate([[1.0], -loop.filtered])
-    smoothed = np.concatenate([[0.0], -loop.smoothed])
+    filtered = np.concatenate([[1.0], -loop.readout[0]])
+    smoothed = np.concatenate([[0.0], -loop.readout[1]])
     # covariance of now and the phase a delay ago
     cross = (expm(loop.linearised_drift(*slopes) * loop.delay) @ P)[:, 0]
     square = float(filtered @ P @ filtered)
