@@ -89,10 +89,8 @@ def prove_infimum(parameters: HomodyneParameters, target: float, J_21: float = 1
                 f"V is {found.min():.9g} rad^2 at p = {p:.6g}, tau = {tau:.6g} rad^2 s"
             )
         corners = np.array(list(product((False, True), repeat=2)))[:, None]
-        low, high = (
-            np.where(corners, middle, low).reshape(-1, 2),
-            np.where(corners, high, middle).reshape(-1, 2),
-        )
+        low = np.where(corners, middle, low).reshape(-1, 2)
+        high = np.where(corners, high, middle).reshape(-1, 2)
     raise ValueError(f"cells are left in which V may be below {target:.9g} rad^2")
 
 

@@ -193,12 +193,11 @@ def numbers_of(parameters) -> dict[str, float]:
     numbers = {}
     for name in ("lam", "kappa", "alpha", "beta", "gamma"):
         if not hasattr(parameters, name):
-            raise TypeError(
-                f"parameters must be HomodyneParameters, got {parameters!r} without {name}"
-            )
+            given = f"{parameters!r} without {name}"
+            raise TypeError(f"parameters must be HomodyneParameters, got {given}")
+        full, value = f"parameters.{name}", getattr(parameters, name)
         low_open = name not in ("lam", "kappa")
-        given = getattr(parameters, name)
-        numbers[name] = validation.real(f"parameters.{name}", given, low=0.0, low_open=low_open)
+        numbers[name] = validation.real(full, value, low=0.0, low_open=low_open)
     return numbers
 
 
