@@ -27,11 +27,28 @@ _MOST_CUTS = 60  # how often a cell may be cut
 
 
 def scalar_bound(
-    parameters: HomodyneParameters, p: ArrayLike, tau: ArrayLike, J_21: float = 1.0
+    parameters: HomodyneParameters,
+    p: ArrayLike,
+    tau: ArrayLike,
+    J_21: float = 1.0,
+    corner: tuple[NDArray, NDArray] | None = None,
 ) -> NDArray:
-    """Return V, rad^2, at p in [0, 1] and tau > 0, rad^2 s; infinity where there is no design."""
+    """Return V, rad^2, at p in [0, 1] and tau > 0, rad^2 s; infinity where there is no design.
+
+    With a corner, a larger p and tau, Y is of that: no V in between is less than this.
+    """
     p, tau = np.asarray(p, dtype=float), np.asarray(tau, dtype=float)
-    return _value(parameters, _Y(parameters, p, tau), _x(parameters, p, J_21), p, tau)
+    p_Y, tau_Y = (p, tau) if corner is None else corner
+    s, c2 = _squares(parameters)
+    Y = _root(parameters, parameters.kappa, (s - c2) * p_Y - 1.0 / tau_Y)
+    r = 1.0 - p
+    q = (np.sqrt(r**2 + 4.0 * r / J_21**2) - r) / 2.0  # of q^2 = (1 - p)(1/J_21^2 - q)
+    h = np.where(p <= 1.0 / (1.0 + J_21**2), 0.0, np.maximum(p - q, 0.0))
+    x = _root(parameters, c2 * h, -c2 * h)
+    with np.errstate(invalid="ignore"):
+        value = 0.5 * Y * (1.0 + tau * c2 * p) + 0.5 * Y**2 * s * p * tau * x / (1.0 - Y * x)
+        feasible = np.isfinite(Y) & np.isfinite(x) & (Y * x < 1.0)
+    return np.where(feasible, value, np.inf)
 
 
 def least_tau(parameters: HomodyneParameters, p: float) -> float:
@@ -61,8 +78,7 @@ def prove_infimum(parameters: HomodyneParameters, target: float, J_21: float = 1
     cells = 0
     for _ in range(_MOST_CUTS):
         cells += len(low)
-        Y = _Y(parameters, *high.T)
-        left = _value(parameters, Y, _x(parameters, low[:, 0], J_21), *low.T) < target
+        left = scalar_bound(parameters, *low.T, J_21, corner=high.T) < target
         if not left.any():
             return cells
         low, high = low[left], high[left]
@@ -73,10 +89,8 @@ def prove_infimum(parameters: HomodyneParameters, target: float, J_21: float = 1
                 f"V is {found.min():.9g} rad^2 at p = {p:.6g}, tau = {tau:.6g} rad^2 s"
             )
         corners = np.array(list(product((False, True), repeat=2)))[:, None]
-        low, high = (
-            np.where(corners, middle, low).reshape(-1, 2),
-            np.where(corners, high, middle).reshape(-1, 2),
-        )
+        low = np.where(corners, middle, low).reshape(-1, 2)
+        high = np.where(corners, high, middle).reshape(-1, 2)
     raise ValueError(f"cells are left in which V may be below {target:.9g} rad^2")
 
 
@@ -86,35 +100,8 @@ def _squares(parameters: HomodyneParameters) -> tuple[float, float]:
     return amplitude * parameters.beta**2, amplitude * parameters.gamma**2
 
 
-def _least_h(p: NDArray, J_21: float) -> NDArray:
-    r = 1.0 - p
-    q = (np.sqrt(r**2 + 4.0 * r / J_21**2) - r) / 2.0  # of q^2 = (1 - p)(1/J_21^2 - q)
-    return np.where(p <= 1.0 / (1.0 + J_21**2), 0.0, np.maximum(p - q, 0.0))
-
-
-def _Y(parameters: HomodyneParameters, p: NDArray, tau: NDArray) -> NDArray:
-    s, c2 = _squares(parameters)
-    return _root(parameters, parameters.kappa, (s - c2) * p - 1.0 / tau)
-
-
-def _x(parameters: HomodyneParameters, p: NDArray, J_21: float) -> NDArray:
-    _, c2 = _squares(parameters)
-    h = _least_h(p, J_21)
-    return _root(parameters, c2 * h, -c2 * h)
-
-
 def _root(parameters: HomodyneParameters, constant: ArrayLike, other: NDArray) -> NDArray:
     """The Y of 0 = -2 lambda Y - Y^2 other + kappa, or the x of the other equation; or infinity."""
     square = parameters.lam**2 + parameters.kappa * other
     value = constant / (parameters.lam + np.sqrt(np.maximum(square, 0.0)))
     return np.where(square < 0.0, np.inf, value)
-
-
-def _value(
-    parameters: HomodyneParameters, Y: NDArray, x: NDArray, p: NDArray, tau: NDArray
-) -> NDArray:
-    s, c2 = _squares(parameters)
-    with np.errstate(invalid="ignore"):
-        value = 0.5 * Y * (1.0 + tau * c2 * p) + 0.5 * Y**2 * s * p * tau * x / (1.0 - Y * x)
-        feasible = np.isfinite(Y) & np.isfinite(x) & (Y * x < 1.0)
-    return np.where(feasible, value, np.inf)

@@ -50,8 +50,8 @@ def compare(
 ) -> dict[str, Compared]:
     """Find the errors of each estimator and its output, at slopes Delta_2 and in `monte_carlo`."""
     found = {}
-    cases = progress_bar(estimators.items(), unit="estimator", shown=progress)
-    for name, (estimator, output) in cases:
+    cases = estimators.items()
+    for name, (estimator, output) in progress_bar(cases, unit="estimator", shown=progress):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LossOfLockWarning)  # the result has the slips
             result = monte_carlo(parameters, estimator, "paper", **simulation)

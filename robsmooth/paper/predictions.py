@@ -17,10 +17,9 @@ from robsmooth.analysis.statistical_linearisation import (
 )
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne import montecarlo
-from robsmooth.homodyne.moments import stationary_errors
+from robsmooth.homodyne.moments import LARGEST_DEVIATION, stationary_errors
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.homodyne.parameters import HomodyneParameters
-from robsmooth.homodyne.whitening import LARGEST_DEVIATION
 
 # What of the loop is multiplied, and the matrix of the system that has the root of its power.
 CHANGES = {"power of the shot noise": "D21", "power of the phase noise": "B1"}
