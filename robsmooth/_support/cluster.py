@@ -1,8 +1,7 @@
 """Where calls are computed: here, or on a Dask cluster; the results come in the same order.
 
-When a worker ends, Dask computes its calls again on another, so a function must give the same
-result wherever it runs. To that end a worker computes only with the same software as here. Dask's
-own comparison of versions comes to a warning, and knows nothing of the sources of this package.
+When a worker ends, Dask computes its calls again on another. So a worker computes only with the
+same software as here: Dask itself only warns of other versions, and of its own packages.
 Dask is an optional dependency: nothing here imports it before a cluster is asked for.
 """
 
@@ -17,12 +16,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from importlib import metadata
 from importlib.resources import files
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robsmooth._support.extras import extra
 
@@ -40,7 +39,9 @@ ADDRESS = re.compile(r"(?:tcp|tls)://(?:[^\s/:@\[\]]+|\[[\w:.%]+\]):(\d+)")
 PACKAGES = ("numpy", "numba", "scipy")  # what results depend on to the last bit
 LOGGERS = ("distributed", "distributed.client", "tornado.application")
 
-_ALONE = threading.RLock()
+# Keeps other threads of this process out of a block: numba's thread pool "workqueue" ends the
+# process when two threads of a worker enter it at once.
+ALONE = threading.RLock()
 
 
 def in_order(
@@ -48,10 +49,10 @@ def in_order(
 ) -> Iterator[Any]:
     """Yield ``function(*call)`` for each call, in the order of the calls, or raise as it does.
 
-    The function is sent with each call: it should pickle to less than about 100 kB. Calls are taken
-    as they are needed. Closing the iterator early, as an error or Ctrl-C in the loop over it does,
-    drops the calls that are on their way. ConnectionError says that there is no worker or no
-    scheduler, RuntimeError that a worker has other software or that a call ended several workers.
+    The function is sent with each call: it should pickle to less than about 100 kB. Closing the
+    iterator early, as an error in the loop over it does, drops the calls that are on their way.
+    ConnectionError says that there is no worker or no scheduler, RuntimeError that a worker has
+    other software or that a call ended several workers.
     """
     _check_client(client)
     if client is None:
@@ -114,14 +115,6 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
         yield stack.enter_context(client)
 
 
-def alone() -> AbstractContextManager:
-    """Keep other threads of this process out of a block.
-
-    numba's thread pool "workqueue" ends the process when two threads of a worker enter it at once.
-    """
-    return _ALONE
-
-
 def worker_threads() -> int | None:
     """Number of threads that this process has as a worker of a cluster; None where it is none."""
     with suppress(AttributeError, ValueError):  # Dask is not imported, or this is no worker
@@ -159,22 +152,22 @@ def _sources(folder: "Traversable", prefix: str = "") -> Iterator[tuple[str, byt
 _SOURCES = _digest_sources(files("robsmooth"))
 
 
-class _Call:
+class _Call(NamedTuple):
     """A call that is computed by unpickling it.
 
-    Thus scheduler and worker are sent nothing but ``pickle.loads`` and bytes, which any of them
-    understands, and it is robsmooth that says what is wrong with the software of a worker.
+    So scheduler and worker are sent only ``pickle.loads`` and bytes, which any of them understand.
     """
 
-    def __init__(self, *parts: object):
-        self.parts = parts
+    software: dict[str, str]  # of the client
+    function: bytes
+    arguments: bytes
 
     def __reduce__(self):
-        return _compute, self.parts
+        return _compute, tuple(self)
 
 
 def _compute(wanted: dict[str, str], function: bytes, arguments: bytes) -> Any:
-    """Do a call on a worker, after a check that its software is that of the client."""
+    """Do a call on a worker, after a check of its software."""
     here = software()
     differences = ", ".join(
         f"{name} {here.get(name, 'absent')[:12]} and not {wanted.get(name, 'absent')[:12]}"
