@@ -4,15 +4,14 @@ r"""The algebraic Riccati equation, solved by scipy and certified before its ans
 
 with symmetric `Q` and `S` of any sign; wanted is the stabilising solution, for which
 :math:`A - SX` is stable. `scipy.linalg.solve_continuous_are` can return nonsense past the boundary
-where no such solution exists. So its answer is the start of Newton's method, down to rounding, and
-the result counts only with its certificate: a small residual, a small last step, which estimates
-the error, and a stable closed loop.
+where no such solution exists. So its answer is the start of Newton's method, and the result counts
+only with its certificate: a small residual, a small last step, which estimates the error, and a
+stable closed loop.
 
-The data are first brought to units in which they are of order one. Each state has a unit of its
-own, which balances the Hamiltonian matrix. Time is then in units of
-:math:`1/(|A| + \sqrt{|Q||S|})` and :math:`X = p X'` with :math:`p = |Q|/(a + \sqrt{|Q||S|})`, where
-`a` is the decay rate of the slowest mode of `A`, or zero where `A` is not stable. No result depends
-on the units of time, of the signals or of the states.
+No result depends on the units of time, signals or states: the data are first brought to units in
+which they are of order one. Each state has one that balances the Hamiltonian matrix. Time is in
+units of :math:`1/(|A| + \sqrt{|Q||S|})` and `X` in those of :math:`|Q|/(a + \sqrt{|Q||S|})`, where
+`a` is the decay rate of the slowest mode of `A`, or zero where `A` is not stable.
 """
 
 from dataclasses import dataclass
@@ -38,30 +37,17 @@ class RiccatiError(ArithmeticError):
 
 @dataclass(frozen=True, eq=False)
 class RiccatiSolution:
-    r"""A stabilising solution with its certificate.
+    r"""A stabilising solution X (n, n) with its certificate.
 
-    Attributes
-    ----------
-    X : (n, n) array
-        The solution, symmetric.
-    residual : float
-        Backward error: the norm of the equation's residual, relative to
-        :math:`2|A||X| + |Q| + |S||X|^2`.
-    smallest_eigenvalue : float
-        Smallest eigenvalue of X, relative to its norm.
-    decay_rate : float
-        How far the spectrum of A - S X lies left of the imaginary axis, 1/(unit of time).
-    error : float
-        Estimated error of X, relative to its norm: the last step of Newton's method.
-
-    All norms, and the eigenvalue, are those in the units of the states that balance the equation.
+    The residual is relative to :math:`2|A||X| + |Q| + |S||X|^2`, smallest eigenvalue and estimated
+    error of X to its norm, in the units of the states that balance the equation.
     """
 
     X: Matrix
     residual: float
     smallest_eigenvalue: float
-    decay_rate: float
-    error: float
+    decay_rate: float  # of A - S X, 1/(unit of time)
+    error: float  # the last step of Newton's method
 
     def __repr__(self) -> str:
         return (
@@ -114,10 +100,10 @@ def _balancing_units(A: Matrix, Q: Matrix, S: Matrix) -> np.ndarray:
 
 
 def _nothing(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return zero, from where Newton's method first solves the equation's linear part.
+    """Return zero: the better start where the quadratic part is next to nothing.
 
-    It is the better start where the quadratic part is next to nothing. It also may lead to the
-    solution where time constants lie so far apart that the pencil is too inaccurate.
+    It may also lead to the solution where the pencil is too inaccurate, for time constants that lie
+    far apart.
     """
     return np.zeros_like(A)
 
@@ -163,9 +149,7 @@ def _residual(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> Matrix:
     return half + half.T + Q - X @ S @ X
 
 
-def _certify(
-    A: Matrix, Q: Matrix, S: Matrix, X: Matrix, error: float
-) -> tuple[float, float, float]:
+def _certify(A: Matrix, Q: Matrix, S: Matrix, X: Matrix, error: float) -> list[float]:
     """Return relative residual, relative smallest eigenvalue and decay rate, or refuse."""
     size_A, size_Q, size_S, size = map(np.linalg.norm, (A, Q, S, X))
     terms = 2 * size_A * size + size_Q + size_S * size**2
@@ -177,7 +161,7 @@ def _certify(
     abscissa = np.linalg.eigvals(A - S @ X).real.max()
     _check_stability(abscissa)
     smallest = np.linalg.eigvalsh(X).min() / (size or 1.0)
-    return float(residual), float(smallest), float(-abscissa)
+    return [float(residual), float(smallest), float(-abscissa)]
 
 
 def _check_stability(abscissa: float) -> None:

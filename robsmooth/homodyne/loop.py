@@ -207,9 +207,9 @@ def numbers_of(parameters) -> dict[str, float]:
             raise TypeError(
                 f"parameters must be HomodyneParameters, got {parameters!r} without {name}"
             )
-        low_open = name not in ("lam", "kappa")
+        without = [] if name in ("lam", "kappa") else [0.0]
         given = getattr(parameters, name)
-        numbers[name] = validation.real(f"parameters.{name}", given, low=0.0, low_open=low_open)
+        numbers[name] = validation.real(f"parameters.{name}", given, low=0.0, without=without)
     return numbers
 
 

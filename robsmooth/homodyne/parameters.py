@@ -60,7 +60,7 @@ class HomodyneParameters:
     def __post_init__(self) -> None:
         for name in ("lam", "kappa", "alpha", "beta"):
             object.__setattr__(self, name, validation.positive(name, getattr(self, name)))
-        gamma = validation.real("gamma", self.gamma, low=0, high=1, low_open=True, high_open=True)
+        gamma = validation.real("gamma", self.gamma, low=0, high=1, without=[0, 1])
         object.__setattr__(self, "gamma", gamma)
 
     def uncertain_system(self) -> UncertainSystem:

@@ -27,7 +27,7 @@ from scipy.linalg import block_diag
 from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import table_of_values
-from robsmooth._support.validation import Matrix, frozen, set_fields
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.statespace import state_space
 from robsmooth.systems.system import UncertainSystem
@@ -62,6 +62,10 @@ class AugmentedSystem:
     M_i, N_i : tuples of k + 3g arrays
         The matrices of the quadratic constraints on the channel inputs and outputs.
 
+    See Also
+    --------
+    augment, minimize_bound : make it, and the robust design for it.
+
     Examples
     --------
     >>> import robsmooth as rs
@@ -91,22 +95,20 @@ class AugmentedSystem:
         r, h = B.shape[1] + g, len(C) + g
         A_p = block_diag(system.A, model.F)
         A_p[system.n :, : system.n] = model.G @ system.C0
-        matrices = {
-            "A_p": A_p,
-            "B_p1": _padded(system.B1, n, system.q + g),
-            "C_p0": _padded(system.C0, system.m, n),
-            "C_a": np.hstack([model.J @ system.C0, model.H]),
-            "B1_tilde": _padded(B, n, r),
-            "C1_tilde": _padded(C, h, n),
-            "D12_tilde": block_diag(np.zeros((h - g, system.m)), np.eye(g)),
-            "C2_tilde": _padded(system.C2, system.l + g, n),
-            "D21_tilde": block_diag(D, np.eye(g)),
-            "D21_bar": block_diag(system.D21, self.J_21),
-        }
-        set_fields(self, **{name: frozen(matrix) for name, matrix in matrices.items()})
-        bounds = [c.lipschitz for c in system.nonlinearities]
-        set_fields(self, M_i=_constraints(self.input_sizes, [1.0] * g))
-        set_fields(self, N_i=_constraints(self.output_sizes, bounds))
+        vars(self).update(
+            A_p=frozen(A_p),
+            B_p1=_padded(system.B1, n, system.q + g),
+            C_p0=_padded(system.C0, system.m, n),
+            C_a=frozen(np.hstack([model.J @ system.C0, model.H])),
+            B1_tilde=_padded(B, n, r),
+            C1_tilde=_padded(C, h, n),
+            D12_tilde=frozen(block_diag(np.zeros((h - g, system.m)), np.eye(g))),
+            C2_tilde=_padded(system.C2, system.l + g, n),
+            D21_tilde=frozen(block_diag(D, np.eye(g))),
+            D21_bar=frozen(block_diag(system.D21, self.J_21)),
+            M_i=_constraints(self.input_sizes, [1.0] * g),
+            N_i=_constraints(self.output_sizes, [c.lipschitz for c in system.nonlinearities]),
+        )
 
     @property
     def delay(self) -> float:
@@ -187,6 +189,10 @@ class AugmentedSystem:
         ValueError, TypeError
             For another number of entries, or one that is no number or block of its channel's size.
 
+        See Also
+        --------
+        error_covariance : the errors of an estimator under it.
+
         Examples
         --------
         >>> import robsmooth as rs
@@ -220,10 +226,8 @@ class AugmentedSystem:
         return state_space(self.A_p, inputs, {**outputs, "w_a": self.C_a}, feedthrough)
 
     def __repr__(self) -> str:
-        return (
-            f"AugmentedSystem({self.system!r}, delay={self.delay:g} s, order={self.order}, "
-            f"n={self.n} states)"
-        )
+        model = f"delay={self.delay:g} s, order={self.order}, n={self.n} states"
+        return f"AugmentedSystem({self.system!r}, {model})"
 
     def _repr_html_(self) -> str:
         names = {
@@ -272,6 +276,10 @@ def augment(
     ValueError, TypeError
         For a bad delay, order or J_21.
 
+    See Also
+    --------
+    minimize_bound, baselines.fixed_lag_smoother : the robust and the classical smoother.
+
     Examples
     --------
     >>> import robsmooth as rs
@@ -318,7 +326,7 @@ def check_noise(condition: str, D: Matrix) -> None:
 
 def _padded(matrix: Matrix, rows: int, columns: int) -> Matrix:
     """Return a matrix with zeros below and to its right: nothing drives the delay model but w."""
-    return np.pad(matrix, ((0, rows - matrix.shape[0]), (0, columns - matrix.shape[1])))
+    return frozen(np.pad(matrix, ((0, rows - len(matrix)), (0, columns - matrix.shape[1]))))
 
 
 def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix, ...]:

@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Matrix, set_fields
+from robsmooth._support.validation import Matrix
 from robsmooth.systems import statespace
-from robsmooth.systems.channels import Channel, Nonlinearity, Uncertainty, fitting, members
+from robsmooth.systems.channels import Channel, Nonlinearity, Uncertainty, fitting
 from robsmooth.systems.statespace import Feedthrough, Signals
 
 if TYPE_CHECKING:
@@ -62,6 +62,10 @@ class UncertainSystem:
     ------
     ValueError, TypeError
         For any matrix that is not 2-D, real, finite and of the shape above.
+
+    See Also
+    --------
+    augment : the next step, a model of the delay.
 
     Examples
     --------
@@ -103,12 +107,11 @@ class UncertainSystem:
         for name, value in (("C0", C0), ("C2", C2)):
             if len(value) == 0:
                 raise ValueError(f"{name} must have at least one row, got shape {value.shape}")
-        D21 = validation.matrix("D21", D21, (C2.shape[0], B1.shape[1]))
-        set_fields(self, A=A, B1=B1, C0=C0, C2=C2, D21=D21)
-        sizes = n, C2.shape[0]
-        uncertainties = fitting("uncertainties", uncertainties, Uncertainty, *sizes)
-        nonlinearities = fitting("nonlinearities", nonlinearities, Nonlinearity, *sizes)
-        set_fields(self, uncertainties=uncertainties, nonlinearities=nonlinearities)
+        D21 = validation.matrix("D21", D21, (len(C2), B1.shape[1]))
+        uncertainties = fitting("uncertainties", uncertainties, Uncertainty, n, len(C2))
+        nonlinearities = fitting("nonlinearities", nonlinearities, Nonlinearity, n, len(C2))
+        vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21)
+        vars(self).update(uncertainties=uncertainties, nonlinearities=nonlinearities)
 
     @classmethod
     def from_plant(
@@ -159,6 +162,10 @@ class UncertainSystem:
             For a plant in discrete time, without a state or of another kind, a noise intensity
             that is no covariance, and whatever the class itself refuses.
 
+        See Also
+        --------
+        from_statespace : for a plant whose signals have names.
+
         Examples
         --------
         >>> import control
@@ -168,10 +175,11 @@ class UncertainSystem:
         array([[0. , 0.1]])
         """
         statespace.check_continuous("plant", plant)
+        n, l = plant.nstates, plant.noutputs  # noqa: E741 - the paper's letter
         process = _noise_factor("process_noise", process_noise, plant.ninputs)
-        measurement = _noise_factor("measurement_noise", measurement_noise, plant.noutputs)
+        measurement = _noise_factor("measurement_noise", measurement_noise, l)
         B, D = plant.B @ process, plant.D @ process
-        no_B, none = np.zeros((plant.nstates, plant.noutputs)), np.zeros((1, plant.nstates))
+        no_B, none = np.zeros((n, l)), np.zeros((1, n))
         C_0 = none if process_uncertainty is None else process_uncertainty
         C_1 = none if measurement_uncertainty is None else measurement_uncertainty
         channels = (Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement))
@@ -181,7 +189,7 @@ class UncertainSystem:
             C0=plant.C if outputs is None else outputs,
             C2=plant.C,
             D21=np.hstack([D, measurement]),
-            uncertainties=(*channels, *members("uncertainties", uncertainties, Uncertainty)),
+            uncertainties=channels + fitting("uncertainties", uncertainties, Uncertainty, n, l),
             nonlinearities=nonlinearities,
         )
 
@@ -210,6 +218,10 @@ class UncertainSystem:
         ------
         ValueError, TypeError
             For other signals or feedthrough, and whatever the class itself refuses.
+
+        See Also
+        --------
+        to_statespace, from_plant : the way back, and for a plant that is not so named.
 
         Examples
         --------
@@ -278,6 +290,10 @@ class UncertainSystem:
         Returns
         -------
         control.StateSpace
+
+        See Also
+        --------
+        from_statespace : the way back.
 
         Examples
         --------
