@@ -86,14 +86,9 @@ def save(
     ----------
     value : UncertainSystem, AugmentedSystem or Estimator
         An estimator is saved by its matrices, with its plant; a `RobustSmoother` with its tau,
-        multipliers, cost and bound, too, but without what `minimize_bound` found around it. Of a
-        nonlinearity's function the name is saved.
+        multipliers, cost and bound, too. Of a nonlinearity's function the name is saved.
     path : str or path
         Ends in .toml or .json. The file appears whole or not at all.
-
-    Returns
-    -------
-    None
 
     Raises
     ------
@@ -142,20 +137,19 @@ def load(
     path : str or path
         Ends in .toml or .json.
     functions : mapping of str to callable, optional
-        The functions of the nonlinearities, by the names that the file gives them. A nonlinearity
-        whose function is not among them has none: a design needs none.
+        The functions of the nonlinearities, by the names that the file gives them. A design needs
+        none.
 
     Returns
     -------
     UncertainSystem, AugmentedSystem or Estimator
-        A `RobustSmoother` where the file holds a tau and multipliers: its guarantee is computed
-        anew, and its gains are those of the file.
+        A `RobustSmoother` where the file holds one: its guarantee is computed anew.
 
     Raises
     ------
     ValueError
-        Where the file is not valid: one sentence that names the file and the field. That includes
-        a robust design whose gains do not follow from its tau and multipliers.
+        Where the file is not valid, or gains do not follow from the tau and multipliers of their
+        design: one sentence that names the file and the field.
     TypeError
         For functions that are not a mapping of names to callables.
     OSError

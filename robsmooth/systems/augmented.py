@@ -10,9 +10,8 @@ The delay model joins the system, :math:`x_p = [x; x_a]`, and all channels are s
     d\tilde y &= [\tilde C_2 x_p + \tilde D_{21}\tilde\xi]\,dt + \bar D_{21}\,dW, &
         \tilde\zeta &= \tilde C_1 x_p + \tilde D_{12}\tilde u,
 
-with :math:`\tilde y = [y; \tilde\mu]` and :math:`\tilde u = [\hat w; \tilde\nu]`. The noise `W` has
-the system's q components, then g fictitious ones that the theory adds to the copies through
-:math:`J_{21}`.
+with :math:`\tilde y = [y; \tilde\mu]` and :math:`\tilde u = [\hat w; \tilde\nu]`. After the
+system's q noises, `W` has g that the theory adds to the copies through :math:`J_{21}`.
 """
 
 from collections.abc import Sequence
@@ -42,8 +41,6 @@ _CORRELATED = 1e-12  # smallest eigenvalue of a noise's correlation matrix that 
 @dataclass(frozen=True, eq=False)
 class AugmentedSystem:
     r"""The system with its delay model, in the paper's compact form.
-
-    Made by `augment`. All matrices follow from the first three attributes.
 
     Attributes
     ----------
@@ -175,10 +172,10 @@ class AugmentedSystem:
 
         Parameters
         ----------
-        uncertainties : sequence of k floats or (r_s, h_s) arrays
-            A float stands for itself on the diagonal of its block. Left out: zero.
-        nonlinearities : sequence of g floats
-            The slopes of the nonlinearities. The copies get the same. Left out: zero.
+        uncertainties : sequence of k floats or (r_s, h_s) arrays, optional
+            A float stands for itself on the diagonal of its block. Default: zeros.
+        nonlinearities : sequence of g floats, optional
+            The slopes of the nonlinearities and their copies. Default: zeros.
 
         Returns
         -------
@@ -230,18 +227,18 @@ class AugmentedSystem:
         return f"AugmentedSystem({self.system!r}, {model})"
 
     def _repr_html_(self) -> str:
-        names = {
-            "A_p": "$A_p$ (1/s)",
-            "B1_tilde": r"$\tilde B_1$",
-            "B_p1": "$B_{p1}$",
-            "C_p0": "$C_{p0}$",
-            "C_a": "$C_a$",
-            "C1_tilde": r"$\tilde C_1$",
-            "C2_tilde": r"$\tilde C_2$",
-            "D21_tilde": r"$\tilde D_{21}$",
-            "D21_bar": r"$\bar D_{21}$",
+        matrices = {
+            "$A_p$ (1/s)": self.A_p,
+            r"$\tilde B_1$": self.B1_tilde,
+            "$B_{p1}$": self.B_p1,
+            "$C_{p0}$": self.C_p0,
+            "$C_a$": self.C_a,
+            r"$\tilde C_1$": self.C1_tilde,
+            r"$\tilde C_2$": self.C2_tilde,
+            r"$\tilde D_{21}$": self.D21_tilde,
+            r"$\bar D_{21}$": self.D21_bar,
         }
-        rows = [(text, f"${notation.matrix(getattr(self, name))}$") for name, text in names.items()]
+        rows = [(name, f"${notation.matrix(value)}$") for name, value in matrices.items()]
         caption = (
             f"Augmented system: {self.n} states, of which {self.n - self.system.n} model the delay "
             f"of ${notation.number(self.delay)}$ s with order {self.order}."
@@ -310,18 +307,13 @@ def check_noise(condition: str, D: Matrix) -> None:
     intensity = D @ D.T
     size = np.sqrt(np.diag(intensity))
     if (size == 0.0).any():
-        raise InfeasibleDesignError(
-            condition,
-            f"measurement {int(np.argmin(size))} has no noise; give its row of D21 "
-            "a noise of its own, however small",
-        )
+        detail = f"measurement {int(np.argmin(size))} has no noise; give its row of D21 a noise"
+        raise InfeasibleDesignError(condition, f"{detail} of its own, however small")
     smallest = np.linalg.eigvalsh(intensity / np.outer(size, size)).min()
     if not smallest > _CORRELATED:
-        raise InfeasibleDesignError(
-            condition,
-            "some combination of the measurements has no noise: the smallest eigenvalue of the "
-            f"noise's correlation matrix is {smallest:.2g}",
-        )
+        eigenvalue = f"the smallest eigenvalue of the noise's correlation matrix is {smallest:.2g}"
+        detail = f"some combination of the measurements has no noise: {eigenvalue}"
+        raise InfeasibleDesignError(condition, detail)
 
 
 def _padded(matrix: Matrix, rows: int, columns: int) -> Matrix:
@@ -332,8 +324,8 @@ def _padded(matrix: Matrix, rows: int, columns: int) -> Matrix:
 def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix, ...]:
     """Return the matrices of (eqIQC1) to (eqIQC4), of channels of these sizes.
 
-    First come the uncertainties, then for every nonlinearity, times its bound, the difference to
-    its copy, then the nonlinearities, then the copies.
+    They are of the uncertainties and, times the bounds, of the differences of nonlinearities and
+    copies, of the nonlinearities and of the copies.
     """
     g, k = len(bounds), len(sizes) - 2 * len(bounds)
     rows = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))[:-1]

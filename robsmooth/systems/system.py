@@ -39,14 +39,14 @@ _ASYMMETRY = 1e-12  # of a correlation matrix, and how far below zero its eigenv
 
 @dataclass(frozen=True, eq=False, init=False)
 class UncertainSystem:
-    r"""The uncertain nonlinear system of Section II (the module docstring has its equations).
+    r"""The uncertain nonlinear system of Section II.
 
     Parameters
     ----------
     A : (n, n) array
         Drift, 1/s.
     B1 : (n, q) array
-        Process noise intensity; the entries of `W` are independent standard Wiener processes.
+        Process noise intensity; `W` are independent standard Wiener processes.
     C0 : (m, n) array
         The outputs to estimate, :math:`w = C_0 x`.
     C2 : (l, n) array
@@ -136,7 +136,7 @@ class UncertainSystem:
             dx &= Ax\,dt + BQ^{1/2}(\xi_0\,dt + dW_0), \\
             dy &= Cx\,dt + DQ^{1/2}(\xi_0\,dt + dW_0) + R^{1/2}(\xi_1\,dt + dW_1).
 
-        The two uncertainties are those that Assumption 1 wants: they enter where the noises do.
+        The two uncertainties enter where the noises do, as Assumption 1 wants.
 
         Parameters
         ----------
@@ -150,7 +150,7 @@ class UncertainSystem:
             :math:`C_{1,0}` and :math:`C_{1,1}`: :math:`\xi_0` and :math:`\xi_1` are no larger than
             these times x. Default: zero, no uncertainty.
         uncertainties, nonlinearities : sequences
-            Further channels.
+            Further channels, as in the class.
 
         Returns
         -------
@@ -245,17 +245,14 @@ class UncertainSystem:
 
         B1, C0, D21 = channel("W", "w")
         mu, nu, D = channel("mu", "nu")
-        constants = validation.array("lipschitz", lipschitz, ndim=1)
-        named = {"lipschitz": constants}
+        g, named = mu.shape[1], {"lipschitz": validation.array("lipschitz", lipschitz, ndim=1)}
         for name, given in (("functions", functions), ("references", references)):
-            named[name] = [None] * len(constants) if given is None else given
+            named[name] = [None] * g if given is None else given
             validation.instance(name, named[name], Sequence)
         for name, given in {"sys's output 'nu'": nu, **named}.items():
-            if len(given) != mu.shape[1]:
-                raise ValueError(
-                    f"{name} must have as many entries as sys's input 'mu', {mu.shape[1]}, "
-                    f"got {len(given)}"
-                )
+            if len(given) != g:
+                wanted = f"as many entries as sys's input 'mu', {g}, got {len(given)}"
+                raise ValueError(f"{name} must have {wanted}")
         return cls(
             A=sys.A,
             B1=B1,
@@ -276,8 +273,8 @@ class UncertainSystem:
     ) -> "control.StateSpace":
         """Return the linear part as a python-control object, with its channels open.
 
-        A signal has the components ``W[0]``, ``W[1]``, ...: python-control's ``interconnect``
-        joins it to that of an estimator by its name, and ``sys["y[0]", "W[1]"]`` is a part.
+        A signal has the components ``W[0]``, ``W[1]``, ...; ``interconnect`` joins it to that of an
+        estimator by its name.
 
         Parameters
         ----------
@@ -392,9 +389,8 @@ class UncertainSystem:
             )
         for c, symbol in xi:
             zeta = symbol.replace("xi", "zeta")
-            lines.append(
-                rf"\lVert{symbol}\rVert &\le \lVert{zeta}\rVert,\quad {zeta} = {of_x(c.C)}"
-            )
+            bound = rf"\lVert{symbol}\rVert &\le \lVert{zeta}\rVert"
+            lines.append(rf"{bound},\quad {zeta} = {of_x(c.C)}")
         return "$$\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}$$"
 
 
@@ -410,12 +406,9 @@ def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
         raise ValueError(f"{name} must be symmetric")
     eigenvalues, vectors = np.linalg.eigh(correlation)
     if eigenvalues.min(initial=0.0) < -_ASYMMETRY:
-        raise ValueError(
-            f"{name} must be nonnegative definite, got one whose correlation matrix has the "
-            f"eigenvalue {eigenvalues.min():.3g}"
-        )
-    root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T
-    return unit[:, None] * root
+        got = f"one whose correlation matrix has the eigenvalue {eigenvalues.min():.3g}"
+        raise ValueError(f"{name} must be nonnegative definite, got {got}")
+    return unit[:, None] * (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T)
 
 
 def _number_of_uncertainties(inputs: Iterable[str], outputs: Iterable[str]) -> int:
