@@ -96,9 +96,6 @@ def square_root(P: Matrix) -> Matrix:
     return units[:, None] * directions * np.sqrt(np.maximum(weights, 0.0))
 
 
-# --- the doubling ---------------------------------------------------------------------------------
-
-
 def _settled(A: Matrix, B: Matrix, span: float) -> tuple:
     """Double until nothing changes, and the span is reached.
 

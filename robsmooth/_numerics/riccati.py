@@ -63,7 +63,8 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     Q, S = (Q + Q.T) / 2, (S + S.T) / 2
     decay = -np.linalg.eigvals(A).real.max()
     (A, Q, S), first = _rescaled(A, Q, S, decay)  # before the states are balanced, and again after
-    states = _balancing_units(A, Q, S)
+    one, other = np.split(dgebal(np.abs(np.block([[A, S], [Q, A.T]])), scale=1)[3], 2)
+    states = np.exp2(np.rint(np.log2(one / other) / 2.0))  # balance the Hamiltonian
     products = np.outer(states, states)
     A, Q, S = A / states[:, None] * states, Q * products, S / products
     (A, Q, S), again = _rescaled(A, Q, S, decay * first[0])
@@ -93,12 +94,6 @@ def _rescaled(A: Matrix, Q: Matrix, S: Matrix, decay: float) -> tuple[tuple, np.
     return (A * time, Q * (time / unit), S * (time * unit)), units
 
 
-def _balancing_units(A: Matrix, Q: Matrix, S: Matrix) -> np.ndarray:
-    """Return the units of the states in which the rows of the Hamiltonian match its columns."""
-    one, other = np.split(dgebal(np.abs(np.block([[A, S], [Q, A.T]])), scale=1)[3], 2)
-    return np.exp2(np.rint(np.log2(one / other) / 2.0))
-
-
 def _nothing(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
     """Return zero: the better start where the quadratic part is next to nothing.
 
@@ -122,7 +117,15 @@ def _refine(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> tuple[Matrix, float]:
     """Follow Newton's method while it helps; return the solution and the size of the last step."""
     X, error = (X + X.T) / 2, np.inf
     for _ in range(_REFINEMENTS):
-        step = _newton_step(A, Q, S, X)
+        closed = A - S @ X
+        if not np.isfinite(closed).all():
+            raise RiccatiError("the solver returned entries that are not finite")
+        T, U = schur(closed.T)
+        _check_stability(T.diagonal().max())  # the real parts are on a real Schur form's diagonal
+        # the step Z solves closed' Z + Z closed + residual = 0
+        Z, scale, _ = dtrsyl(T, T, -U.T @ _residual(A, Q, S, X) @ U, tranb="T")
+        Z = U @ (Z / scale) @ U.T
+        step = (Z + Z.T) / 2
         size = np.linalg.norm(step) / (np.linalg.norm(X + step) or 1.0)
         if size > error / 2 and error < ERROR_TOLERANCE:
             break  # what is left is rounding
@@ -130,18 +133,6 @@ def _refine(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> tuple[Matrix, float]:
         if error < _ROUNDING:
             break
     return X, float(error)
-
-
-def _newton_step(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> Matrix:
-    """Return the Z of closed' Z + Z closed + residual = 0."""
-    closed = A - S @ X
-    if not np.isfinite(closed).all():
-        raise RiccatiError("the solver returned entries that are not finite")
-    T, U = schur(closed.T)
-    _check_stability(T.diagonal().max())  # the real parts are on a real Schur form's diagonal
-    Z, scale, _ = dtrsyl(T, T, -U.T @ _residual(A, Q, S, X) @ U, tranb="T")
-    Z = U @ (Z / scale) @ U.T
-    return (Z + Z.T) / 2
 
 
 def _residual(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> Matrix:

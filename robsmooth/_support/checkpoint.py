@@ -24,6 +24,7 @@ from robsmooth._support import files
 
 APPLICATION = int.from_bytes(b"rsmo", "big")  # says in an SQLite database whose it is
 ANEW = "give another path, or delete the file to start anew"
+NOT_ONE = "{} is not a checkpoint of this version of robsmooth: give another path"
 
 
 class CheckpointError(ValueError):
@@ -50,7 +51,7 @@ def open_journal(
             path.parent.mkdir(parents=True, exist_ok=True)
             # SQLite would take a file of one byte for an empty database.
             if path.exists() and (not path.is_file() or path.stat().st_size == 1):
-                raise _not_a_checkpoint(path)
+                raise CheckpointError(NOT_ONE.format(path))
             database = stack.enter_context(files.exclusive_lock(path))
             journal = Journal(path, database, dict(identity))
         except BlockingIOError:
@@ -60,7 +61,7 @@ def open_journal(
             ) from None
         except (OSError, sqlite3.Error, UnicodeDecodeError) as error:  # the last: of damaged SQL
             if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_NOTADB:
-                raise _not_a_checkpoint(path) from None
+                raise CheckpointError(NOT_ONE.format(path)) from None
             reason = getattr(error, "strerror", None) or error
             message = f"the checkpoint {path} cannot be opened: {reason}; {ANEW}"
             raise CheckpointError(message) from None
@@ -77,7 +78,7 @@ class Journal:
         database.text_factory = lambda text: text.decode(errors="replace")
         is_new = path.stat().st_size == 0
         if not is_new and self._value("PRAGMA application_id") != APPLICATION:
-            raise _not_a_checkpoint(path)
+            raise CheckpointError(NOT_ONE.format(path))
         database.execute("PRAGMA journal_mode = DELETE")
         database.execute("PRAGMA synchronous = FULL")
         database.execute("PRAGMA fullfsync = ON")  # on macOS, past the cache of the disk
@@ -135,11 +136,6 @@ class Journal:
     def _value(self, query: str) -> object:
         """The first value that a query finds."""
         return self._database.execute(query).fetchone()[0]
-
-
-def _not_a_checkpoint(path: Path) -> CheckpointError:
-    this = "a checkpoint of this version of robsmooth"
-    return CheckpointError(f"{path} is not {this}: give another path")
 
 
 def _text(value: object) -> str:

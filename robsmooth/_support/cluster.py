@@ -84,10 +84,7 @@ def workers(client: "Client | None") -> int:
 
 @contextmanager
 def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
-    """Connect to the scheduler at an address; with the empty address, give None.
-
-    What Dask logs on the side is silenced meanwhile: what matters comes as an exception.
-    """
+    """Connect to the scheduler at an address; with the empty address, give None."""
     if address == "":
         yield None
         return
@@ -98,7 +95,7 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
     with extra("cluster", "a cluster"):
         from distributed import Client
     with ExitStack() as stack:
-        for logger in map(logging.getLogger, LOGGERS):
+        for logger in map(logging.getLogger, LOGGERS):  # what matters comes as an exception
             stack.callback(logger.setLevel, logger.level)
             logger.setLevel(logging.CRITICAL)
         try:
@@ -107,9 +104,8 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
                 client = Client(address, timeout=timeout, set_as_default=False)
         except Exception as error:
             reason = "is it running?" if isinstance(error, OSError) else str(error)
-            raise ConnectionError(
-                f"no Dask scheduler answers at {address} within {timeout:g} s: {reason}"
-            ) from None
+            message = f"no Dask scheduler answers at {address} within {timeout:g} s: {reason}"
+            raise ConnectionError(message) from None
         if kind != "Scheduler":
             raise ConnectionError(f"at {address} is a Dask {kind.lower()}, not a scheduler")
         yield stack.enter_context(client)
@@ -153,10 +149,7 @@ _SOURCES = _digest_sources(files("robsmooth"))
 
 
 class _Call(NamedTuple):
-    """A call that is computed by unpickling it.
-
-    So scheduler and worker are sent only ``pickle.loads`` and bytes, which any of them understand.
-    """
+    """A call that unpickling computes: ``pickle.loads`` and bytes are known to every worker."""
 
     software: dict[str, str]  # of the client
     function: bytes
@@ -228,17 +221,13 @@ def _result(future: "Future", client: "Client", patience: float) -> Any:
     try:
         return future.result(timeout=patience)
     except KilledWorker as error:
-        raise RuntimeError(
-            f"the same call was on {error.allowed_failures + 1} worker(s) that ended: it may need "
-            "more memory than they have"
-        ) from None
+        ended = f"the same call was on {error.allowed_failures + 1} worker(s) that ended"
+        raise RuntimeError(f"{ended}: it may need more memory than they have") from None
     except ImportError as error:
         if (error.name or "").partition(".")[0] != "robsmooth":
             raise
-        raise RuntimeError(
-            f"a worker cannot import {error.name}: start the workers in an environment with the "
-            "same robsmooth as here"
-        ) from None
+        advice = "start the workers in an environment with the same robsmooth as here"
+        raise RuntimeError(f"a worker cannot import {error.name}: {advice}") from None
     except (OSError, CancelledError) as error:
         if isinstance(error, TimeoutError) or future.status == "error":  # the function's own
             raise

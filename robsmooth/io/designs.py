@@ -190,9 +190,6 @@ def _language(path: str | os.PathLike[str]) -> tuple[Path, str]:
     return path, language
 
 
-# --- objects to fields ----------------------------------------------------------------------------
-
-
 def _content(kind: str, value: Any) -> dict:
     """Return the fields of an object's table."""
     content = {}
@@ -229,9 +226,6 @@ def _check_names(functions: Sequence[Callable | None]) -> None:
             )
 
 
-# --- fields to text -------------------------------------------------------------------------------
-
-
 def _toml(table: Mapping, prefix: str, kind: str) -> Iterator[str]:
     """Give the lines of a table: its values, then the tables in it."""
     if kind in _ABOUT:
@@ -266,9 +260,6 @@ def _json(value: object, indent: str = "") -> str:
     return f"{brackets[0]}{body}\n{indent}{brackets[1]}"
 
 
-# --- text to fields, and fields to objects; errors name the field by its path --------------------
-
-
 def _parsed(data: bytes, language: str) -> object:
     """Return the content of a file in "toml" or "json"."""
     text = data.decode("utf-8-sig")
@@ -290,11 +281,11 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:
 
 
 class _Reader:
-    """Makes the objects of one file, and keeps which functions it names."""
+    """Makes the objects of one file; its errors name the field by its path."""
 
     def __init__(self, functions: Mapping[str, Callable]):
         self.functions = functions
-        self.named: set[str] = set()
+        self.named: set[str] = set()  # the functions that the file names
 
     def document(self, content: object) -> Any:
         """Return the object that the content of a file describes."""

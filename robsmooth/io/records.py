@@ -1,8 +1,7 @@
 """Measured records in files: read, smoothed and written in chunks.
 
-A record has a row for each sample and a column for each measurement, the mean of dy/dt over the
-sample's interval. It is a CSV file, or an NPY file with an array of numbers. A chunk is all that is
-in memory at a time.
+A record is a CSV file, or an NPY file with an array of numbers. It has a row for each sample and a
+column for each measurement, the mean of dy/dt over the sample's interval.
 """
 
 import csv
@@ -137,9 +136,6 @@ def smooth_record(
     return rows
 
 
-# --- which column is what ------------------------------------------------------------------------
-
-
 class _Layout:
     """The columns that are used: measurements, reference and time, in this order."""
 
@@ -182,9 +178,6 @@ class _Layout:
                 f"samples off the times of the record's begin with dt = {self.dt:g} s"
             )
         self.last_time = times[-1]
-
-
-# --- records -------------------------------------------------------------------------------------
 
 
 class _Record:
@@ -300,9 +293,8 @@ class _Csv(_Record):
             if not line.strip("\r\n ".replace(self.delimiter, "")):
                 blank = blank or number
             elif blank:
-                raise ValueError(
-                    f"{self.path}, line {blank}: blank; a row of gaps has its nan or commas"
-                )
+                message = "blank; a row of gaps has its nan or commas"
+                raise ValueError(f"{self.path}, line {blank}: {message}")
             else:
                 yield line
 
@@ -310,17 +302,15 @@ class _Csv(_Record):
         """Return the numbers of some lines, the first of which has this number."""
         with suppress(ValueError):  # NumPy's parser is faster by far, but knows no empty cells
             if all(line.count(self.delimiter) == self.width - 1 for line in lines):
-                return np.loadtxt(
-                    lines, delimiter=self.delimiter, usecols=columns, comments=None, ndmin=2
-                )
+                layout = {"delimiter": self.delimiter, "usecols": columns}
+                return np.loadtxt(lines, comments=None, ndmin=2, **layout)
         values = np.empty((len(lines), len(columns)))
         for i, line in enumerate(lines):
             cells = self._cells(line, number + i)
             place = f"{self.path}, line {number + i}"
             if len(cells) != self.width:
-                raise ValueError(
-                    f"{place}: {len(cells)} cells, where the first line has {self.width}"
-                )
+                wanted = f"where the first line has {self.width}"
+                raise ValueError(f"{place}: {len(cells)} cells, {wanted}")
             for j, column in enumerate(columns):
                 cell = cells[column].strip()
                 if cell and not _is_number(cell):
@@ -341,9 +331,6 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return "_" not in cell  # 1_000 is a number in Python only
-
-
-# --- what is written -----------------------------------------------------------------------------
 
 
 @contextmanager
@@ -370,10 +357,8 @@ def _csv_writer(path: Path, outputs: int, delimiter: str) -> Iterator[Write]:
         file.write(delimiter.join(names) + "\n")
 
         def write(times: Matrix, estimates: Matrix) -> None:
-            rows = zip(times.tolist(), estimates.tolist(), strict=True)
-            file.writelines(
-                delimiter.join([f"{time:.15g}", *map(repr, row)]) + "\n" for time, row in rows
-            )
+            for time, row in zip(times.tolist(), estimates.tolist(), strict=True):
+                file.write(delimiter.join([f"{time:.15g}", *map(repr, row)]) + "\n")
 
         yield write
 
