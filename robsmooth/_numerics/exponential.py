@@ -18,18 +18,13 @@ _RESIDUAL_TOLERANCE = 1e-10
 
 
 def responses(A: Matrix, B: Matrix, step: float) -> tuple[Matrix, Matrix, Matrix]:
-    """Return e^{A step}, K_1 and K_2."""
-    phi_0, phi_1, phi_2 = phi_functions(step * A)
-    return phi_0, step * phi_1 @ B, step * phi_2 @ B
+    r"""Return e^{A step}, K_1 and K_2.
 
-
-def phi_functions(A: Matrix) -> tuple[Matrix, Matrix, Matrix]:
-    r"""Return :math:`\varphi_0 = e^A` and :math:`\varphi_{j+1} = A^{-1}(\varphi_j - 1/j!)`, j < 2.
-
-    They are blocks of one exponential, which needs no inverse of A.
+    :math:`\varphi_0 = e^A` and :math:`\varphi_{j+1} = A^{-1}(\varphi_j - 1/j!)` are blocks of one
+    exponential, which needs no inverse of A.
     """
     n = len(A)
-    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    balanced, (scale, _) = matrix_balance(step * A, permute=False, separate=True)
     block = np.eye(3 * n, k=n)
     block[:n, :n] = balanced
     with np.errstate(all="ignore"):  # an overflow leaves a residual that is not a number
@@ -42,4 +37,5 @@ def phi_functions(A: Matrix) -> tuple[Matrix, Matrix, Matrix]:
             f"the matrix exponential over one step was found to {residual:.2g} only: it is too "
             "long for an unstable estimator"
         )
-    return tuple(scale[:, None] * phi / scale)
+    phi_0, phi_1, phi_2 = scale[:, None] * phi / scale
+    return phi_0, step * phi_1 @ B, step * phi_2 @ B

@@ -26,9 +26,7 @@ def warn_of_long_step(
 def dividing_step(delay: float, longest: float, duration: float) -> float:
     """Return the largest step up to `longest`, and to the duration, that divides the delay."""
     step = min(longest, duration)
-    if delay > 0:
-        step = delay / math.ceil(delay / step - 1e-9)
-    return step
+    return delay / math.ceil(delay / step - 1e-9) if delay > 0 else step
 
 
 def steps_in(duration: float, step: float) -> int:

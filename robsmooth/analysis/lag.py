@@ -334,7 +334,7 @@ def _target(system: UncertainSystem, target: float | None, fraction: float | Non
         raise ValueError("choose_lag takes either a target or a fraction of the possible gain")
     filtering, two_sided = _optimal_error(system, 0.0), _optimal_error(system, math.inf)
     if fraction is not None:
-        fraction = validation.real("fraction", fraction, low=0.0, high=1.0, high_open=True)
+        fraction = validation.real("fraction", fraction, low=0.0, high=1.0, without=[1.0])
         target = filtering - fraction * (filtering - two_sided)
     target = validation.positive("target", target)
     if not target > two_sided + _LEAST_GAIN * (filtering - two_sided):

@@ -13,12 +13,6 @@ sought:
   those of the multipliers that are small where a search ends.
 - V has more than one local minimum, so that there are several starts. Where none is feasible, the
   uncertainty is made small until one is, and brought back along the way.
-
-The constraint has a kink where eigenvalues are equal, as they often are at the minimum. It says
-:math:`u'J'M(\lambda)Ju \le |u|^2` for every u. SLSQP is given that for some u, and after each pass
-for those that its answer violates and for the eigenvectors of :math:`\sum_i w_iu_iu_i'`, with the
-Lagrange multipliers w of the pass. A few steps of the power method turn each u towards the
-eigenvector of the largest eigenvalue: there is the curvature of the constraint.
 """
 
 import math
@@ -55,7 +49,6 @@ _REFUSED = 1e3  # more than the logarithm of any bound
 _ROUNDING = 1e-9  # a level of the constraint that is smaller, relatively, is rounding
 _OPTIONS = {"ftol": 1e-14, "maxiter": 100}  # of SLSQP
 _PASSES = 10
-_POWER = 12  # steps of the power method in the constraint
 _TIGHT = 1e-11  # what a pass may leave of the constraint's violation, and of log V
 
 # Where no start is feasible, designs for less uncertainty are continued to all of it.
@@ -230,47 +223,34 @@ class Face:
 
     def minimum(self, point: np.ndarray) -> tuple[float, np.ndarray]:
         """Return log V at a local minimum, and the minimum, from a feasible point."""
-        lowest, best, vectors = self.objective(point)[0], point, np.eye(len(self.levels[0]))
-        for _ in range(_PASSES):
-            point, duals = self._pass(point, vectors)
-            levels, directions = np.linalg.eigh(self.level(self.arguments(point)[1]))
-            vectors = np.vstack([vectors, directions.T[levels > 1.0 + _TIGHT], duals])
-            excess = math.log(levels[-1]) if levels[-1] > 0.0 else 0.0
-            before, value = lowest, self.objective(point)[0] + excess
-            if value < lowest:  # after the step onto the constraint
-                lowest, best = value, point.copy()
-                best[0] += excess
-                best[self.own] -= excess
-            if before - lowest < _TIGHT and excess < _TIGHT:
-                break
-        return lowest, best
-
-    @property
-    def own(self) -> slice:
-        """Where in a point the multipliers are."""
-        return slice(1, 1 + int(self.positive.sum()))
-
-    def _pass(self, point: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return SLSQP's minimum under the constraints of these u, and the next u from its dual."""
-        _, multipliers, _ = self.arguments(point)
-        vectors = vectors[((vectors @ self.level(multipliers)) * vectors).sum(axis=1) > _ROUNDING]
-        levels, own = self.levels[self.positive], self.own
+        own = slice(1, 1 + int(self.positive.sum()))  # where in a point the multipliers are
 
         def slack(point: np.ndarray) -> np.ndarray:
-            return 1.0 - _quotients(np.exp(point[own]), levels, vectors)[0]
+            return 1.0 - np.linalg.eigvalsh(self.level(self.arguments(point)[1]))
 
         def slopes(point: np.ndarray) -> np.ndarray:
-            result, multipliers = np.zeros((len(vectors), len(point))), np.exp(point[own])
-            result[:, own] = -multipliers * _quotients(multipliers, levels, vectors)[1]
+            _, u = np.linalg.eigh(self.level(self.arguments(point)[1]))
+            result = np.zeros((len(u), len(point)))
+            change = np.einsum("ij,aik,kj->ja", u, self.levels[self.positive], u)
+            result[:, own] = -np.exp(point[own]) * change
             return result
 
-        constraint = {"type": "ineq", "fun": slack, "jac": slopes}
-        how = {"method": "SLSQP", "options": _OPTIONS, "jac": True, "bounds": self.box.T}
-        constraints = [constraint] if len(vectors) else []
-        found = minimize(self.objective, point, constraints=constraints, **how)
-        weights = found.multipliers if len(vectors) else np.zeros(0)
-        sizes, directions = np.linalg.eigh(vectors.T * weights @ vectors)
-        return np.clip(found.x, *self.box), directions.T[sizes > _ROUNDING * sizes[-1]]
+        lowest, best = self.objective(point)[0], point
+        for _ in range(_PASSES):  # SLSQP stops at the kinks of the eigenvalues, and goes on anew
+            constraint = {"type": "ineq", "fun": slack, "jac": slopes}
+            how = {"method": "SLSQP", "options": _OPTIONS, "jac": True, "bounds": self.box.T}
+            found = minimize(self.objective, point, constraints=constraint, **how)
+            point = np.clip(found.x, *self.box)
+            largest = 1.0 - slack(point).min()
+            if largest > 0.0:  # the step onto the constraint
+                point[0] += math.log(largest)
+                point[own] -= math.log(largest)
+            before, value = lowest, self.objective(point)[0]
+            if value < lowest:
+                lowest, best = value, point.copy()
+            if before - lowest < _TIGHT:
+                break
+        return lowest, best
 
     def starts(self, count: int, rng: np.random.Generator) -> list[np.ndarray]:
         """Return feasible points at the constraint, the lowest of a random sample."""
@@ -296,26 +276,6 @@ class Face:
         small = self.arguments(point)[1] < threshold * self.natural
         difference, own, copy = np.split(small[k:], 3)
         return np.concatenate([small[:k], difference, own, copy & ~difference])
-
-
-def _quotients(
-    multipliers: np.ndarray, levels: np.ndarray, vectors: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return y'Sy/y'y of S = J'M(lambda)J and y = S^p u for each u, and its slopes in lambda."""
-    S = np.tensordot(multipliers, levels, 1)
-    size = np.trace(S)
-    powers = [vectors]
-    for _ in range(_POWER):
-        powers.append(powers[-1] @ S / size)
-    y = powers.pop()
-    norms = (y * y).sum(axis=1, keepdims=True)
-    quotients = ((y @ S) * y).sum(axis=1, keepdims=True) / norms
-    slopes = np.einsum("ui,aij,uj->ua", y, levels, y)
-    change = 2.0 * (y @ S - quotients * y) / size  # of the quotient's numerator with y
-    while powers:
-        slopes += np.einsum("ui,aij,uj->ua", change, levels, powers.pop())
-        change = change @ S / size
-    return quotients[:, 0], slopes / norms
 
 
 def _known_faces(plant: AugmentedSystem) -> Iterator[np.ndarray]:

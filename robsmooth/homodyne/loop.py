@@ -193,11 +193,12 @@ def numbers_of(parameters) -> dict[str, float]:
     numbers = {}
     for name in ("lam", "kappa", "alpha", "beta", "gamma"):
         if not hasattr(parameters, name):
-            given = f"{parameters!r} without {name}"
-            raise TypeError(f"parameters must be HomodyneParameters, got {given}")
-        full, value = f"parameters.{name}", getattr(parameters, name)
-        low_open = name not in ("lam", "kappa")
-        numbers[name] = validation.real(full, value, low=0.0, low_open=low_open)
+            raise TypeError(
+                f"parameters must be HomodyneParameters, got {parameters!r} without {name}"
+            )
+        without = [] if name in ("lam", "kappa") else [0.0]
+        given = getattr(parameters, name)
+        numbers[name] = validation.real(f"parameters.{name}", given, low=0.0, without=without)
     return numbers
 
 

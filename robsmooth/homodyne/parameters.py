@@ -59,10 +59,10 @@ class HomodyneParameters:
     gamma: float
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).copy().items():
-            high = 1.0 if name == "gamma" else math.inf
-            value = validation.real(name, value, low=0, high=high, low_open=True, high_open=True)
-            object.__setattr__(self, name, value)
+        for name in ("lam", "kappa", "alpha", "beta"):
+            object.__setattr__(self, name, validation.positive(name, getattr(self, name)))
+        gamma = validation.real("gamma", self.gamma, low=0, high=1, without=[0, 1])
+        object.__setattr__(self, "gamma", gamma)
 
     def uncertain_system(self) -> UncertainSystem:
         r"""Return the example in the form of Section II, as (eqsystem1).

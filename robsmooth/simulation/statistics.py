@@ -53,9 +53,7 @@ class MeanSquare:
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
         """Return the interval that holds the mean with this probability."""
-        confidence = validation.real(
-            "confidence", confidence, low=0.0, high=1.0, low_open=True, high_open=True
-        )
+        validation.real("confidence", confidence, low=0.0, high=1.0, without=[0.0, 1.0])
         reach = float(ndtri((1 + confidence) / 2)) * self.standard_error
         return self.mean_square - reach, self.mean_square + reach
 

@@ -30,7 +30,7 @@ from robsmooth._numerics.steps import (
 )
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.cluster import alone, worker_threads
+from robsmooth._support.cluster import ALONE, worker_threads
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop
@@ -140,7 +140,7 @@ class Simulation:
         real, n = PRECISIONS[self.precision], self.readout.shape[1]
         states = np.empty((count, self.kernel.state_size(n)), real)
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
-        with alone(), threads_of_kernels(worker_threads()):
+        with ALONE, threads_of_kernels(worker_threads()):
             self.kernel.simulate_blocks(
                 *self.compiled_for,
                 (real(0),) * n,
