@@ -291,13 +291,10 @@ def _known_faces(plant: AugmentedSystem) -> Iterator[np.ndarray]:
 
 def _descents(faces: list[Face], starts: int, seed: int) -> list[Found]:
     """Return local minima: several from the first face, one from each other."""
-    rng = np.random.default_rng(seed)
-    found = []
-    for index, face in enumerate(faces):
-        for start in face.starts(1 if index else starts, rng):
-            value, end = face.minimum(start)
-            found.append((value, face, end))
-    return found
+    rng, counts = np.random.default_rng(seed), [starts] + [1] * len(faces)
+    points = [(face, face.starts(count, rng)) for face, count in zip(faces, counts, strict=False)]
+    minima = [(face, face.minimum(start)) for face, found in points for start in found]
+    return [(value, face, end) for face, (value, end) in minima]
 
 
 def _reduced(best: Found, plant: AugmentedSystem, cost: str) -> Found:

@@ -36,10 +36,8 @@ class Estimator:
     ----------
     plant : AugmentedSystem, the system and the delay that it is for
     A_c : (n_c, n_c) array, its drift, 1/s; n_c is the plant's order for all designs here
-    B_c : (n_c, l + g) array
-        Its gains: columns for y, then for the copies' outputs mu-tilde.
-    C_c : (m + g, n_c) array
-        Its outputs: rows of w-hat, then of the copies' arguments nu-tilde.
+    B_c : (n_c, l + g) array, its gains: columns for y, then for the copies' outputs mu-tilde
+    C_c : (m + g, n_c) array, its outputs: rows of w-hat, then of the copies' arguments nu-tilde
     C_a, C_f : (m, n_c) arrays
         The read-outs of the smoothed estimate of w one delay back and of the filtered one of w now;
         the latter is w-hat for every design but one whose cost is on the smoothed error.

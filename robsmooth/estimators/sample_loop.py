@@ -15,7 +15,7 @@ from numba import njit
 from numba.extending import is_jitted
 from numpy.typing import NDArray
 
-from robsmooth._numerics.exponential import responses
+from robsmooth._numerics.steps import responses
 from robsmooth._support.blas import one_thread
 from robsmooth._support.kernels import kept
 from robsmooth.systems.channels import Nonlinearity

@@ -8,7 +8,7 @@ from html import escape
 import ipywidgets as widgets
 from IPython.display import Javascript
 
-from robsmooth.explorer.settings import DESIGNS, RANGES, Settings
+from robsmooth.explorer.snapshot import DESIGNS, RANGES, Settings
 
 _BY_HAND = "A design by hand"
 _COLUMNS = {  # of each setting: label and tooltip

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 import robsmooth as rs
 from robsmooth._support.tables import Table
 from robsmooth.explorer import snapshot as model
-from robsmooth.explorer.settings import Settings
-from robsmooth.explorer.snapshot import RUNS, SLOPES, Snapshot, simulate, take_snapshot
+from robsmooth.explorer.snapshot import RUNS, SLOPES, Settings, Snapshot, simulate, take_snapshot
 
 
 def code(settings: Settings) -> str:

@@ -17,8 +17,7 @@ import robsmooth as rs
 from robsmooth.explorer.controls import Controls
 from robsmooth.explorer.describe import code, summary
 from robsmooth.explorer.panels import PREPARING, Panels
-from robsmooth.explorer.settings import Settings
-from robsmooth.explorer.snapshot import Snapshot, simulate, take_snapshot
+from robsmooth.explorer.snapshot import Settings, Snapshot, simulate, take_snapshot
 
 DEBOUNCE = 0.004  # s without an event, before the newest settings are drawn
 SIMULATION_TIMEOUT = 0.5  # s that a drawing waits for its simulation, where it may come later

@@ -21,8 +21,7 @@ from PIL import Image
 
 import robsmooth as rs
 from robsmooth.explorer import snapshot as model
-from robsmooth.explorer.settings import Settings
-from robsmooth.explorer.snapshot import ADMISSIBLE, RUNS, SHOWN, SLOPES, STEP, Snapshot
+from robsmooth.explorer.snapshot import ADMISSIBLE, RUNS, SHOWN, SLOPES, STEP, Settings, Snapshot
 from robsmooth.paper.figures import TRUTH, styles, use_style
 
 PREPARING = "The simulation is being prepared. "

@@ -9,7 +9,6 @@ from robsmooth.analysis.constraints import AnalysisBound, analysis_bound
 from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.analysis.worst_case import WorstCase, worst_case
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne.moments import StationaryErrors, stationary_errors
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, MeanSquare, monte_carlo
 from robsmooth.homodyne.parameters import HomodyneParameters
@@ -27,12 +26,6 @@ class Compared:
     simulated: MeanSquare  # in the loop with the sine itself, by the paper's protocol
     slips: int  # in the simulation: without the measurement an estimator is not in lock
     moments: StationaryErrors  # in lock, without sampling
-
-    @property
-    def promised(self) -> float | None:
-        """Twice the design's bound V, rad^2: what it promises of the error of its cost."""
-        robust = isinstance(self.estimator, RobustSmoother)
-        return self.estimator.mean_square_bound if robust else None
 
     @property
     def exact(self) -> float:

@@ -128,8 +128,7 @@ def parameter_study(
 
     Parameters
     ----------
-    parameters : HomodyneParameters
-        The loop in the middle of the grid.
+    parameters : HomodyneParameters, the loop in the middle of the grid
     lags, orders, gammas : sequences of float, int, float
         Of the smoother, s; of the delay's Pade model; half widths of the sector.
     noises : sequence of float

@@ -90,6 +90,10 @@ def save(
     path : str or path
         Ends in .toml or .json. The file appears whole or not at all.
 
+    Returns
+    -------
+    None
+
     Raises
     ------
     ValueError, TypeError
@@ -134,8 +138,7 @@ def load(
 
     Parameters
     ----------
-    path : str or path
-        Ends in .toml or .json.
+    path : str or path, ends in .toml or .json
     functions : mapping of str to callable, optional
         The functions of the nonlinearities, by the names that the file gives them. A design needs
         none.

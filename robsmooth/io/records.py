@@ -51,8 +51,7 @@ def smooth_record(
 
     Parameters
     ----------
-    smoother : DiscreteSmoother
-        Made by ``estimator.discretize(dt)``.
+    smoother : DiscreteSmoother, made by ``estimator.discretize(dt)``
     source : path
         A ``.csv`` file, of which a first line without any number is a header, or a ``.npy`` file
         with an array (N, columns) or (N,). Where it has nan or an empty cell, a measurement is
@@ -66,14 +65,10 @@ def smooth_record(
         The g columns with the reference of the nonlinearities, as in `DiscreteSmoother.run`.
     time : int or str, optional
         A column with times, s: a row that is missing, or a wrong dt, is refused.
-    output : {"smoothed", "filtered"}
-        Which estimates to write.
-    delimiter : str
-        One character, of CSV files.
-    chunk : int
-        Rows in memory at a time.
-    progress : bool
-        Whether to show a progress bar.
+    output : {"smoothed", "filtered"}, which estimates to write
+    delimiter : str, one character, of CSV files
+    chunk : int, rows in memory at a time
+    progress : bool, whether to show a progress bar
 
     Returns
     -------

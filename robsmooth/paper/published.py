@@ -1,12 +1,16 @@
 r"""What the paper prints, in ``data/published.toml``: its numbers, and the designs they make.
 
+Beside it lies ``data/monte_carlo.json``: what it is compared with, as notebook 04 writes it.
 This is also the home of the paper's slip of sign: the printed gains follow from the printed
 :math:`\tau` and :math:`\lambda` only with the quadratic term of the X equation negated, as a
 standard Riccati solver has it. The library's core knows nothing of that.
 """
 
 import itertools
+import json
+import math
 import re
+import time
 import tomllib
 from collections.abc import Iterator, Mapping
 from functools import cache
@@ -16,16 +20,25 @@ from types import MappingProxyType
 import numpy as np
 
 from robsmooth import homodyne
+from robsmooth._support import files
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
+from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.delay import DelayModel
+from robsmooth.workbench import provenance
 
 DELAY = 3.1e-6  # s
 ORDER = 2
+RESULTS = "monte_carlo.json"
+NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that verdicts are about
+_NOT_RESULTS = ("wall_time", "provenance")
+
+# From the name of a design to its "smoothed" and its "filtered" error.
+SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]
 LAMBDA = ("lambda_1", "lambda_2", "lambda_3", "lambda_4")
 _REQUIRED = {
     "quantity": ("id", "place", "kind", "printed"),
@@ -196,3 +209,40 @@ def x_discriminant(tau: float, multipliers: np.ndarray) -> float:
     equations = design_equations(paper_plant(), tau, multipliers)
     linear = 2.0 * homodyne.PAPER.lam
     return float(1.0 - 4.0 * equations.worst_noise[0, 0] / tau * equations.Q_X[0, 0] / linear**2)
+
+
+def read_simulation(folder: Path) -> SimulatedErrors:
+    """Read the mean square errors of a folder; ValueError where the file is missing or corrupt."""
+    try:
+        cases = json.loads((folder / RESULTS).read_text(encoding="utf-8"))["cases"]
+        if missing := set(NEEDED) - set(cases):
+            raise ValueError(f"no result for {', '.join(sorted(missing))}")
+        return {
+            name: {output: _mean_square(case[output]) for output in ("smoothed", "filtered")}
+            for name, case in cases.items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"{RESULTS} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
+            "make figures ONLY=04 writes it anew"
+        ) from None
+
+
+def _mean_square(stored: Mapping[str, float]) -> MeanSquare:
+    for field in ("mean_square", "standard_error"):
+        if not 0.0 <= stored[field] < math.inf:
+            raise ValueError(f"{field} is not a finite number of at least zero")
+    return MeanSquare(stored["mean_square"], stored["standard_error"])
+
+
+def write_simulation(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) -> None:
+    """Write what does not differ from run to run to a folder, and the provenance beside it."""
+    path = Path(data) / RESULTS
+    cases = {
+        name: {key: value for key, value in result.to_dict().items() if key not in _NOT_RESULTS}
+        for name, result in results.items()
+    }
+    files.write_json(path, {"cases": cases})
+    times = {name: round(result.wall_time, 3) for name, result in results.items()}
+    started = time.perf_counter() - sum(times.values())
+    provenance.write(path, seed=seed, started=started, wall_time_seconds=times)

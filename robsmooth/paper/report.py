@@ -8,8 +8,8 @@ from pathlib import Path
 
 from robsmooth._support import files
 from robsmooth._support.tables import Table
-from robsmooth.paper import results
 from robsmooth.paper import verdicts as paper_verdicts
+from robsmooth.paper.published import RESULTS
 from robsmooth.paper.verdicts import NOT_REPRODUCED, OUTCOMES, WITH_FLIPPED_SIGN, Verdict, table
 from robsmooth.workbench import provenance
 
@@ -38,7 +38,7 @@ def is_fresh(figures: Path, data: Path) -> bool:
 
 
 def _digests(figures: Path, data: Path) -> dict[str, str]:
-    paths = (*(figures / name for name in _REPORT), data / results.FILE)
+    paths = (*(figures / name for name in _REPORT), data / RESULTS)
     return {path.name: provenance.sha256(path) for path in paths}
 
 

@@ -15,8 +15,14 @@ from robsmooth.estimators import baselines
 from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.paper import published
-from robsmooth.paper.published import agrees, paper_plant, printed, printed_multipliers, stated
-from robsmooth.paper.results import SimulatedErrors
+from robsmooth.paper.published import (
+    SimulatedErrors,
+    agrees,
+    paper_plant,
+    printed,
+    printed_multipliers,
+    stated,
+)
 from robsmooth.systems.augmented import AugmentedSystem
 
 Finding = tuple[bool, str, str]  # whether it holds, our value in words, and why, if need be

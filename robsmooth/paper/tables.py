@@ -283,7 +283,7 @@ def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float]) -> R
             **{rf"$\Delta_2 = {s:g}$": error for s, error in zip(slopes, case.at, strict=True)},
             "worst constant": case.worst.mean_square,
             "worst allowed": case.allowed.mean_square,
-            "$2V$": case.promised,
+            "$2V$": getattr(case.estimator, "mean_square_bound", None),
             "with the sine": _estimate(case.simulated, ".4f"),
             "without sampling": case.exact,
             "slips": case.slips,

@@ -17,7 +17,7 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
-from robsmooth.paper import published, results, statements
+from robsmooth.paper import published, statements
 
 REPRODUCED = "reproduced"
 WITH_FLIPPED_SIGN = "reproduced with the sign flipped"
@@ -106,7 +106,9 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
         validation.choice("kinds", kind, KINDS)
     simulation = None
     if "simulation" in kinds:
-        simulation = results.read(Path(data_dir) if data_dir else published.data_folder())
+        simulation = published.read_simulation(
+            Path(data_dir) if data_dir else published.data_folder()
+        )
     recompute = {"model": _model, "optimum": _optimum, "design": _design}
     recompute["simulation"] = partial(_simulated, simulation)
     recomputed = {kind: values() for kind, values in recompute.items() if kind in kinds}
@@ -174,7 +176,7 @@ def _design() -> list[Values]:
     return found
 
 
-def _simulated(errors: results.SimulatedErrors) -> list[Values]:
+def _simulated(errors: published.SimulatedErrors) -> list[Values]:
     smoothed, filtered = statements.simulated_errors(errors)
     return [{"error covariance, smoother": smoothed, "error covariance, NGCF": filtered}]
 

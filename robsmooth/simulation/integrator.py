@@ -20,8 +20,8 @@ from numpy.random import SFC64, Generator, SeedSequence
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root
+from robsmooth._numerics.steps import responses
 from robsmooth.simulation.loop import NonlinearLoop
 
 CHUNK = 64  # steps for which noise is drawn ahead, and between two looks for divergence

@@ -46,8 +46,7 @@ class AugmentedSystem:
     ----------
     system : UncertainSystem
     delay_model : DelayModel
-    J_21 : (g, g) array
-        Intensity of the fictitious noise of the copies.
+    J_21 : (g, g) array, intensity of the fictitious noise of the copies
     A_p, B_p1 : (n, n) and (n, q + g) arrays
         Drift of the augmented state, 1/s, and its noise, with zero columns for that of the copies.
     C_p0, C_a : (m, n) arrays
@@ -253,10 +252,8 @@ def augment(
 
     Parameters
     ----------
-    system : UncertainSystem
-        Every row of its C0 is delayed.
-    delay : float
-        The delay of the outputs, s, at least zero: that of the smoothed estimate.
+    system : UncertainSystem, every row of its C0 is delayed
+    delay : float, the delay of the outputs, s, at least zero: that of the smoothed estimate
     order : int
         Pade order of the delay model, at least zero; order 0 has no delay states.
     J_21 : float or (g, g) array

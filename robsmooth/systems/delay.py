@@ -46,8 +46,7 @@ class DelayModel:
     F, G, H, J : arrays
         :math:`F_a` (n_a, n_a) and :math:`G_a` (n_a, m) in 1/s, :math:`H_a` (m, n_a), :math:`J_a`
         (m, m).
-    delay : float
-        The delay modelled, s.
+    delay : float, the delay modelled, s
     order : int
         Pade order; n_a = order * m, or no state at all where the delay or the order is zero.
     """

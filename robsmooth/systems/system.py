@@ -43,16 +43,14 @@ class UncertainSystem:
 
     Parameters
     ----------
-    A : (n, n) array
-        Drift, 1/s.
+    A : (n, n) array, drift, 1/s
     B1 : (n, q) array
         Process noise intensity; `W` are independent standard Wiener processes.
     C0 : (m, n) array
         The outputs to estimate, :math:`w = C_0 x`.
     C2 : (l, n) array
         The measurement, :math:`dy = C_2 x\,dt + \dots`
-    D21 : (l, q) array
-        Measurement noise intensity.
+    D21 : (l, q) array, measurement noise intensity
     uncertainties : sequence of `Uncertainty`
         The k channels :math:`(B_{1s}, C_{1,s}, D_{21,s})`.
     nonlinearities : sequence of `Nonlinearity`

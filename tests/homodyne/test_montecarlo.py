@@ -382,7 +382,7 @@ def test_progress_bar_changes_nothing(terminal):
 
 def test_filtered_row_is_used_where_there_is_one():
     estimator = changed(printed_smoother(), C_f=np.array([[1.0, 0.0, 0.0]]))
-    assert_array_equal(homodyne_loop(PARAMETERS, estimator).oscillator, [1, 0, 0])
+    assert_array_equal(homodyne_loop(PARAMETERS, estimator).readout[2], [1, 0, 0])
 
 
 def test_overflow_names_the_first_path():

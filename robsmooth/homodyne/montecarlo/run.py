@@ -70,14 +70,12 @@ class MonteCarloResult:
         and how many paths have.
     runs, path_steps : int
         Independent paths, and the steps of all of them, the warm-up included.
-    wall_time : float
-        s, with the compilation, where there was one.
+    wall_time : float, s, with the compilation, where there was one
     protocol, seed, precision : str, int, str
         As asked for.
     duration, warm_up, step : float
         Of a path, in whole steps; before sampling began; of the scheme; s.
-    provenance : dict
-        Everything else that the numbers depend on, in a JSON form.
+    provenance : dict, everything else that the numbers depend on, in a JSON form
 
     See Also
     --------
@@ -207,18 +205,15 @@ def monte_carlo(
     step : float, optional
         s; must divide the smoother's delay into whole steps. Default: the largest such step that is
         at most 0.01 us ("paper") or a fifth of the loop's response time ("ergodic").
-    seed : int
-        At least 0 and below 2^64.
+    seed : int, at least 0 and below 2^64
     precision : {"mixed", "single"}
         Of the state: double or single. Noise is always drawn in single precision.
     client : distributed.Client, optional
         A Dask cluster to compute on, see `robsmooth.workbench.connect`. Default: this machine.
     checkpoint : path, optional
         A file to which progress is saved every few seconds, and from which the same call resumes.
-    progress : bool
-        Show a progress bar.
-    oscillator : {"filtered", "smoothed"}
-        The estimate that the local oscillator's phase u follows.
+    progress : bool, show a progress bar
+    oscillator : {"filtered", "smoothed"}, the estimate that the local oscillator's phase u follows
     copy : bool
         Whether the estimator runs its copy of the nonlinearity; without, its input is zero.
     nonlinearity : {"difference", "literal"}

@@ -37,8 +37,8 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root, square_root
+from robsmooth._numerics.steps import responses
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
