@@ -103,8 +103,8 @@ def literal_problem() -> Problem:
         sine_gain=clean(STEP * loop.sine_gain),
         copy_gain=clean(STEP * loop.copy_gain),
         noise_gain=clean(root * loop.noise_gain),
-        filtered=clean(loop.filtered),
-        smoothed=clean(loop.smoothed),
+        filtered=clean(loop.readout[0]),
+        smoothed=clean(loop.readout[1]),
         delay=round(loop.delay / STEP),
         smoother=smoother,
     )

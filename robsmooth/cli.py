@@ -30,11 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"robsmooth: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print(
-            "robsmooth: interrupted; notebooks that had finished are kept, the results of the"
-            " others are as they were",
-            file=sys.stderr,
-        )
+        kept = "notebooks that had finished are kept, the results of the others are as they were"
+        print(f"robsmooth: interrupted; {kept}", file=sys.stderr)
         return INTERRUPTED
 
 
@@ -56,24 +53,19 @@ def figures(options: argparse.Namespace) -> int:
         print(_summary(failed, len(results)), file=sys.stderr)
     if not run.parameters and len(failed) < len(results):
         write_report(run, changed=any(result.status == "done" for result in results))
-    if failed:
-        return 1
-    print(f"figures and tables are in {_short(run.results / 'figures')}")
-    return 0
+    if not failed:
+        print(f"figures and tables are in {_short(run.results / 'figures')}")
+    return 1 if failed else 0
 
 
 def write_report(run: Request, changed: bool) -> None:
-    """Write the report of the reproduction, where a result changed or it is not as it was written.
-
-    The README shows its scorecard at the paper's scale.
-    """
+    """Write the report, and at the paper's scale the README's scorecard, unless they are fresh."""
     from robsmooth.paper import report
 
     places = run.results / "figures", run.results / "data"
     if not changed and report.is_fresh(*places):
         return
-    if not (run.results / "data/monte_carlo.json").exists():
-        # a part of the notebooks was run, in a new place
+    if not (run.results / "data/monte_carlo.json").exists():  # a part was run, in a new place
         print("no report yet: it needs the results of 04_nonlinear_monte_carlo")
         return
     verdicts = report.write(*places)
@@ -86,7 +78,7 @@ def verdicts(options: argparse.Namespace) -> int:
     from robsmooth.paper import report
     from robsmooth.paper import verdicts as paper_verdicts
 
-    project = _project_above()
+    project = _project(needed=False)
     try:
         print(report.markdown(paper_verdicts.verdicts(project and project / "data")))
     except ValueError as error:  # no Monte Carlo results, or damaged ones
@@ -118,15 +110,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=version)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    add = _command(commands, figures, "run the notebooks that are not fresh").add_argument
+    add = _command(commands, "figures", figures, "run the notebooks that are not fresh")
     words = "scale of the run (default: %(default)s); quick writes to build/quick"
     add("--profile", choices=PROFILES, default=Request.profile, help=words)
     words = "notebooks to run, each by its name or a part that fits one only (default: all)"
     add("--only", metavar="NAME[,NAME]", type=_names, default=Request.only, help=words)
     words = "give a parameter a value of your own; the results go to build/custom"
     add("--set", metavar="NAME=VALUE", type=_setting, action="append", default=[], help=words)
-    words = "notebooks at a time (default: %(default)s)"
-    add("--jobs", type=int, default=Request.jobs, help=words)
+    add("--jobs", type=int, default=Request.jobs, help="notebooks at a time (default: %(default)s)")
     words = "for a notebook; a cell may take half as long (default: %(default)g)"
     add("--time-limit", metavar="SECONDS", type=float, default=Request.time_limit, help=words)
     add("--force", action="store_true", help="run the fresh ones, too")
@@ -134,27 +125,24 @@ def _parser() -> argparse.ArgumentParser:
     add("--dask", metavar="ADDRESS", default=Request.dask, help=words)
     add("--build", metavar="FOLDER", type=_folder, help="folder to work in (default: build)")
 
-    _command(commands, verdicts, "every printed number with its verdict")
+    _command(commands, "verdicts", verdicts, "every printed number with its verdict")
 
-    words = "build the offline site from what `figures` has left"
-    add = _command(commands, site, words, name="report").add_argument
+    add = _command(commands, "report", site, "build the offline site from what `figures` has left")
     words = "whose results (default: %(default)s)"
     add("--profile", choices=PROFILES, default=Request.profile, help=words)
     add("--build", metavar="FOLDER", type=_folder, help="folder that the run worked in")
 
-    add = _command(commands, bench, "measure the speed of the simulation").add_argument
+    add = _command(commands, "bench", bench, "measure the speed of the simulation")
     add("--quick", action="store_true", help="in seconds; ratios mean little")
-    words = "write benchmarks/results.* and the README's block"
-    add("--write", action="store_true", help=words)
-    words = "parts of their names (default: all)"
-    add("--peers", metavar="NAME[,NAME]", default="", help=words)
+    add("--write", action="store_true", help="write benchmarks/results.* and the README's block")
+    add("--peers", metavar="NAME[,NAME]", default="", help="parts of their names (default: all)")
     return parser
 
 
-def _command(commands, function: Callable, words: str, name: str = "") -> argparse.ArgumentParser:
-    command = commands.add_parser(name or function.__name__, help=words)
+def _command(commands, name: str, function: Callable, words: str) -> Callable:
+    command = commands.add_parser(name, help=words)
     command.set_defaults(command=function)
-    return command
+    return command.add_argument
 
 
 def _names(text: str) -> list[str]:
@@ -175,28 +163,23 @@ def _setting(text: str) -> tuple[str, object]:
         return name, value
 
 
-def _project() -> Path:
+def _project(needed: bool = True) -> Path | None:
     """Folder of the project: this one or one above it."""
-    project = _project_above()
-    if project is None:
+    for folder in (Path.cwd(), *Path.cwd().parents):
+        if (folder / "notebooks/profiles.toml").is_file():
+            return folder
+    if needed:
         raise PipelineError(
             "there is no notebooks/profiles.toml here or above: say this in a checkout of the "
             "project, which holds the notebooks and more than the installed package"
         )
-    return project
-
-
-def _project_above() -> Path | None:
-    folders = (Path.cwd(), *Path.cwd().parents)
-    return next((each for each in folders if (each / "notebooks/profiles.toml").is_file()), None)
+    return None
 
 
 def _line(result: NotebookResult) -> str:
-    name, seconds = result.task.name, f"{result.seconds:.1f} s"
-    if result.failure:
-        return f"{name}: FAILED after {seconds}"
-    done = f"done in {seconds}, {len(result.files)} files"
-    return f"{name}: {done if result.status == 'done' else 'fresh'}"
+    words = {"failed": f"FAILED after {result.seconds:.1f} s", "fresh": "fresh"}
+    words["done"] = f"done in {result.seconds:.1f} s, {len(result.files)} files"
+    return f"{result.task.name}: {words[result.status]}"
 
 
 def _summary(failed: Sequence[NotebookResult], count: int) -> str:

@@ -23,8 +23,7 @@ def multiplication_matrix(
 ) -> NDArray[np.float64]:
     """Return the matrix of multiplication with function(factor x) between h_0 ... h_degree.
 
-    These are of one variable. The eigenvectors of the matrix of x, in a larger basis, are
-    Gauss-Hermite quadrature.
+    The eigenvectors of the matrix of x, in a larger basis, are Gauss-Hermite quadrature.
     """
     nodes = 2 * degree + 40
     x, vectors = eigh_tridiagonal(np.zeros(nodes), np.sqrt(np.arange(1.0, nodes)))
@@ -82,14 +81,9 @@ class HermiteBasis:
         return sparse.kron(direction[None, :], self.identity, format="csr") @ self.lowering
 
     def multiplication(self, factors: list[NDArray[np.float64]]) -> sparse.csr_array:
-        """Multiplication with f_1(xi_1) f_2(xi_2) ..., from the matrices of one variable.
-
-        Exact between the polynomials, which a product of two truncated matrices is not.
-        """
-        bands = (
-            [s for s in range(-self.degree, self.degree + 1) if f.diagonal(-s).any()]
-            for f in factors
-        )
+        """Multiplication with f_1(xi_1) f_2(xi_2) ..., from the matrices of one variable: exact."""
+        all_bands = range(-self.degree, self.degree + 1)
+        bands = ([s for s in all_bands if f.diagonal(-s).any()] for f in factors)
         axes = slice(len(factors))
         rows, columns, values = [], [], []
         for shifts in itertools.product(*bands):

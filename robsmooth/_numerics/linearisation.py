@@ -33,9 +33,9 @@ def equivalent_slopes(
 ) -> Vector:
     """Return the slopes s = slopes(variances(s)), iterated from `start` until they settle.
 
-    They have when they change by less than the tolerance, in their unit, or by rounding. They do so
-    slowly where the loop is about to lose its stationary state. An UnstableLoopError says that they
-    do not, or that a variance is above the largest of a loop with a stationary state.
+    They have when they change by less than the tolerance, in their unit, or by rounding. An
+    UnstableLoopError says that they do not, or that a variance is above the largest of a loop with
+    a stationary state.
     """
     found, change, part, size = start, np.zeros(len(start)), 1.0, math.inf
     for _ in range(iterations):

@@ -9,16 +9,11 @@ matrix `E` after a time `t` give those after twice the time,
 
 and `W` tends to the stationary covariance, which solves :math:`AP + PA' + BB' = 0`. A short first
 step, by Taylor's series, starts it; QR factorisations keep the roots small. This is R. A. Smith's
-squared method (SIAM J. Appl. Math. 16(1), 1968) with an exact transition matrix. Three things make
-it fit for systems whose variances and time constants lie decades apart, and for spans of any
-length:
-
-- Roots are computed, of covariances that cannot be negative. So no digit depends on the units of
-  the states, and a small variance keeps its digits beside a large one.
-- The doubling is done on :math:`F = E - I`, as :math:`F(2t) = 2F + F^2`: a slow mode is not
-  rounded off against one.
-- Nothing grows where the system is stable. Van Loan's block exponential, the common way to the
-  noise of a step, has :math:`e^{-At}` in it, which overflows.
+squared method (SIAM J. Appl. Math. 16(1), 1968) with an exact transition matrix. It fits systems
+whose variances and time constants lie decades apart, and spans of any length: no digit of a root
+depends on the units of the states; doubling :math:`F = E - I`, as :math:`F(2t) = 2F + F^2`, does
+not round off a slow mode against one; and nothing grows where the system is stable, as
+:math:`e^{-At}` does in Van Loan's block exponential, the common way to the noise of a step.
 """
 
 import itertools
@@ -101,12 +96,7 @@ def square_root(P: Matrix) -> Matrix:
     return units[:, None] * directions * np.sqrt(np.maximum(weights, 0.0))
 
 
-# --- the doubling ---------------------------------------------------------------------------------
-
-
-def _settled(
-    A: Matrix, B: Matrix, span: float
-) -> tuple[Matrix, Matrix, Matrix, float, list[Matrix]]:
+def _settled(A: Matrix, B: Matrix, span: float) -> tuple:
     """Double until nothing changes, and the span is reached.
 
     Return the root of P, that of W and E after the span, the first step and the E of all.
@@ -128,10 +118,9 @@ def _settled(
 
 
 def _first_step(A: Matrix, span: float) -> tuple[float, int]:
-    """Return the first step, and how often it is doubled to give the span.
+    """Return the first step, and how often it is doubled to give the span: below zero not at all.
 
-    That may be negative: the span is the first step, and shorter than need be. The step is for the
-    largest of all A, in units of the states in which that is small.
+    The step is for the largest of all A, in units of the states in which that is small.
     """
     speed = 1.0
     if A.size:
@@ -156,10 +145,7 @@ def _doubled(A: Matrix, B: Matrix, first: float) -> Iterator[tuple[Matrix, Matri
 
 
 def _after(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]:
-    """Return E - I and R after a unit of time, in which little happens, by the series of e^{At}.
-
-    W is the integral of its square, by a quadrature that is exact for it.
-    """
+    """Return E - I and R after a unit of time, in which little happens, by the series of e^{At}."""
     term, F = A, A
     moved = [np.broadcast_to(B, (*A.shape[:-1], B.shape[-1]))]
     for order in range(1, _TERMS):

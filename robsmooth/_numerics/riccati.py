@@ -4,15 +4,14 @@ r"""The algebraic Riccati equation, solved by scipy and certified before its ans
 
 with symmetric `Q` and `S` of any sign; wanted is the stabilising solution, for which
 :math:`A - SX` is stable. `scipy.linalg.solve_continuous_are` can return nonsense past the boundary
-where no such solution exists. So its answer is the start of Newton's method, down to rounding, and
-the result counts only with its certificate: a small residual, a small last step, which estimates
-the error, and a stable closed loop.
+where no such solution exists. So its answer is the start of Newton's method, and the result counts
+only with its certificate: a small residual, a small last step, which estimates the error, and a
+stable closed loop.
 
-The data are first brought to units in which they are of order one. Each state has a unit of its
-own, which balances the Hamiltonian matrix. Time is then in units of
-:math:`1/(|A| + \sqrt{|Q||S|})` and :math:`X = p X'` with :math:`p = |Q|/(a + \sqrt{|Q||S|})`, where
-`a` is the decay rate of the slowest mode of `A`, or zero where `A` is not stable. No result depends
-on the units of time, of the signals or of the states.
+No result depends on the units of time, signals or states: the data are first brought to units in
+which they are of order one. Each state has one that balances the Hamiltonian matrix. Time is in
+units of :math:`1/(|A| + \sqrt{|Q||S|})` and `X` in those of :math:`|Q|/(a + \sqrt{|Q||S|})`, where
+`a` is the decay rate of the slowest mode of `A`, or zero where `A` is not stable.
 """
 
 from dataclasses import dataclass
@@ -38,30 +37,17 @@ class RiccatiError(ArithmeticError):
 
 @dataclass(frozen=True, eq=False)
 class RiccatiSolution:
-    r"""A stabilising solution with its certificate.
+    r"""A stabilising solution X (n, n) with its certificate.
 
-    Attributes
-    ----------
-    X : (n, n) array
-        The solution, symmetric.
-    residual : float
-        Backward error: the norm of the equation's residual, relative to
-        :math:`2|A||X| + |Q| + |S||X|^2`.
-    smallest_eigenvalue : float
-        Smallest eigenvalue of X, relative to its norm.
-    decay_rate : float
-        How far the spectrum of A - S X lies left of the imaginary axis, 1/(unit of time).
-    error : float
-        Estimated error of X, relative to its norm: the last step of Newton's method.
-
-    All norms, and the eigenvalue, are those in the units of the states that balance the equation.
+    The residual is relative to :math:`2|A||X| + |Q| + |S||X|^2`, smallest eigenvalue and estimated
+    error of X to its norm, in the units of the states that balance the equation.
     """
 
     X: Matrix
     residual: float
     smallest_eigenvalue: float
-    decay_rate: float
-    error: float
+    decay_rate: float  # of A - S X, 1/(unit of time)
+    error: float  # the last step of Newton's method
 
     def __repr__(self) -> str:
         return (
@@ -77,7 +63,8 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     Q, S = (Q + Q.T) / 2, (S + S.T) / 2
     decay = -np.linalg.eigvals(A).real.max()
     (A, Q, S), first = _rescaled(A, Q, S, decay)  # before the states are balanced, and again after
-    states = _balancing_units(A, Q, S)
+    one, other = np.split(dgebal(np.abs(np.block([[A, S], [Q, A.T]])), scale=1)[3], 2)
+    states = np.exp2(np.rint(np.log2(one / other) / 2.0))  # balance the Hamiltonian
     products = np.outer(states, states)
     A, Q, S = A / states[:, None] * states, Q * products, S / products
     (A, Q, S), again = _rescaled(A, Q, S, decay * first[0])
@@ -107,17 +94,11 @@ def _rescaled(A: Matrix, Q: Matrix, S: Matrix, decay: float) -> tuple[tuple, np.
     return (A * time, Q * (time / unit), S * (time * unit)), units
 
 
-def _balancing_units(A: Matrix, Q: Matrix, S: Matrix) -> np.ndarray:
-    """Return the units of the states in which the rows of the Hamiltonian match its columns."""
-    one, other = np.split(dgebal(np.abs(np.block([[A, S], [Q, A.T]])), scale=1)[3], 2)
-    return np.exp2(np.rint(np.log2(one / other) / 2.0))
-
-
 def _nothing(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return zero, from where Newton's method first solves the equation's linear part.
+    """Return zero: the better start where the quadratic part is next to nothing.
 
-    It is the better start where the quadratic part is next to nothing. It also may lead to the
-    solution where time constants lie so far apart that the pencil is too inaccurate.
+    It may also lead to the solution where the pencil is too inaccurate, for time constants that lie
+    far apart.
     """
     return np.zeros_like(A)
 
@@ -136,7 +117,15 @@ def _refine(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> tuple[Matrix, float]:
     """Follow Newton's method while it helps; return the solution and the size of the last step."""
     X, error = (X + X.T) / 2, np.inf
     for _ in range(_REFINEMENTS):
-        step = _newton_step(A, Q, S, X)
+        closed = A - S @ X
+        if not np.isfinite(closed).all():
+            raise RiccatiError("the solver returned entries that are not finite")
+        T, U = schur(closed.T)
+        _check_stability(T.diagonal().max())  # the real parts are on a real Schur form's diagonal
+        # the step Z solves closed' Z + Z closed + residual = 0
+        Z, scale, _ = dtrsyl(T, T, -U.T @ _residual(A, Q, S, X) @ U, tranb="T")
+        Z = U @ (Z / scale) @ U.T
+        step = (Z + Z.T) / 2
         size = np.linalg.norm(step) / (np.linalg.norm(X + step) or 1.0)
         if size > error / 2 and error < ERROR_TOLERANCE:
             break  # what is left is rounding
@@ -146,26 +135,12 @@ def _refine(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> tuple[Matrix, float]:
     return X, float(error)
 
 
-def _newton_step(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> Matrix:
-    """Return the Z of closed' Z + Z closed + residual = 0."""
-    closed = A - S @ X
-    if not np.isfinite(closed).all():
-        raise RiccatiError("the solver returned entries that are not finite")
-    T, U = schur(closed.T)
-    _check_stability(T.diagonal().max())  # the real parts are on a real Schur form's diagonal
-    Z, scale, _ = dtrsyl(T, T, -U.T @ _residual(A, Q, S, X) @ U, tranb="T")
-    Z = U @ (Z / scale) @ U.T
-    return (Z + Z.T) / 2
-
-
 def _residual(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> Matrix:
     half = A.T @ X
     return half + half.T + Q - X @ S @ X
 
 
-def _certify(
-    A: Matrix, Q: Matrix, S: Matrix, X: Matrix, error: float
-) -> tuple[float, float, float]:
+def _certify(A: Matrix, Q: Matrix, S: Matrix, X: Matrix, error: float) -> list[float]:
     """Return relative residual, relative smallest eigenvalue and decay rate, or refuse."""
     size_A, size_Q, size_S, size = map(np.linalg.norm, (A, Q, S, X))
     terms = 2 * size_A * size + size_Q + size_S * size**2
@@ -177,7 +152,7 @@ def _certify(
     abscissa = np.linalg.eigvals(A - S @ X).real.max()
     _check_stability(abscissa)
     smallest = np.linalg.eigvalsh(X).min() / (size or 1.0)
-    return float(residual), float(smallest), float(-abscissa)
+    return [float(residual), float(smallest), float(-abscissa)]
 
 
 def _check_stability(abscissa: float) -> None:

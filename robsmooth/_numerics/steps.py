@@ -1,10 +1,24 @@
-"""How long the steps of a simulation are, and durations and delays in whole ones."""
+r"""The steps of a simulation: how long they are, and what a linear system does in one.
+
+For :math:`dz = (Az + Bu)\,dt`, with `u` linear in time from :math:`u_0` to :math:`u_1`,
+
+.. math::
+
+    z(h) = e^{Ah}z(0) + K_1u_0 + K_2(u_1 - u_0), \qquad
+    K_1 = \int_0^h e^{As}\,ds\,B = h\varphi_1(Ah)B, \qquad
+    K_2 = \frac1h\int_0^h\!\!\int_0^s e^{Ar}\,dr\,ds\,B = h\varphi_2(Ah)B .
+"""
 
 import math
 import warnings
 
-from robsmooth._support.errors import LongStepWarning
+import numpy as np
+from scipy.linalg import expm, matrix_balance
 
+from robsmooth._support.errors import LongStepWarning
+from robsmooth._support.validation import Matrix
+
+_RESIDUAL_TOLERANCE = 1e-10  # of the phi functions
 MULTIPLE_TOLERANCE = 1e-6  # how far delay / step may be from a whole number
 
 
@@ -26,9 +40,7 @@ def warn_of_long_step(
 def dividing_step(delay: float, longest: float, duration: float) -> float:
     """Return the largest step up to `longest`, and to the duration, that divides the delay."""
     step = min(longest, duration)
-    if delay > 0:
-        step = delay / math.ceil(delay / step - 1e-9)
-    return step
+    return delay / math.ceil(delay / step - 1e-9) if delay > 0 else step
 
 
 def steps_in(duration: float, step: float) -> int:
@@ -51,3 +63,27 @@ def whole_steps(delay: float, step: float) -> int:
         f"({ratio:.6g} steps): the nearest that do are {delay / fewer:.12g} ({fewer} steps) and "
         f"{delay / (fewer + 1):.12g} ({fewer + 1} steps)"
     )
+
+
+def responses(A: Matrix, B: Matrix, step: float) -> tuple[Matrix, Matrix, Matrix]:
+    r"""Return e^{A step}, K_1 and K_2.
+
+    :math:`\varphi_0 = e^A` and :math:`\varphi_{j+1} = A^{-1}(\varphi_j - 1/j!)` are blocks of one
+    exponential, which needs no inverse of A.
+    """
+    n = len(A)
+    balanced, (scale, _) = matrix_balance(step * A, permute=False, separate=True)
+    block = np.eye(3 * n, k=n)
+    block[:n, :n] = balanced
+    with np.errstate(all="ignore"):  # an overflow leaves a residual that is not a number
+        phi = expm(block)[:n].reshape(n, 3, n).swapaxes(0, 1)
+        residuals = balanced @ phi[1:] - phi[:2] + np.eye(n)
+        size = 1.0 + np.linalg.norm(balanced) * np.linalg.norm(phi[1:], axis=(1, 2))
+        residual = (np.linalg.norm(residuals, axis=(1, 2)) / size).max()
+    if not residual <= _RESIDUAL_TOLERANCE:
+        raise ArithmeticError(
+            f"the matrix exponential over one step was found to {residual:.2g} only: it is too "
+            "long for an unstable estimator"
+        )
+    phi_0, phi_1, phi_2 = scale[:, None] * phi / scale
+    return phi_0, step * phi_1 @ B, step * phi_2 @ B

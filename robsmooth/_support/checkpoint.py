@@ -4,14 +4,12 @@ The file is an SQLite database with one table. Record 0 is the identity of the c
 record has a checksum, because SQLite does not see that a bit of a value has changed.
 
 A record is whole or absent, and on the disk when `Journal.append` returns: SQLite keeps a rollback
-journal (``journal_mode = DELETE``, ``synchronous = FULL``) in a file beside the checkpoint,
-``<name>-journal``. A crash may leave that file; SQLite needs it at the next opening, so move the
-two together. SQLite's write-ahead log (``WAL``) is not used: the processes that have such a
-database open share memory, which those on two machines of a network file system cannot.
+journal in a file beside the checkpoint, ``<name>-journal``. A crash may leave that file; move the
+two together. SQLite's write-ahead log is not used: it needs memory that the processes share, which
+those on two machines of a network file system cannot.
 
-One run at a time has the file, by a lock of the file system. On NFS the lock reaches other machines
-where the server grants locks (NFS 4, or NFS 3 with lockd). In a folder that is mounted with
-``nolock`` or ``local_lock``, runs of two machines do not see each other: give each another path.
+One run at a time has the file, by a lock of the file system. In a network folder that is mounted
+without locks, runs of two machines do not see each other: give each another path.
 """
 
 import hashlib
@@ -25,8 +23,8 @@ from pathlib import Path
 from robsmooth._support import files
 
 APPLICATION = int.from_bytes(b"rsmo", "big")  # says in an SQLite database whose it is
-LONGEST_SHOWN = 40  # characters of a value in a message
 ANEW = "give another path, or delete the file to start anew"
+NOT_ONE = "{} is not a checkpoint of this version of robsmooth: give another path"
 
 
 class CheckpointError(ValueError):
@@ -53,7 +51,7 @@ def open_journal(
             path.parent.mkdir(parents=True, exist_ok=True)
             # SQLite would take a file of one byte for an empty database.
             if path.exists() and (not path.is_file() or path.stat().st_size == 1):
-                raise _not_a_checkpoint(path)
+                raise CheckpointError(NOT_ONE.format(path))
             database = stack.enter_context(files.exclusive_lock(path))
             journal = Journal(path, database, dict(identity))
         except BlockingIOError:
@@ -63,7 +61,7 @@ def open_journal(
             ) from None
         except (OSError, sqlite3.Error, UnicodeDecodeError) as error:  # the last: of damaged SQL
             if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_NOTADB:
-                raise _not_a_checkpoint(path) from None
+                raise CheckpointError(NOT_ONE.format(path)) from None
             reason = getattr(error, "strerror", None) or error
             message = f"the checkpoint {path} cannot be opened: {reason}; {ANEW}"
             raise CheckpointError(message) from None
@@ -80,7 +78,7 @@ class Journal:
         database.text_factory = lambda text: text.decode(errors="replace")
         is_new = path.stat().st_size == 0
         if not is_new and self._value("PRAGMA application_id") != APPLICATION:
-            raise _not_a_checkpoint(path)
+            raise CheckpointError(NOT_ONE.format(path))
         database.execute("PRAGMA journal_mode = DELETE")
         database.execute("PRAGMA synchronous = FULL")
         database.execute("PRAGMA fullfsync = ON")  # on macOS, past the cache of the disk
@@ -93,7 +91,7 @@ class Journal:
             database.execute("COMMIT")
         if self._value("PRAGMA quick_check(1)") != "ok":
             raise sqlite3.DatabaseError("database disk image is malformed")
-        _check_identity(path, self._read(0), identity)
+        self._check_identity(_texts(self._read(0)), _texts(identity))
         self._found = self._value("SELECT max(number) FROM record")  # records on opening
         self.last = self._read(self._found) if self._found else None  # that was there on opening
 
@@ -103,10 +101,7 @@ class Journal:
             yield self._read(number)
 
     def append(self, record: Mapping[str, object]) -> None:
-        """Add a record of JSON values; it is on the disk on return, or an OSError says why not.
-
-        Floats keep every bit.
-        """
+        """Add a record of JSON values; it is on the disk on return, or an OSError says why not."""
         try:
             self._insert(self._value("SELECT max(number) + 1 FROM record"), dict(record))
         except sqlite3.Error as error:
@@ -114,6 +109,16 @@ class Journal:
                 f"the checkpoint {self.path} takes no more, as where the disk is full: {error}; "
                 "what it held before is kept, and the same run resumes from it once that is mended"
             ) from None
+
+    def _check_identity(self, there: dict[str, str], here: dict[str, str]) -> None:
+        differences = [
+            f"{name} is {_short(there.get(name))} there and {_short(here.get(name))} here"
+            for name in sorted(there | here)
+            if there.get(name) != here.get(name)
+        ]
+        if differences:
+            what = f"is of another computation: {'; '.join(differences)}"
+            raise CheckpointError(f"the checkpoint {self.path} {what}; {ANEW}")
 
     def _insert(self, number: int, record: dict) -> None:
         text = _text(record)
@@ -124,32 +129,13 @@ class Journal:
         query = "SELECT checksum, text FROM record WHERE number = ?"
         checksum, text = self._database.execute(query, (number,)).fetchone() or (None, None)
         if checksum != _checksum(number, text):
-            raise CheckpointError(
-                f"record {number} of the checkpoint {self.path} is damaged: {ANEW}"
-            )
+            message = f"record {number} of the checkpoint {self.path} is damaged: {ANEW}"
+            raise CheckpointError(message)
         return json.loads(text)
 
     def _value(self, query: str) -> object:
         """The first value that a query finds."""
         return self._database.execute(query).fetchone()[0]
-
-
-def _check_identity(path: Path, there: dict, here: dict) -> None:
-    there, here = _texts(there), _texts(here)
-    differences = [
-        f"{name} is {_short(there.get(name))} there and {_short(here.get(name))} here"
-        for name in sorted(there | here)
-        if there.get(name) != here.get(name)
-    ]
-    if differences:
-        raise CheckpointError(
-            f"the checkpoint {path} is of another computation: {'; '.join(differences)}; {ANEW}"
-        )
-
-
-def _not_a_checkpoint(path: Path) -> CheckpointError:
-    this = "a checkpoint of this version of robsmooth"
-    return CheckpointError(f"{path} is not {this}: give another path")
 
 
 def _text(value: object) -> str:
@@ -172,4 +158,4 @@ def _texts(identity: Mapping, prefix: str = "") -> dict[str, str]:
 def _short(text: str | None) -> str:
     """A text for a message: both ends of a long one."""
     text = "absent" if text is None else text
-    return text if len(text) <= LONGEST_SHOWN else f"{text[:16]}...{text[-8:]}"
+    return text if len(text) <= 40 else f"{text[:16]}...{text[-8:]}"

@@ -1,8 +1,7 @@
 """Where calls are computed: here, or on a Dask cluster; the results come in the same order.
 
-When a worker ends, Dask computes its calls again on another, so a function must give the same
-result wherever it runs. To that end a worker computes only with the same software as here. Dask's
-own comparison of versions comes to a warning, and knows nothing of the sources of this package.
+When a worker ends, Dask computes its calls again on another. So a worker computes only with the
+same software as here: Dask itself only warns of other versions, and of its own packages.
 Dask is an optional dependency: nothing here imports it before a cluster is asked for.
 """
 
@@ -17,12 +16,12 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from importlib import metadata
 from importlib.resources import files
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robsmooth._support.extras import extra
 
@@ -40,7 +39,9 @@ ADDRESS = re.compile(r"(?:tcp|tls)://(?:[^\s/:@\[\]]+|\[[\w:.%]+\]):(\d+)")
 PACKAGES = ("numpy", "numba", "scipy")  # what results depend on to the last bit
 LOGGERS = ("distributed", "distributed.client", "tornado.application")
 
-_ALONE = threading.RLock()
+# Keeps other threads of this process out of a block: numba's thread pool "workqueue" ends the
+# process when two threads of a worker enter it at once.
+ALONE = threading.RLock()
 
 
 def in_order(
@@ -48,10 +49,10 @@ def in_order(
 ) -> Iterator[Any]:
     """Yield ``function(*call)`` for each call, in the order of the calls, or raise as it does.
 
-    The function is sent with each call: it should pickle to less than about 100 kB. Calls are taken
-    as they are needed. Closing the iterator early, as an error or Ctrl-C in the loop over it does,
-    drops the calls that are on their way. ConnectionError says that there is no worker or no
-    scheduler, RuntimeError that a worker has other software or that a call ended several workers.
+    The function is sent with each call: it should pickle to less than about 100 kB. Closing the
+    iterator early, as an error in the loop over it does, drops the calls that are on their way.
+    ConnectionError says that there is no worker or no scheduler, RuntimeError that a worker has
+    other software or that a call ended several workers.
     """
     _check_client(client)
     if client is None:
@@ -83,10 +84,7 @@ def workers(client: "Client | None") -> int:
 
 @contextmanager
 def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
-    """Connect to the scheduler at an address; with the empty address, give None.
-
-    What Dask logs on the side is silenced meanwhile: what matters comes as an exception.
-    """
+    """Connect to the scheduler at an address; with the empty address, give None."""
     if address == "":
         yield None
         return
@@ -97,7 +95,7 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
     with extra("cluster", "a cluster"):
         from distributed import Client
     with ExitStack() as stack:
-        for logger in map(logging.getLogger, LOGGERS):
+        for logger in map(logging.getLogger, LOGGERS):  # what matters comes as an exception
             stack.callback(logger.setLevel, logger.level)
             logger.setLevel(logging.CRITICAL)
         try:
@@ -106,20 +104,11 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
                 client = Client(address, timeout=timeout, set_as_default=False)
         except Exception as error:
             reason = "is it running?" if isinstance(error, OSError) else str(error)
-            raise ConnectionError(
-                f"no Dask scheduler answers at {address} within {timeout:g} s: {reason}"
-            ) from None
+            message = f"no Dask scheduler answers at {address} within {timeout:g} s: {reason}"
+            raise ConnectionError(message) from None
         if kind != "Scheduler":
             raise ConnectionError(f"at {address} is a Dask {kind.lower()}, not a scheduler")
         yield stack.enter_context(client)
-
-
-def alone() -> AbstractContextManager:
-    """Keep other threads of this process out of a block.
-
-    numba's thread pool "workqueue" ends the process when two threads of a worker enter it at once.
-    """
-    return _ALONE
 
 
 def worker_threads() -> int | None:
@@ -159,22 +148,19 @@ def _sources(folder: "Traversable", prefix: str = "") -> Iterator[tuple[str, byt
 _SOURCES = _digest_sources(files("robsmooth"))
 
 
-class _Call:
-    """A call that is computed by unpickling it.
+class _Call(NamedTuple):
+    """A call that unpickling computes: ``pickle.loads`` and bytes are known to every worker."""
 
-    Thus scheduler and worker are sent nothing but ``pickle.loads`` and bytes, which any of them
-    understands, and it is robsmooth that says what is wrong with the software of a worker.
-    """
-
-    def __init__(self, *parts: object):
-        self.parts = parts
+    software: dict[str, str]  # of the client
+    function: bytes
+    arguments: bytes
 
     def __reduce__(self):
-        return _compute, self.parts
+        return _compute, tuple(self)
 
 
 def _compute(wanted: dict[str, str], function: bytes, arguments: bytes) -> Any:
-    """Do a call on a worker, after a check that its software is that of the client."""
+    """Do a call on a worker, after a check of its software."""
     here = software()
     differences = ", ".join(
         f"{name} {here.get(name, 'absent')[:12]} and not {wanted.get(name, 'absent')[:12]}"
@@ -235,17 +221,13 @@ def _result(future: "Future", client: "Client", patience: float) -> Any:
     try:
         return future.result(timeout=patience)
     except KilledWorker as error:
-        raise RuntimeError(
-            f"the same call was on {error.allowed_failures + 1} worker(s) that ended: it may need "
-            "more memory than they have"
-        ) from None
+        ended = f"the same call was on {error.allowed_failures + 1} worker(s) that ended"
+        raise RuntimeError(f"{ended}: it may need more memory than they have") from None
     except ImportError as error:
         if (error.name or "").partition(".")[0] != "robsmooth":
             raise
-        raise RuntimeError(
-            f"a worker cannot import {error.name}: start the workers in an environment with the "
-            "same robsmooth as here"
-        ) from None
+        advice = "start the workers in an environment with the same robsmooth as here"
+        raise RuntimeError(f"a worker cannot import {error.name}: {advice}") from None
     except (OSError, CancelledError) as error:
         if isinstance(error, TimeoutError) or future.status == "error":  # the function's own
             raise

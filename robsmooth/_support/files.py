@@ -50,11 +50,10 @@ def _builtin(value: object) -> object:
 def exclusive_lock(path: str | os.PathLike) -> Iterator[sqlite3.Connection]:
     """Open the SQLite database at a path, and keep everything else from opening it meanwhile.
 
-    An empty or missing file is an empty database, and stays one until something is written to it.
-    SQLite has this lock on every system, which takes it back when the process ends, however it
-    ends. Nothing else in the process may open the file meanwhile: on POSIX systems to close it
-    again gives up the lock. BlockingIOError where something else has it, OSError where the file
-    cannot be opened, sqlite3.DatabaseError for other content.
+    An empty or missing file is an empty database. The system takes the lock back when the process
+    ends, however it ends. Nothing else in the process may open the file meanwhile: on POSIX systems
+    to close it again gives up the lock. BlockingIOError where something else has it, OSError where
+    the file cannot be opened, sqlite3.DatabaseError for other content.
     """
     path = Path(path).absolute()  # ":memory:" is the name of a file, too
     try:

@@ -10,11 +10,7 @@ F = TypeVar("F", bound=Callable[..., object])
 
 
 def kept(**options: bool) -> Callable[[F], F]:
-    """Return `numba.njit` with these options, which keeps what it compiles where it can.
-
-    numba keeps it beside the sources, or else in the home, and loads it for the same file and types
-    of arguments, a default that is left out included.
-    """
+    """Return `numba.njit` with these options, which keeps what it compiles where it can."""
 
     def decorate(function: F) -> F:
         try:

@@ -11,10 +11,8 @@ from numpy.typing import ArrayLike
 
 LIMIT = 6  # of more rows, columns or entries than these, the middle ones are left out
 _DIGITS = 4
-# An entry this small is zero in print: over the geometric mean of its row's and column's largest.
-_NEGLIGIBLE_ENTRY = 1e-16
-# A pole whose imaginary part is this small, over its size, is real in print.
-_NEGLIGIBLE_IMAGINARY_PART = 1e-12
+_NO_ENTRY = 1e-16  # is zero in print, over the mean of its row's and column's largest
+_NO_IMAGINARY_PART = 1e-12  # over the size of a pole
 
 
 def number(value: float, digits: int = _DIGITS) -> str:
@@ -26,10 +24,8 @@ def number(value: float, digits: int = _DIGITS) -> str:
     mantissa, exponent = scientific(value, digits)
     if exponent is None:
         return mantissa
-    power = f"10^{{{exponent}}}"
-    if mantissa in ("1", "-1"):
-        return mantissa.replace("1", power)
-    return rf"{mantissa}\times{power}"
+    factor = {"1": "", "-1": "-"}.get(mantissa, rf"{mantissa}\times")
+    return f"{factor}10^{{{exponent}}}"
 
 
 def scientific(value: float, digits: int = _DIGITS) -> tuple[str, int | None]:
@@ -48,8 +44,7 @@ def estimate(mean: float, error: float) -> str:
 
 def vector(values: Iterable[float]) -> str:
     r"""Return numbers as LaTeX, in parentheses."""
-    entries = ", ".join(_elided(map(number, values), r"\dots"))
-    return f"({entries})"
+    return "(" + ", ".join(_elided(map(number, values), r"\dots")) + ")"
 
 
 def matrix(value: ArrayLike) -> str:
@@ -59,17 +54,15 @@ def matrix(value: ArrayLike) -> str:
         return r"0_{{{}\times{}}}".format(*value.shape)
     sizes = np.abs(value)
     roots = np.sqrt(sizes.max(axis=1, keepdims=True)) * np.sqrt(sizes.max(axis=0))
-    value = np.where(sizes < _NEGLIGIBLE_ENTRY * roots, 0.0, value)
+    value = np.where(sizes < _NO_ENTRY * roots, 0.0, value)
     if value.shape == (1, 1):
         return number(value[0, 0])
-
     dots = " & ".join(_elided([r"\vdots"] * value.shape[1], r"\ddots"))
     lines = [
         dots if row is None else " & ".join(_elided(map(number, row), r"\cdots"))
         for row in _elided(value, None)
     ]
-    body = r" \\ ".join(lines)
-    return rf"\begin{{bmatrix}}{body}\end{{bmatrix}}"
+    return r"\begin{bmatrix}" + r" \\ ".join(lines) + r"\end{bmatrix}"
 
 
 def product(factor: ArrayLike, symbol: str) -> str:
@@ -92,7 +85,7 @@ def poles(values: Iterable[complex]) -> str:
     r"""Return eigenvalues of a real matrix as LaTeX, each conjugate pair once."""
     texts = []
     for pole in values:
-        if abs(pole.imag) <= _NEGLIGIBLE_IMAGINARY_PART * abs(pole):
+        if abs(pole.imag) <= _NO_IMAGINARY_PART * abs(pole):
             texts.append(number(pole.real))
         elif pole.imag > 0.0:
             texts.append(rf"{number(pole.real)} \pm {number(pole.imag)}\,i")

@@ -1,8 +1,6 @@
-"""Progress bars: where they are shown, and how.
+"""Progress bars: of ipywidgets in a notebook, of text in a terminal.
 
-In a notebook, a bar of ipywidgets; in a terminal, one of text. None where nobody watches: in CI
-(``CI`` is set), where ``TQDM_DISABLE`` is set, as for the notebooks of the pipeline, and where
-stderr goes to a file.
+There is none where ``CI`` or ``TQDM_DISABLE`` is set, and where stderr goes to a file.
 """
 
 import os
@@ -17,17 +15,14 @@ def progress_bar(iterable: Iterable | None = None, *, shown: bool = True, **sett
     """Return a bar with settings of `tqdm.tqdm`, which does nothing where it is not to be shown."""
     ipython = sys.modules.get("IPython")
     in_notebook = ipython is not None and hasattr(ipython.get_ipython(), "kernel")
-    shown = shown and not (_is_set("CI") or _is_set("TQDM_DISABLE"))
+    switches = (os.environ.get(name, "").lower() for name in ("CI", "TQDM_DISABLE"))
+    shown = shown and all(switch in ("", "0", "false") for switch in switches)
     if shown and in_notebook and find_spec("ipywidgets") is not None:
         from tqdm.notebook import tqdm as notebook_bar
 
         return notebook_bar(iterable, disable=False, **settings)
     shown = shown and (in_notebook or _in_terminal())
     return tqdm(iterable, disable=not shown, **settings)
-
-
-def _is_set(name: str) -> bool:
-    return os.environ.get(name, "").lower() not in ("", "0", "false")
 
 
 def _in_terminal() -> bool:

@@ -48,16 +48,12 @@ class Table:
     def html(self) -> str:
         """Return the table for HTML with MathJax, in a box that scrolls it where it is too wide."""
         columns = list(zip(*self._printed_rows(), strict=True)) or [()] * len(self.columns)
-        styles = [
-            f'style="text-align: {"right" if _numeric(column) else "left"}"' for column in columns
-        ]
-        header = "".join(
-            f'<th scope="col" {style}>{_html(name)}</th>'
-            for name, style in zip(self.columns, styles, strict=True)
-        )
-        body = "\n".join(
-            f"<tr>{''.join(map(self._html_cell, row, styles))}</tr>" for row in self.rows
-        )
+        sides = ["right" if _numeric(column) else "left" for column in columns]
+        styles = [f'style="text-align: {side}"' for side in sides]
+        names = map(_html, self.columns)
+        header = "".join(map('<th scope="col" {}>{}</th>'.format, styles, names))
+        rows = ("".join(map(self._html_cell, row, styles)) for row in self.rows)
+        body = "\n".join(f"<tr>{row}</tr>" for row in rows)
         caption = f"<caption>{_html(self.caption)}</caption>\n" if self.caption else ""
         # MathJax puts formulas for screen readers behind those that are seen: the box is not to
         # scroll where only they are wider than the table
@@ -72,32 +68,23 @@ class Table:
     def latex(self) -> str:
         """Return a LaTeX table, to be used with the booktabs package."""
         header, *rows = (
-            " & ".join(_latex(cell) for cell in row) + r" \\"
+            " & ".join(map(_latex, row)) + " \\\\\n"
             for row in [self.columns, *self._printed_rows()]
         )
         caption = rf"\caption{{{_latex(self.caption)}}}" + "\n" if self.caption else ""
-        alignment = "l" * len(self.columns)
-        lines = (
-            r"\begin{table}",
-            r"\centering",
-            rf"{caption}\begin{{tabular}}{{{alignment}}}",
-            r"\toprule",
-            header,
-            r"\midrule",
-            *rows,
-            r"\bottomrule",
-            r"\end{tabular}",
-            r"\end{table}",
+        return (
+            f"\\begin{{table}}\n\\centering\n{caption}"
+            f"\\begin{{tabular}}{{{'l' * len(self.columns)}}}\n"
+            f"\\toprule\n{header}\\midrule\n{''.join(rows)}\\bottomrule\n"
+            "\\end{tabular}\n\\end{table}\n"
         )
-        return "\n".join(lines) + "\n"
 
     def csv(self) -> str:
         """Return the table as comma-separated values, numbers to twelve digits."""
         text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(self.columns)
         full = replace(self, digits=12)  # the last few of sixteen differ from machine to machine
-        writer.writerows(full._printed_rows())
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerows([self.columns, *full._printed_rows()])
         return text.getvalue()
 
     def save(self, directory: Path | str, name: str) -> None:

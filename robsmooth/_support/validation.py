@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+INF = math.inf
 Matrix = NDArray[np.float64]
 
 
-def array(name: str, value: ArrayLike, ndim: int) -> NDArray[np.float64]:
+def array(name: str, value: ArrayLike, ndim: int) -> Matrix:
     """Return `value` as a read-only float array of `ndim` dimensions, finite and real."""
     try:
         given = np.asarray(value)
@@ -26,8 +27,7 @@ def array(name: str, value: ArrayLike, ndim: int) -> NDArray[np.float64]:
     if not np.isfinite(result).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
         raise ValueError(f"{name} must be finite, got {result[where]} at index {where}")
-    result.flags.writeable = False
-    return result
+    return frozen(result)
 
 
 def matrix(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Matrix:
@@ -41,15 +41,9 @@ def matrix(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Matrix:
 
 
 def real(
-    name: str,
-    value: float,
-    *,
-    low: float = -math.inf,
-    high: float = math.inf,
-    low_open: bool = False,
-    high_open: bool = False,
+    name: str, value: float, *, low: float = -INF, high: float = INF, without: Sequence[float] = ()
 ) -> float:
-    """Return `value` as a finite float within an interval."""
+    """Return `value` as a finite float within an interval, `without` some of its ends."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
@@ -57,13 +51,10 @@ def real(
     try:
         result = float(value)
     except OverflowError:  # an integer beyond the floats
-        result = math.inf if value > 0 else -math.inf
-    outside = (result <= low if low_open else result < low) or (
-        result >= high if high_open else result > high
-    )
-    if not math.isfinite(result) or outside:
-        left = "(" if low_open or math.isinf(low) else "["
-        right = ")" if high_open or math.isinf(high) else "]"
+        result = INF if value > 0 else -INF
+    without = (-INF, INF, *without)
+    if not low <= result <= high or result in without:
+        left, right = "(" if low in without else "[", ")" if high in without else "]"
         raise ValueError(
             f"{name} must be finite and in {left}{low:g}, {high:g}{right}, got {result!r}"
         )
@@ -76,15 +67,9 @@ def frozen(value: Matrix) -> Matrix:
     return value
 
 
-def set_fields(frozen: object, **values: object) -> None:
-    """Set the fields of a frozen dataclass, as only its constructor may."""
-    for name, value in values.items():
-        object.__setattr__(frozen, name, value)
-
-
 def positive(name: str, value: float) -> float:
     """Return `value` as a finite float above zero."""
-    return real(name, value, low=0.0, low_open=True)
+    return real(name, value, low=0.0, without=[0.0])
 
 
 def integer(name: str, value: int, *, low: int) -> int:

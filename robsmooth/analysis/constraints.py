@@ -1,8 +1,7 @@
 r"""The exact worst case of a given estimator under the paper's constraints.
 
-A design's bound V is for the best estimator that the theory can prove it for. How large can the
-error of a *given* estimator become? The constraints (eqIQC1) to (eqIQC4) speak of mean energies of
-inputs :math:`\tilde\xi` that may depend on all that has happened. For multipliers
+How large can the error of a *given* estimator become? The constraints (eqIQC1) to (eqIQC4) speak of
+mean energies of inputs :math:`\tilde\xi` that may depend on all that has happened. For multipliers
 :math:`\theta \ge 0` and the stabilising solution of
 
 .. math::
@@ -55,13 +54,10 @@ class AnalysisBound:
     gap : float
         The share of `mean_square` that no admissible input was shown to reach, to first order.
     fraction : float
-        The share of the uncertainty's outputs for which there is a bound: 0 for a loop that is not
-        stable without them.
-    guarantee : float or None
-        Twice the bound V of the design, where that is for this error.
+        The share of the uncertainty for which there is a bound: 0 for a loop unstable without it.
+    guarantee : float or None, twice the bound V of the design, where that is for this error
     multipliers : (k + 3g,) array
-        theta, in the squared unit of w times seconds; infinity for a constraint that allows its
-        input no energy.
+        theta, s (unit of w)^2; infinity for a constraint that allows its input no energy.
     feedback : (r + 2g, N) array
         The worst input as a feedback of the states X. Both are empty where there is no bound.
 
@@ -112,10 +108,8 @@ def analysis_bound(
 
     Parameters
     ----------
-    smoother, output, loop
-        As in `error_covariance`, of any design, robust or not.
-    copy_noise : bool, optional
-        Another way to say `loop`, also in its place: True for "theory", False for "real".
+    smoother, output, loop, copy_noise
+        As in `error_covariance`.
     delay_order : int
         Pade order of the delay of w where `output` is "smoothed": the true delay has no finite
         state. The result is for that model, whose states follow those of the loop.
@@ -124,10 +118,9 @@ def analysis_bound(
     -------
     AnalysisBound
 
-    Raises
-    ------
-    ValueError, TypeError
-        For an argument that is not as described.
+    See Also
+    --------
+    worst_case, minimize_bound : the worst constant uncertainty; the paper's own bound.
 
     References
     ----------
@@ -185,14 +178,14 @@ def _feasible(
 def _with_delay_model(loop: OpenLoop, order: int) -> OpenLoop:
     """Return the loop with its delay of the truth as a Pade model, in states of its own."""
     model = pade_delay(loop.delay, order, len(loop.truth))
-    states = len(model.F)
+    below, beside = ((0, len(model.F)), (0, 0)), ((0, 0), (0, len(model.F)))
     return replace(
         loop,
-        A=np.block([[loop.A, np.zeros((len(loop.A), states))], [model.G @ loop.truth, model.F]]),
-        B=np.vstack([loop.B, np.zeros((states, loop.B.shape[1]))]),
-        inputs=np.vstack([loop.inputs, np.zeros((states, loop.inputs.shape[1]))]),
-        outputs=np.hstack([loop.outputs, np.zeros((len(loop.outputs), states))]),
+        A=np.vstack([np.pad(loop.A, beside), np.hstack([model.G @ loop.truth, model.F])]),
+        B=np.pad(loop.B, below),
+        inputs=np.pad(loop.inputs, below),
+        outputs=np.pad(loop.outputs, beside),
         truth=np.hstack([model.J @ loop.truth, model.H]),
-        estimate=np.hstack([loop.estimate, np.zeros((len(loop.estimate), states))]),
+        estimate=np.pad(loop.estimate, beside),
         delay=0.0,
     )

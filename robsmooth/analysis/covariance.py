@@ -20,9 +20,8 @@ cannot be negative,
              + C_s \mathbf W C_s', \qquad
     \mathbf W = \mathbf P - e^{\mathbf A\delta}\mathbf P e^{\mathbf A'\delta}:
 
-what the state one lag back contributes, and the noise since then (`robsmooth._numerics.lyapunov`
-finds `W` without the subtraction). The state is :math:`[x_p;\; x_p - \hat x_p]`, so that a small
-error is small from the start.
+what the state one lag back contributes, and the noise since then. The state is
+:math:`[x_p;\; x_p - \hat x_p]`, so that a small error is small from the start.
 """
 
 from collections.abc import Iterable
@@ -42,7 +41,7 @@ from robsmooth.estimators.loop import OUTPUTS, Reference, error_rows, matrices, 
 from robsmooth.systems.augmented import AugmentedSystem
 
 _BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once
-_EIGENVALUE_ERROR = 1e-12  # relative to the largest entry of the matrix
+_EIGENVALUE_ERROR = 1e-12  # relative to the largest entry; the covariance tells the rest
 _NORM_ERROR = 1e-12
 
 
@@ -118,10 +117,7 @@ def _check_norm(plant: AugmentedSystem, Delta: Matrix) -> None:
 def _closed(
     estimator: Estimator, Delta: Matrix, loop: str, reference: Reference = None
 ) -> ClosedLoop:
-    """Close the loop for one Delta or (N, ., .) of them; refuse what is clearly not stable.
-
-    What rounding hides, the covariance will tell.
-    """
+    """Close the loop for one Delta or (N, ., .) of them; refuse what is clearly not stable."""
     A, B, inputs, outputs = matrices(estimator, loop, reference)
     A = A + inputs @ Delta @ outputs
     abscissa = np.linalg.eigvals(A).real.max()
@@ -152,8 +148,7 @@ def error_covariance(
 
     Parameters
     ----------
-    smoother : Estimator
-        Any design of this package.
+    smoother : Estimator, any design of this package
     Delta : (r + 2g, h + 2g) array
         :math:`\tilde\xi = \Delta\tilde\zeta`, of norm at most one with the outputs of the
         nonlinearities weighted by their Lipschitz constants. That is necessary to be admissible,
@@ -163,8 +158,7 @@ def error_covariance(
         bound of a `RobustSmoother` is for: the filtered one where its cost is, and else the error
         of w-hat against the output of the delay model.
     loop : {"theory", "real"}
-        Whether the design's fictitious noise drives the copies, as in the paper's formula; a real
-        loop has no such noise.
+        Whether the design's fictitious noise drives the copies, as in the paper; really none does.
     allow_inadmissible : bool, whether a Delta with norm above one is let through
     reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
         What is taken off the nonlinearities' arguments, as in `simulate`; the paper has none.
@@ -181,8 +175,10 @@ def error_covariance(
         Where the closed loop is not asymptotically stable.
     ArithmeticError
         Where the estimated rounding error is above a millionth of a variance.
-    ValueError, TypeError
-        For a Delta of the wrong shape or with norm above one, or an unknown output.
+
+    See Also
+    --------
+    delta_sweep, worst_case, analysis_bound : many slopes, the worst Delta, a bound for all.
 
     Examples
     --------
@@ -210,21 +206,19 @@ def delta_sweep(
     Parameters
     ----------
     smoother : Estimator
-        Any design of this package.
     nonlinearities : (N,) array
         The paper's Delta_2 in [-1, 1], the same for every nonlinearity and its copy; the
         uncertainties are zero.
     output, loop
-        As in `error_covariance`.
+        As in `error_covariance`, and what it raises, too.
 
     Returns
     -------
     (N, m, m) array
 
-    Raises
-    ------
-    UnstableLoopError, ArithmeticError, ValueError, TypeError
-        As `error_covariance`, where it would at any of them.
+    See Also
+    --------
+    error_covariance, worst_case : one uncertainty, and the worst of all.
 
     Examples
     --------

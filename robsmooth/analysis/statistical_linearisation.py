@@ -35,9 +35,7 @@ class StatisticalLinearisation:
 def statistical_linearisation(
     smoother: Estimator, equivalent_slope: Callable[[float], float], reference: Reference = "system"
 ) -> StatisticalLinearisation:
-    r"""Predict the errors of the nonlinear loop, from slopes that belong to its own variances.
-
-    The copies have no fictitious noise here: the loop is the real one.
+    r"""Predict the errors of the real nonlinear loop, from slopes that belong to its own variances.
 
     Parameters
     ----------
@@ -45,8 +43,8 @@ def statistical_linearisation(
         A design for a plant with one output and one nonlinearity, of a multiple of it.
     equivalent_slope : callable
         Maps the variance of the argument, in the squared unit of w, to the nonlinearity's
-        equivalent Delta_2. For the homodyne loop `HomodyneParameters.equivalent_slope`: the
-        Gaussian mean of the slope of :math:`\sin e` is :math:`e^{-P/2}`.
+        equivalent Delta_2, as `HomodyneParameters.equivalent_slope` does: the Gaussian mean of the
+        slope of :math:`\sin e` is :math:`e^{-P/2}`.
     reference : {"system", "filtered", "smoothed"}, (1, n_c) array or None
         What is taken off the argument, as in `simulate`.
 
@@ -60,9 +58,10 @@ def statistical_linearisation(
     ------
     UnstableLoopError
         Where no self-consistent variance exists: the linearised loop loses lock.
-    ValueError, TypeError
-        For another kind of plant or reference, or an `equivalent_slope` that is not callable or
-        does not return a finite number.
+
+    See Also
+    --------
+    simulate, stationary_errors : the nonlinear loop itself; the homodyne loop, by its moments.
 
     Examples
     --------
@@ -106,13 +105,9 @@ def statistical_linearisation(
 
     start = slopes(np.zeros(2))
     largest = _LARGEST_VARIANCE * variances(start).max()
-    found = linearisation.equivalent_slopes(
+    slope, copy_slope = linearisation.equivalent_slopes(
         start, variances, slopes, tolerance=1e-13, iterations=1000, largest=largest
     )
-    closed = linear(found)
-    return StatisticalLinearisation(
-        slope=float(found[0]),
-        filtered=float(closed.error_covariance("filtered")[0, 0]),
-        smoothed=float(closed.error_covariance("smoothed")[0, 0]),
-        copy_slope=float(found[1]),
-    )
+    closed = linear(np.array([slope, copy_slope]))
+    errors = (closed.error_covariance(output).item() for output in ("filtered", "smoothed"))
+    return StatisticalLinearisation(float(slope), *errors, float(copy_slope))

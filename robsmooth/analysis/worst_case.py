@@ -2,18 +2,16 @@ r"""The worst uncertainty of an estimator: constant, or another at every frequen
 
 Admissible here is what satisfies the constraints at every moment or every frequency: blocks of norm
 at most one for the uncertainties, and for each nonlinearity a slope within its Lipschitz constant,
-the same for its copy. A projected gradient search finds the worst of them, from several starts. The
-projection cuts the singular values of the blocks, relative to their gain, at one.
+the same for its copy. A projected gradient search, from several starts, finds the worst of them.
 
 A :math:`\Delta(j\omega)` may be different at every frequency. The mean square error
 
 .. math:: \frac{1}{2\pi}\int \max_{\Delta} \lVert T_e(j\omega; \Delta)\rVert_F^2\,d\omega
 
-takes the worst at each, and is above that of every linear time-invariant uncertainty. (The norm is
-subharmonic in :math:`\Delta`, so that the worst lies on the boundary: slopes become phases.) But
-what is worst at every frequency need not be causal. It then knows the noise to come, which the
-theory's uncertainties do not, and no theorem has it below a design's bound. The exact worst case of
-causal uncertainties is in `robsmooth.analysis.constraints`.
+takes the worst at each, and is above that of every linear time-invariant uncertainty. What is worst
+at every frequency need not be causal. It then knows the noise to come, which the theory's
+uncertainties do not, and no theorem has it below a design's bound. The exact worst case of causal
+uncertainties is in `robsmooth.analysis.constraints`.
 """
 
 from collections.abc import Callable
@@ -59,8 +57,7 @@ class WorstCase:
     mean_square, nominal : float
         The mean square error under it and without uncertainty, in the squared unit of w; infinity
         where the loop is not stable.
-    guarantee : float or None
-        Twice the bound V of the design, where that is for this error.
+    guarantee : float or None, twice the bound V of the design, where that is for this error
 
     Examples
     --------
@@ -113,8 +110,7 @@ def worst_case(
     ----------
     smoother, output, loop
         As in `error_covariance`.
-    starts : int
-        Number of corners of the admissible set to start from, besides its centre.
+    starts : int, number of corners of the admissible set to start from, besides its centre
     seed : int, of the corners
 
     Returns
@@ -122,14 +118,9 @@ def worst_case(
     WorstCase
         With an infinite mean square where an admissible uncertainty makes the loop unstable.
 
-    Raises
-    ------
-    ValueError, TypeError
-        For an argument that is not as described.
-
     See Also
     --------
-    worst_dynamic_case, analysis_bound
+    worst_dynamic_case, analysis_bound : the worst at every frequency; a bound for all.
 
     Examples
     --------
@@ -169,8 +160,7 @@ class WorstDynamicCase:
     Delta : (F, r + 2g, h + 2g) array, complex, the worst uncertainty
     spectra : (3, F) array
         :math:`\lVert T_e\rVert_F^2` without uncertainty, under the worst constant one and under
-        `Delta`, in the squared unit of w times seconds. The integral over positive frequencies,
-        divided by pi, is the mean square error.
+        `Delta`, s (unit of w)^2: pi times the mean square error is its integral.
 
     Examples
     --------
@@ -217,12 +207,9 @@ def worst_dynamic_case(
 
     Parameters
     ----------
-    smoother, output, loop
-        As in `error_covariance`.
-    starts : int
-        Number of random corners to start from at every frequency, besides the worst constant
-        uncertainty and the worst at the neighbouring frequencies.
-    seed : int, of the corners
+    smoother, output, loop, starts, seed
+        As in `worst_case`: corners for every frequency, besides the worst constant uncertainty and
+        the worst at the neighbouring frequencies.
 
     Returns
     -------
@@ -233,10 +220,12 @@ def worst_dynamic_case(
     UnstableLoopError
         Where no multipliers prove the loop stable, so that the maximum could be infinite.
     ArithmeticError
-        Where the integral does not converge, or does not agree with the Lyapunov equation where
-        the uncertainty is constant.
-    ValueError, TypeError
-        For an argument that is not as described.
+        Where the integral does not converge, or disagrees with the Lyapunov equation where the
+        uncertainty is constant.
+
+    See Also
+    --------
+    worst_case, analysis_bound : the worst constant uncertainty, and that of the constraints.
 
     Examples
     --------

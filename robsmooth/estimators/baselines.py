@@ -32,13 +32,16 @@ def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
 
     Returns
     -------
-    Estimator
-        For the plant without delay.
+    Estimator, for the plant without delay
 
     Raises
     ------
     InfeasibleDesignError
         For a measurement without noise, or a mode that is neither stable nor seen.
+
+    See Also
+    --------
+    fixed_lag_smoother, ngcf, linear_robust_filter : with a delay; robust.
 
     Examples
     --------
@@ -68,6 +71,10 @@ def fixed_lag_smoother(
     -------
     Estimator
 
+    See Also
+    --------
+    minimize_bound, optimal_fixed_lag_error : the robust smoother; what no smoother can beat.
+
     References
     ----------
     S. Chirarattananon and B. D. O. Anderson, "Stable fixed-lag smoothing of continuous time
@@ -95,9 +102,8 @@ def linear_robust_filter(
 
     Parameters
     ----------
-    system : UncertainSystem
-    delay, order
-        The delay (s) and the Pade order of its model; none by default.
+    system, delay, order
+        As in `fixed_lag_smoother`; no delay by default.
 
     Returns
     -------
@@ -105,6 +111,10 @@ def linear_robust_filter(
         On the plant of `system`, so that it can be compared with the others.
     design : RobustSmoother
         The same on the plant with the nonlinearities as uncertainties, with its bound.
+
+    See Also
+    --------
+    ngcf : the same with copies.
 
     Examples
     --------
@@ -134,6 +144,10 @@ def ngcf(system: UncertainSystem) -> RobustSmoother:
     -------
     RobustSmoother
 
+    See Also
+    --------
+    minimize_bound, linear_robust_filter : with a delay; without copies.
+
     References
     ----------
     I. R. Petersen, "Robust guaranteed cost state estimation for nonlinear stochastic uncertain
@@ -158,20 +172,21 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     Parameters
     ----------
     system : UncertainSystem
-    delay : float
-        In seconds, at least zero; infinity is two-sided smoothing.
+    delay : float, s, at least zero; infinity is two-sided smoothing
 
     Returns
     -------
-    (m, m) array
-        In the squared unit of w, to rounding of the filter's error.
+    (m, m) array, in the squared unit of w
 
     Raises
     ------
-    InfeasibleDesignError
-        As in `kalman_bucy`.
-    ArithmeticError
-        Where the filter's time constants are so far apart that rounding would spoil the result.
+    InfeasibleDesignError, ArithmeticError
+        As in `kalman_bucy`; where the filter's time constants are so far apart that rounding would
+        spoil the result.
+
+    See Also
+    --------
+    fixed_lag_smoother, optimal_two_sided_error : what comes close; the same for an endless delay.
 
     References
     ----------
@@ -216,6 +231,10 @@ def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
     Returns
     -------
     (m, m) array
+
+    See Also
+    --------
+    optimal_fixed_lag_error
 
     Examples
     --------

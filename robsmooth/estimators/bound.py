@@ -9,17 +9,10 @@ sought:
 - Some multipliers are zero there, on a *face*. Where :math:`M(\lambda)` is singular, the least
   bound is an infimum that no design attains: the search is for the limit
   (`robsmooth.estimators.limit`), and its answer is a design next to it. So it is in the paper's
-  example, for both costs, at :math:`\lambda = (1, \tfrac12, 0, 0)`. Where a copy is of no use, the
-  multiplier of the difference vanishes, and where a measurement is, that of its uncertainty. These
-  faces are tried, and then those of the multipliers that are small where a search ends.
+  example, for both costs, at :math:`\lambda = (1, \tfrac12, 0, 0)`. Known faces are tried, and then
+  those of the multipliers that are small where a search ends.
 - V has more than one local minimum, so that there are several starts. Where none is feasible, the
   uncertainty is made small until one is, and brought back along the way.
-
-The constraint has a kink where eigenvalues are equal, as they often are at the minimum. It says
-:math:`u'J'M(\lambda)Ju \le |u|^2` for every u. SLSQP is given that for some u, and after each pass
-for those that its answer violates and for the eigenvectors of :math:`\sum_i w_iu_iu_i'`, with the
-Lagrange multipliers w of the pass. A few steps of the power method turn each u towards the
-eigenvector of the largest eigenvalue: there is the curvature of the constraint.
 """
 
 import math
@@ -56,7 +49,6 @@ _REFUSED = 1e3  # more than the logarithm of any bound
 _ROUNDING = 1e-9  # a level of the constraint that is smaller, relatively, is rounding
 _OPTIONS = {"ftol": 1e-14, "maxiter": 100}  # of SLSQP
 _PASSES = 10
-_POWER = 12  # steps of the power method in the constraint
 _TIGHT = 1e-11  # what a pass may leave of the constraint's violation, and of log V
 
 # Where no start is feasible, designs for less uncertainty are continued to all of it.
@@ -75,26 +67,26 @@ def minimize_bound(
 
     Parameters
     ----------
-    plant : AugmentedSystem
-        Made by `augment`.
-    cost : {"filtered", "smoothed"}
-        The error that the bound is for, as in `design_smoother`.
+    plant, cost
+        As in `design_smoother`.
     starts, seed : int
-        Number of starting points to descend from, the best of a random sample over decades, and
-        the sample's seed.
+        Number of starting points, the best of a random sample over decades, and its seed.
 
     Returns
     -------
     RobustSmoother
         The best design found. Where the bound falls as some multipliers go to zero, so that no
-        design attains the least one, those multipliers are at most `VANISHING` of the largest,
-        `bound_infimum` is the limit of the bound, and `limit` that of the designs
-        (`limiting_smoother`); otherwise these two are None.
+        design attains the least one, they are at most a millionth of the largest, `bound_infimum`
+        is the limit of the bound, and `limit` that of the designs; otherwise these two are None.
 
     Raises
     ------
     InfeasibleDesignError
         Where no design was found; it says for which fraction of the uncertainty one was.
+
+    See Also
+    --------
+    design_smoother, best_lag, choose_lag : at given tau and lambda; the delay and the order, too.
 
     Examples
     --------
@@ -128,11 +120,10 @@ def minimize_bound(
 
 @one_thread
 def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float:
-    """Return the tau, s times (unit of w)^2, with the least bound at given multipliers.
+    """Return the tau, s (unit of w)^2, with the least bound at multipliers, or in their limit.
 
-    Where some are zero it is that of the limit. The bound falls with tau, from the least one that
-    has a design, and then grows: its slope has one zero. Where no tau has a design, the design at
-    this one says why.
+    The bound falls with tau, from the least one that has a design, and then grows: its slope has
+    one zero. Where no tau has a design, the design at this one says why.
     """
     multipliers = np.asarray(multipliers, dtype=float)
     v = BoundFunction.of(plant, cost, multipliers > 0.0)
@@ -158,10 +149,9 @@ def _best_tau(v: BoundFunction, multipliers: np.ndarray, guess: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Face:
-    """The bound where some multipliers are zero.
+    """The bound where some multipliers are zero, as a function of a point.
 
-    A point holds log tau, the logarithms of the positive multipliers, then those of the rates at
-    which the others vanish, where these matter.
+    That holds the logarithms of tau, the positive multipliers, and the rates that matter of others.
     """
 
     v: BoundFunction  # in whose unit of time tau is
@@ -233,47 +223,34 @@ class Face:
 
     def minimum(self, point: np.ndarray) -> tuple[float, np.ndarray]:
         """Return log V at a local minimum, and the minimum, from a feasible point."""
-        lowest, best, vectors = self.objective(point)[0], point, np.eye(len(self.levels[0]))
-        for _ in range(_PASSES):
-            point, duals = self._pass(point, vectors)
-            levels, directions = np.linalg.eigh(self.level(self.arguments(point)[1]))
-            vectors = np.vstack([vectors, directions.T[levels > 1.0 + _TIGHT], duals])
-            excess = math.log(levels[-1]) if levels[-1] > 0.0 else 0.0
-            before, value = lowest, self.objective(point)[0] + excess
-            if value < lowest:  # after the step onto the constraint
-                lowest, best = value, point.copy()
-                best[0] += excess
-                best[self.own] -= excess
-            if before - lowest < _TIGHT and excess < _TIGHT:
-                break
-        return lowest, best
-
-    @property
-    def own(self) -> slice:
-        """Where in a point the multipliers are."""
-        return slice(1, 1 + int(self.positive.sum()))
-
-    def _pass(self, point: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return SLSQP's minimum under the constraints of these u, and the next u from its dual."""
-        _, multipliers, _ = self.arguments(point)
-        vectors = vectors[((vectors @ self.level(multipliers)) * vectors).sum(axis=1) > _ROUNDING]
-        levels, own = self.levels[self.positive], self.own
+        own = slice(1, 1 + int(self.positive.sum()))  # where in a point the multipliers are
 
         def slack(point: np.ndarray) -> np.ndarray:
-            return 1.0 - _quotients(np.exp(point[own]), levels, vectors)[0]
+            return 1.0 - np.linalg.eigvalsh(self.level(self.arguments(point)[1]))
 
         def slopes(point: np.ndarray) -> np.ndarray:
-            result, multipliers = np.zeros((len(vectors), len(point))), np.exp(point[own])
-            result[:, own] = -multipliers * _quotients(multipliers, levels, vectors)[1]
+            _, u = np.linalg.eigh(self.level(self.arguments(point)[1]))
+            result = np.zeros((len(u), len(point)))
+            change = np.einsum("ij,aik,kj->ja", u, self.levels[self.positive], u)
+            result[:, own] = -np.exp(point[own]) * change
             return result
 
-        constraint = {"type": "ineq", "fun": slack, "jac": slopes}
-        how = {"method": "SLSQP", "options": _OPTIONS, "jac": True, "bounds": self.box.T}
-        constraints = [constraint] if len(vectors) else []
-        found = minimize(self.objective, point, constraints=constraints, **how)
-        weights = found.multipliers if len(vectors) else np.zeros(0)
-        sizes, directions = np.linalg.eigh(vectors.T * weights @ vectors)
-        return np.clip(found.x, *self.box), directions.T[sizes > _ROUNDING * sizes[-1]]
+        lowest, best = self.objective(point)[0], point
+        for _ in range(_PASSES):  # SLSQP stops at the kinks of the eigenvalues, and goes on anew
+            constraint = {"type": "ineq", "fun": slack, "jac": slopes}
+            how = {"method": "SLSQP", "options": _OPTIONS, "jac": True, "bounds": self.box.T}
+            found = minimize(self.objective, point, constraints=constraint, **how)
+            point = np.clip(found.x, *self.box)
+            largest = 1.0 - slack(point).min()
+            if largest > 0.0:  # the step onto the constraint
+                point[0] += math.log(largest)
+                point[own] -= math.log(largest)
+            before, value = lowest, self.objective(point)[0]
+            if value < lowest:
+                lowest, best = value, point.copy()
+            if before - lowest < _TIGHT:
+                break
+        return lowest, best
 
     def starts(self, count: int, rng: np.random.Generator) -> list[np.ndarray]:
         """Return feasible points at the constraint, the lowest of a random sample."""
@@ -294,41 +271,15 @@ class Face:
         return [point for _, point in sorted(found, key=itemgetter(0))[:count]]
 
     def small(self, point: np.ndarray, threshold: float) -> np.ndarray:
-        """Return which multipliers are zero, or smaller than this relative to their natural size.
-
-        A copy's own does nothing where that of the difference is zero, and stays.
-        """
+        """Return which multipliers are small; a copy's stays where the difference's is zero."""
         k = self.v.problem.k
         small = self.arguments(point)[1] < threshold * self.natural
         difference, own, copy = np.split(small[k:], 3)
         return np.concatenate([small[:k], difference, own, copy & ~difference])
 
 
-def _quotients(
-    multipliers: np.ndarray, levels: np.ndarray, vectors: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return y'Sy/y'y of S = J'M(lambda)J and y = S^p u for each u, and its slopes in lambda."""
-    S = np.tensordot(multipliers, levels, 1)
-    size = np.trace(S)
-    powers = [vectors]
-    for _ in range(_POWER):
-        powers.append(powers[-1] @ S / size)
-    y = powers.pop()
-    norms = (y * y).sum(axis=1, keepdims=True)
-    quotients = ((y @ S) * y).sum(axis=1, keepdims=True) / norms
-    slopes = np.einsum("ui,aij,uj->ua", y, levels, y)
-    change = 2.0 * (y @ S - quotients * y) / size  # of the quotient's numerator with y
-    while powers:
-        slopes += np.einsum("ui,aij,uj->ua", change, levels, powers.pop())
-        change = change @ S / size
-    return quotients[:, 0], slopes / norms
-
-
 def _known_faces(plant: AugmentedSystem) -> Iterator[np.ndarray]:
-    """Yield which multipliers are zero on the faces that are tried in any case.
-
-    No multiplier is; a channel is ignored; all copies are trusted, or none is of use.
-    """
+    """Yield zeros to try: none; a channel is ignored; all copies are trusted, or of no use."""
     k, g = plant.system.k, plant.system.g
     yield np.zeros(k + 3 * g, dtype=bool)
     for one in np.eye(k + g, dtype=bool):
@@ -340,13 +291,10 @@ def _known_faces(plant: AugmentedSystem) -> Iterator[np.ndarray]:
 
 def _descents(faces: list[Face], starts: int, seed: int) -> list[Found]:
     """Return local minima: several from the first face, one from each other."""
-    rng = np.random.default_rng(seed)
-    found = []
-    for index, face in enumerate(faces):
-        for start in face.starts(1 if index else starts, rng):
-            value, end = face.minimum(start)
-            found.append((value, face, end))
-    return found
+    rng, counts = np.random.default_rng(seed), [starts] + [1] * len(faces)
+    points = [(face, face.starts(count, rng)) for face, count in zip(faces, counts, strict=False)]
+    minima = [(face, face.minimum(start)) for face, found in points for start in found]
+    return [(value, face, end) for face, (value, end) in minima]
 
 
 def _reduced(best: Found, plant: AugmentedSystem, cost: str) -> Found:

@@ -20,8 +20,8 @@ channels' way into the estimation error,
       - \Lambda_X^{-1}B'(XP_XX + \tfrac12 Z)B\Lambda_X^{-1},
 
 of which the diagonals count. In a limit (`robsmooth.estimators.limit`) the term of x is added, with
-the multiplier of its equation. Everything is in units of order one. The equations are solved fast
-and not certified: the design that a search ends with is, by `design_smoother`.
+the multiplier of its equation. The equations are solved fast and not certified: the design that a
+search ends with is, by `design_smoother`.
 """
 
 from dataclasses import dataclass, replace

@@ -90,11 +90,9 @@ def check_stable(plant: AugmentedSystem) -> None:
 def check_nonnegative(condition: str, smallest: float) -> None:
     """Check the smallest eigenvalue, relative to the norm, of a Riccati equation's solution."""
     if smallest < -_EQUALITY_SLACK:
-        raise refusal(
-            condition,
-            "its stabilising solution is not nonnegative definite: smallest eigenvalue "
-            f"{smallest:.3g} of its norm",
-        )
+        detail = f"smallest eigenvalue {smallest:.3g} of its norm"
+        text = f"its stabilising solution is not nonnegative definite: {detail}"
+        raise refusal(condition, text)
 
 
 def certified_solution(condition: str, solve: Callable[[], RiccatiSolution]) -> RiccatiSolution:

@@ -7,10 +7,9 @@ its mean, an estimator
 
     \dot{\hat x} = A\hat x + B_y\,y + B_\mu\,\psi(\tilde\nu - r), \qquad \tilde\nu = C_\nu\hat x,
 
-is linear but for the copies. (The reference `r` is what a detector takes off the argument before
-its nonlinearity, the local oscillator's phase, say; it is zero where there is none.) The linear
-part is taken exactly, whatever `dt`, and the copies' part by the exponential Runge-Kutta method of
-second order,
+is linear but for the copies, where `r` is the reference. The linear part is taken exactly, whatever
+`dt`, and the copies' part by the exponential Runge-Kutta method of second order ETD2RK (S. M. Cox
+and P. C. Matthews, J. Comput. Phys. 176(2), 2002),
 
 .. math::
 
@@ -24,17 +23,9 @@ example, at a `dt` of a third of the loop's time constant, the method's error is
 estimate's.
 
 Where measurements are missing, their place is taken by what the estimator expects of them,
-
-.. math:: y_i = (C_2\hat x)_i + (\bar D_{21}\,\tilde\mu)_i ,
-
-all along the interval and not held: their innovation is zero. This changes `A` and
-:math:`B_\mu`, so that every set of missing channels has matrices of its own. In a long gap the
-estimates go back to the prior, zero.
-
-References
-----------
-S. M. Cox and P. C. Matthews, "Exponential time differencing for stiff systems", J. Comput. Phys.
-176(2), 2002: the method ETD2RK.
+:math:`(C_2\hat x)_i + (\bar D_{21}\,\tilde\mu)_i`, all along the interval and not held: their
+innovation is zero. This changes `A` and :math:`B_\mu`, so that every set of missing channels has
+matrices of its own. In a long gap the estimates go back to the prior, zero.
 """
 
 from collections.abc import Callable, Iterable
@@ -45,16 +36,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
-from robsmooth.estimators.sample_loop import (
-    Record,
-    Steps,
-    running_copies,
-    running_functions,
-    sample_loop,
-    sizes_of,
-    steps_of,
-    takes_numbers,
-)
+from robsmooth.estimators import sample_loop
+from robsmooth.estimators.sample_loop import Record, Steps
 
 OUTPUTS = ("smoothed", "filtered")
 
@@ -62,42 +45,37 @@ OUTPUTS = ("smoothed", "filtered")
 class DiscreteSmoother:
     r"""An estimator that is fed the samples of a record, one by one or many at a time.
 
-    Made by ``estimator.discretize(dt)``; the module's docstring has its equations. Sample k, from
-    zero since the start or the last `reset`, is the mean of :math:`dy/dt` over the interval from
-    ``k * dt`` to ``(k + 1) * dt``. Its row of the output is the estimate at the interval's end:
-    the smoothed one is of w at ``(k + 1) * dt - delay``, the filtered one of w at ``(k + 1) * dt``.
-    `times` has these times.
+    Made by ``estimator.discretize(dt)``. Sample k, from zero since the start or the last `reset`,
+    is the mean of :math:`dy/dt` over the interval from ``k * dt`` to ``(k + 1) * dt``. Its row of
+    the output is the estimate at the interval's end, the smoothed one of w at
+    ``(k + 1) * dt - delay``.
 
     The state is kept between calls: a record in pieces gives the same rows, to the last bit, as in
     one. A call that fails leaves the state as it was.
 
     Attributes
     ----------
-    dt : float
-        Length of a sample's interval, s.
-    delay : float
-        That of the smoothed estimate, s; also by the name ``lag``.
-    l, m, g : int
-        Numbers of measurements, outputs and nonlinearities.
+    dt, delay : float
+        Length of a sample's interval, and the delay of the smoothed estimate (also ``lag``), s.
+    l, m, g : int, numbers of measurements, outputs and nonlinearities
     compiled : bool
         Whether samples are taken by compiled code: where the estimator runs no copies, or numba
-        has compiled all functions for scalars, unless NUMBA_DISABLE_JIT is set. Others are called
-        for every sample, which is slower by a factor of a hundred and more.
-    samples : int
-        Taken since the start or the last `reset`.
+        has compiled all functions for scalars, unless NUMBA_DISABLE_JIT is set. Others are slower
+        by a factor of a hundred and more.
+    samples : int, taken since the start or the last `reset`
+
+    See Also
+    --------
+    smooth_record : smooths a record from file to file.
 
     Examples
     --------
-    The second sample is missing:
-
     >>> import numpy as np
     >>> import robsmooth as rs
     >>> smoother = rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
     >>> discrete = smoother.discretize(dt=1e-6)
-    >>> discrete.run([[0.2], [np.nan], [0.1]]).shape, discrete.samples
-    ((3, 1), 3)
-    >>> discrete.times(1).round(9)
-    array([-1.e-07])
+    >>> discrete.run([[0.2], [np.nan], [0.1]]).shape, discrete.times(1).round(9)  # one is missing
+    ((3, 1), array([-1.e-07]))
     """
 
     def __init__(
@@ -111,13 +89,15 @@ class DiscreteSmoother:
         self.lag: float = self.delay
         system = estimator.plant.system
         self.l, self.m, self.g = system.l, system.m, system.g
-        self._estimator, self._running = estimator, running_copies(estimator)
+        self._estimator, self._running = estimator, sample_loop.running_copies(estimator)
         self._C_nu = np.ascontiguousarray(estimator.C_c[system.m :][self._running])
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
-        self._sizes = sizes_of(len(estimator.A_c), self.l, self.m, len(self._running))
-        run = running_functions(system.nonlinearities, functions, self._running)
-        self.compiled: bool = all(map(takes_numbers, run)) and not numba.config.DISABLE_JIT
-        self._advance = sample_loop(run, self.compiled)
+        self._sizes = sample_loop.sizes_of(len(estimator.A_c), self.l, self.m, len(self._running))
+        run = sample_loop.running_functions(system.nonlinearities, functions, self._running)
+        self.compiled: bool = (
+            all(map(sample_loop.takes_numbers, run)) and not numba.config.DISABLE_JIT
+        )
+        self._advance = sample_loop.sample_loop(run, self.compiled)
         self._patterns: dict[bytes, int] = {}  # of missing channels, to a row of the steps
         self._steps: Steps | None = None
         self._pattern(np.zeros(self.l, dtype=bool))
@@ -151,14 +131,12 @@ class DiscreteSmoother:
 
         Parameters
         ----------
-        rows : int
-            At most `samples`.
+        rows : int, at most `samples`
         output : {"smoothed", "filtered"}
 
         Returns
         -------
-        (rows,) array
-            In seconds from the start or the last `reset`, which is zero.
+        (rows,) array, s from the start or the last `reset`
         """
         rows = validation.integer("rows", rows, low=0)
         if rows > self.samples:
@@ -171,10 +149,8 @@ class DiscreteSmoother:
 
         Parameters
         ----------
-        state : (n_c,) array, optional
-            To begin with; zero by default.
-        samples : int
-            Those before, where a record is gone on with.
+        state : (n_c,) array, to begin with; zero by default
+        samples : int, those before, where a record is gone on with
         """
         samples = validation.integer("samples", samples, low=0)
         states = len(self._estimator.A_c)
@@ -189,13 +165,11 @@ class DiscreteSmoother:
 
         Parameters
         ----------
-        y, reference : (l,) and (g,) arrays
-            A row of those of `run`.
+        y, reference : (l,) and (g,) arrays, a row of those of `run`
 
         Returns
         -------
-        (m,) array
-            The smoothed estimate at the end of the interval; `filtered` has the other.
+        (m,) array, the smoothed estimate at the interval's end; `filtered` has the other
         """
         y = np.asarray(y)
         if y.ndim != 1:
@@ -214,14 +188,11 @@ class DiscreteSmoother:
         y : (N, l) array
             Row by row the mean of dy/dt over an interval; NaN where a measurement is missing.
         reference : (N, g) array, optional
-            What is known of the nonlinearities' arguments: they act on :math:`\nu - r`, and the
-            copies on :math:`\tilde\nu - r`, with `r` held over each interval. In homodyne
-            detection that is :math:`2\alpha\gamma` times the phase of the local oscillator. It
-            is what `simulate` has by the same name, and `SamplePaths` beside y; here it is data.
-            Zero by default, whatever reference the nonlinearities have in a simulation. What
-            belongs to a copy that the estimator does not run is unused.
-        output : {"smoothed", "filtered"}
-            Which estimates to return.
+            What a detector takes off the nonlinearities' arguments, which act on :math:`\nu - r`,
+            and the copies on :math:`\tilde\nu - r`, with `r` held over each interval. In homodyne
+            detection that is :math:`2\alpha\gamma` times the phase of the local oscillator.
+            `SamplePaths` has it beside y. Zero by default, whatever `simulate` takes by this name.
+        output : {"smoothed", "filtered"}, which estimates to return
 
         Returns
         -------
@@ -269,7 +240,7 @@ class DiscreteSmoother:
         """Return the index of the matrices for these missing channels; make them where needed."""
         key = missing.tobytes()
         if key not in self._patterns:
-            steps = steps_of(self._estimator, self._running, self.dt, missing)
+            steps = sample_loop.steps_of(self._estimator, self._running, self.dt, missing)
             if self._steps is not None:
                 steps = Steps(*map(np.concatenate, zip(self._steps, steps, strict=True)))
             self._patterns[key], self._steps = len(self._patterns), steps

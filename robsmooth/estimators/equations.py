@@ -35,11 +35,10 @@ constraint and of its copy's, the squares are completed there:
     d(\nu - \tilde\nu)^2 + o\nu^2 + c\tilde\nu^2 &= (d + c)(\tilde\nu - b\nu)^2 + f\nu^2, &
       b &= \tfrac{d}{d + c},\quad f = o + \tfrac{dc}{d + c}.
 
-The estimator has the copy's output :math:`\tilde\mu` without noise. So :math:`a\tilde\mu` is a
-known input to it, and what is left of :math:`\mu`, of weight e, is the noise of the Y equation. The
+The estimator has the copy's output :math:`\tilde\mu` without noise: :math:`a\tilde\mu` is a known
+input to it, and what is left of :math:`\mu`, of weight e, is the noise of the Y equation. The
 copy's argument is the estimator's to choose: :math:`b\nu` if it knew the state, which leaves the
-weight f in the X equation. There 1/f is the noise, too: the entry of :math:`M^{-1}` at
-:math:`\mu`. Nothing cancels in e and f, however small a multiplier is.
+weight f in the X equation, where the noise is 1/f, too. Nothing cancels in e and f.
 
 With the channels of uncertainties and nonlinearities side by side in B, D and
 :math:`C_1 = [C_{1,s};\ \beta_i\bar C_{1,i}]`, and the weights :math:`\Lambda_Y` and
@@ -93,10 +92,7 @@ class Weights(NamedTuple):
 
     @classmethod
     def of(cls, k: int, multipliers: np.ndarray, rates: np.ndarray) -> "Weights":
-        """Return the weights; `rates` are those at which multipliers that are zero are approached.
-
-        Where neither multiplier of a copy's argument is left, b depends on the rates alone.
-        """
+        """Return the weights; where neither d nor c is left, b depends on the rates alone."""
         both = np.array([multipliers, rates])
         d, o, c = np.moveaxis(both[:, k:].reshape(2, 3, -1), 1, 0)
         pair = np.where(d[0] + c[0] > 0.0, (d[0], c[0]), (d[1], c[1]))
@@ -127,8 +123,7 @@ class DesignEquations:
         self.weights = Weights.of(problem.k, multipliers, rates)
         self.R = problem.C.T @ problem.C + self._output_cost(self.weights.Y)
         self.Q_X = self._output_cost(self.weights.X)  # R - Gamma G^{-1} Gamma'
-        # The diagonals of Lambda_Y^{-1} and Lambda_X^{-1}; zero for channels with noise without
-        # bound, and what that is proportional to beside a limit.
+        # Diagonals of Lambda_Y^{-1}, Lambda_X^{-1}; zero for noise without bound, and its size.
         self.noise_Y = _inverse(self.weights.Y)[problem.channels]
         self.noise_X = _inverse(self.weights.X)[problem.channels]
         fast = _inverse(self.weights.rates)[problem.channels]
@@ -166,11 +161,11 @@ class DesignEquations:
         return A, self._output_cost(self.weights.rates), -B * self.unbounded_noise @ B.T / self.tau
 
     def solve_Y(self) -> RiccatiSolution:
-        """Return the solution of the first Riccati equation, certified."""
+        """Return the solution of the first Riccati equation."""
         return solve_riccati(*self.equation_Y)
 
     def solve_X(self, quadratic_sign: float = 1.0) -> RiccatiSolution:
-        """Return the solution of the second Riccati equation, certified."""
+        """Return the solution of the second one."""
         return solve_riccati(*self.equation_X(quadratic_sign))
 
     def solution(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, Matrix, float, float]:

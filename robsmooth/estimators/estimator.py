@@ -34,18 +34,19 @@ class Estimator:
 
     Attributes
     ----------
-    plant : AugmentedSystem
-    A_c : (n_c, n_c) array
-        Its drift, 1/s; n_c is the plant's order for all designs of this package.
-    B_c : (n_c, l + g) array
-        Its gains: columns for y, then for the copies' outputs mu-tilde.
-    C_c : (m + g, n_c) array
-        Its outputs: rows of w-hat, then of the copies' arguments nu-tilde.
+    plant : AugmentedSystem, the system and the delay that it is for
+    A_c : (n_c, n_c) array, its drift, 1/s; n_c is the plant's order for all designs here
+    B_c : (n_c, l + g) array, its gains: columns for y, then for the copies' outputs mu-tilde
+    C_c : (m + g, n_c) array, its outputs: rows of w-hat, then of the copies' arguments nu-tilde
     C_a, C_f : (m, n_c) arrays
-        The read-outs of the smoothed estimate of w one delay back, and of the filtered one of w
-        now, which is w-hat for every design but one whose cost is on the smoothed error.
-    cost : {None, "filtered", "smoothed"}
-        Which error has a guarantee, where one has.
+        The read-outs of the smoothed estimate of w one delay back and of the filtered one of w now;
+        the latter is w-hat for every design but one whose cost is on the smoothed error.
+    cost : {None, "filtered", "smoothed"}, which error has a guarantee, where one has
+
+    See Also
+    --------
+    minimize_bound, fixed_lag_smoother : robust and classical designs.
+    error_covariance, simulate : the errors of any of them.
 
     Examples
     --------
@@ -88,15 +89,17 @@ class Estimator:
         Parameters
         ----------
         slopes : (g,) sequence of floats, optional
-            Closes the copies: each nonlinearity becomes a constant slope, and ``mu_copy`` goes.
-            Zeros are the nominal case.
+            Those of the copies, which closes them, and ``mu_copy`` goes. Zeros are nominal.
         outputs : str or sequence of str, optional
-            Which to keep, of ``smoothed`` (of w one delay back), ``filtered`` (of w now) and
-            ``nu_copy``. Default: all.
+            Which to keep, of ``smoothed``, ``filtered`` and ``nu_copy``. Default: all.
 
         Returns
         -------
         control.StateSpace
+
+        See Also
+        --------
+        UncertainSystem.to_statespace : the system, to be joined with it.
 
         Examples
         --------
@@ -140,6 +143,10 @@ class Estimator:
         ------
         ArithmeticError
             Where the estimator is unstable, and dt too long for it.
+
+        See Also
+        --------
+        smooth_record : smooths a record from file to file.
 
         Examples
         --------

@@ -23,9 +23,8 @@ Channels whose weight vanishes (`robsmooth.estimators.equations`) have noise wit
   kind, for the system :math:`A_p - BL'C_2,\ N'C_2` with the other channels.
 
 For a nonlinearity and its copy only the X equation's weight vanishes, and the share a of the copy
-is one. This is the *nonlinear observer*: it feeds the copy's output into its model of the state and
-of the measurement, as if it were the nonlinearity itself, and is robust against their difference
-alone.
+is one. This is the *nonlinear observer*: it takes the copy's output for the nonlinearity's, and is
+robust against their difference alone.
 """
 
 from dataclasses import replace
@@ -52,19 +51,18 @@ def limiting_smoother(
     r"""Design the smoother in the limit where the zeros among the multipliers are approached.
 
     It is the limit of `design_smoother` at :math:`\lambda + \varepsilon\rho` as
-    :math:`\varepsilon \to 0`, gains and bound. Its guarantee is the limit of theirs: whatever the
-    admissible uncertainty, half the mean square errors of those designs are below bounds that tend
-    to this one, and a stable loop's error is a continuous function of the gains.
+    :math:`\varepsilon \to 0`, gains and bound. Its guarantee is the limit of theirs: a stable
+    loop's error is a continuous function of the gains.
 
     Parameters
     ----------
     plant, tau, multipliers, cost
-        As in `design_smoother`; the multipliers that vanish are zero. Where M(lambda) is positive
-        all the same, the design is that of `design_smoother`.
+        As in `design_smoother`, with zeros for the multipliers that vanish. Where M(lambda) is
+        positive all the same, the design is that of `design_smoother`.
     rates : (k + 3g,) sequence, optional
-        :math:`\rho \ge 0`, how fast the zeros are approached, relative to each other; only those of
-        vanishing multipliers count. By default one for all that make M(lambda) singular. Rates
-        matter where two or more nonlinearities that enter the state vanish.
+        :math:`\rho \ge 0`, how fast the zeros are approached, relative to each other; by default
+        all that make M(lambda) singular as fast. They matter where two or more nonlinearities that
+        enter the state vanish.
 
     Returns
     -------
@@ -76,6 +74,10 @@ def limiting_smoother(
     InfeasibleDesignError
         Where Assumption 2 or 3 or the constraint (eqcons) fails in the limit, or the bound grows
         without limit towards it.
+
+    See Also
+    --------
+    minimize_bound, design_smoother : the search for tau and lambda; a design.
 
     Examples
     --------

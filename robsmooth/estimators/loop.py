@@ -5,12 +5,10 @@ r"""The loop of plant and estimator with its uncertainty taken out.
     dX = [\mathbf A X + B_\xi\tilde\xi]\,dt + \mathbf B\,dW, \qquad \tilde\zeta = C_\zeta X,
     \qquad e(t) = C_w X(t - \delta) - C_s X(t),
 
-with :math:`X = [x_p; \hat x]` as in (eqclosed): :math:`\tilde\xi = \Delta\tilde\zeta` closes
-it.
-
-A *reference* `r` is what a detector takes off the arguments of the nonlinearities, and the copies
-off theirs (`robsmooth.Nonlinearity`): :math:`\tilde\zeta = C_\zeta X - r`, with `r` read out of
-the estimator's state.
+with :math:`X = [x_p; \hat x]` as in (eqclosed): :math:`\tilde\xi = \Delta\tilde\zeta` closes it. A
+*reference* `r` is what a detector takes off the arguments of the nonlinearities, and the copies off
+theirs (`robsmooth.Nonlinearity`): :math:`\tilde\zeta = C_\zeta X - r`, with `r` read out of the
+estimator's state.
 """
 
 from collections.abc import Sequence
@@ -35,10 +33,7 @@ _COMBINATION_TOLERANCE = 1e-9  # a row that is a combination of others to that, 
 
 @dataclass(frozen=True)
 class Block:
-    """One block of the structure of Delta, times `gain`, in one place or in two.
-
-    Those are a nonlinearity's own and that of its copy, which have the same slope.
-    """
+    """A block of Delta, times `gain`, in one place, or in two: a nonlinearity's and its copy's."""
 
     places: tuple[tuple[slice, slice], ...]  # rows and columns in Delta
     gain: float  # the Lipschitz constant of a nonlinearity, 1 for an uncertainty
@@ -69,8 +64,7 @@ class OpenLoop:
 
     def disassemble(self, Delta: np.ndarray) -> list[np.ndarray]:
         """Return the blocks of Delta, relative to their gain."""
-        first = [(block.places[0], block.gain) for block in self.blocks]
-        return [Delta[..., rows, columns] / gain for (rows, columns), gain in first]
+        return [Delta[..., *block.places[0]] / block.gain for block in self.blocks]
 
     def in_blocks(self, gradient: np.ndarray) -> list[np.ndarray]:
         """Return the gradients with respect to the blocks from that with respect to Delta."""
@@ -92,10 +86,7 @@ def which_loop(loop: str, copy_noise: bool | None = None) -> str:
 def matrices(
     estimator: Estimator, loop: str, reference: Reference = None
 ) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """Return drift, noise intensity, inputs and outputs of the loop, as `OpenLoop` has them.
-
-    The outputs are less a reference, as `reference_outputs` has it.
-    """
+    """Return A, B, inputs and outputs of the loop, as `OpenLoop` has them, less a reference."""
     validation.choice("loop", loop, LOOPS)
     plant, gain = estimator.plant, estimator.B_c
     noise = plant.D21_bar.copy()
@@ -115,14 +106,12 @@ def reference_outputs(estimator: Estimator, reference: Reference) -> Matrix:
     """Return the rows that read the reference out of the estimator's state, (h + 2g, n_c).
 
     It is each nonlinearity's own ("system"), an estimate of its argument ("filtered", "smoothed"),
-    a (g, n_c) matrix, or zero (None). The rows are of the order of zeta-tilde: zeros, the
-    nonlinearities', and the same again where a copy is run.
+    a (g, n_c) matrix, or zero (None), and the same for a copy that is run.
     """
-    system, n_c = estimator.plant.system, len(estimator.A_c)
     rows = _reference_rows(estimator, reference)
-    runs = estimator.B_c[:, system.l :].any(axis=0)
-    none = np.zeros((sum(estimator.plant.output_sizes) - 2 * system.g, n_c))
-    return np.vstack([none, rows, rows * runs[:, None]])
+    runs = estimator.B_c[:, estimator.plant.system.l :].any(axis=0)
+    rows = np.vstack([rows, rows * runs[:, None]])
+    return np.pad(rows, ((sum(estimator.plant.output_sizes) - len(rows), 0), (0, 0)))
 
 
 def _reference_rows(estimator: Estimator, reference: Reference) -> Matrix:
@@ -185,12 +174,7 @@ def error_rows(smoother: Estimator, output: str) -> tuple[Matrix, Matrix, float]
 
 
 def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
-    """Take the uncertainty out of the loop of an estimator and its plant.
-
-    The error is that of the smoothed estimate one lag back, of the filtered one now, or that of
-    w-hat which the bound of a `RobustSmoother` is for ("guaranteed"): the filtered one where the
-    cost is, and else w-hat's against the output of the delay model.
-    """
+    """Take the uncertainty out of the loop; `error_covariance` explains the arguments."""
     validation.instance("smoother", smoother, Estimator)
     truth, estimate, delay = error_rows(smoother, output)
     A, B, inputs, outputs = matrices(smoother, loop)
@@ -215,11 +199,8 @@ def guarantee(smoother: Estimator, output: str, loop: str) -> float | None:
 def _structure(plant: AugmentedSystem) -> list[Block]:
     """Return the blocks of Delta: the k uncertainties, then the g nonlinearities."""
     shapes = list(zip(plant.input_sizes, plant.output_sizes, strict=True))
-    ends = np.cumsum(shapes, axis=0)
-    places = [
-        (slice(row - r, row), slice(column - h, column))
-        for (r, h), (row, column) in zip(shapes, ends, strict=True)
-    ]
+    ends = zip(shapes, np.cumsum(shapes, axis=0), strict=True)
+    places = [(slice(i - r, i), slice(j - h, j)) for (r, h), (i, j) in ends]
     k, g = plant.system.k, plant.system.g
     blocks = [Block((places[s],), 1.0, shapes[s]) for s in range(k)]
     for i, channel in enumerate(plant.system.nonlinearities, start=k):

@@ -20,13 +20,7 @@ _NEGLIGIBLE = 1e-9  # a product of matrices that is smaller, relative to its ter
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """What the equations are made of, whatever tau and the positive multipliers are.
-
-    `channels` and `rows` say to which of the k + g uncertainties and nonlinearities the inputs and
-    outputs belong. The last three are of a limit: which channels have noise without bound in the X
-    equation; what the measurement tells of those in the Y equation, as inputs into the state, and
-    the combinations of measurements that they do not enter.
-    """
+    """What the equations are made of; the last three are of a limit."""
 
     A: Matrix  # (n, n) the plant's drift
     C: Matrix  # (m, n) the output that the cost is on
@@ -34,12 +28,12 @@ class DesignProblem:
     B: Matrix  # (n, r + g) the channels' inputs into the state
     D: Matrix  # (l, r + g) and into the measurement
     C1: Matrix  # (h + g, n) their outputs, the nonlinearities' times their Lipschitz constants
-    channels: np.ndarray  # (r + g,)
-    rows: np.ndarray  # (h + g,)
+    channels: np.ndarray  # (r + g,) to which of the k + g channels an input belongs ...
+    rows: np.ndarray  # (h + g,) ... and an output
     lipschitz: np.ndarray  # (g,)
-    unbounded: np.ndarray  # (r + g,)
-    known: Matrix  # (n, l)
-    combinations: Matrix  # (l, l_Y)
+    unbounded: np.ndarray  # (r + g,) which inputs have noise without bound in the X equation
+    known: Matrix  # (n, l) what y tells of those in the Y equation, as inputs into the state ...
+    combinations: Matrix  # (l, l_Y) ... and combinations of y that they do not enter
 
     @classmethod
     def of(cls, plant: AugmentedSystem, cost: str, positive: np.ndarray) -> "DesignProblem":

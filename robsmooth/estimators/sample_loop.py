@@ -1,7 +1,7 @@
 r"""What an estimator does in one sample of a record, and the loop over samples.
 
-The equations are those of `robsmooth.estimators.discrete`. The loop is compiled by numba where all
-functions of the nonlinearities are, or no copy runs; else Python goes from sample to sample.
+The loop is compiled by numba where all functions of the nonlinearities are, or no copy runs; else
+Python goes from sample to sample.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -15,7 +15,7 @@ from numba import njit
 from numba.extending import is_jitted
 from numpy.typing import NDArray
 
-from robsmooth._numerics.exponential import responses
+from robsmooth._numerics.steps import responses
 from robsmooth._support.blas import one_thread
 from robsmooth._support.kernels import kept
 from robsmooth.systems.channels import Nonlinearity
@@ -140,10 +140,7 @@ def sizes_of(*counts: int) -> tuple[tuple[float, ...], ...]:
 
 @njit
 def _advance(copies, sizes, steps, C_nu, readout, record, state, result):
-    """Take all samples of a `Record`; `state` and `result` are written.
-
-    `sizes` are those of state, measurement, output and copies.
-    """
+    """Take all samples of a `Record`, and write `state` and `result`."""
     states, measurements, outputs, g = len(sizes[0]), len(sizes[1]), len(sizes[2]), len(sizes[3])
     x = np.empty((2, states))  # now, and at the end of the sample
     arguments, mu, mu_end = np.empty(g), np.empty(g), np.empty(g)

@@ -8,16 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from robsmooth._numerics.riccati import RiccatiSolution
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.estimators.conditions import (
-    ASSUMPTION_X,
-    ASSUMPTION_Y,
-    certified_solution,
-    check_multipliers,
-    check_plant,
-    check_stable,
-    singular,
-    weights,
-)
+from robsmooth.estimators import conditions
 from robsmooth.estimators.equations import DesignEquations
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.problem import DesignProblem
@@ -32,28 +23,27 @@ class RobustSmoother(Estimator):
     ----------
     tau, multipliers, cost
         As in `design_smoother`.
-    X, Y : (n, n) arrays
-        The solutions of the Riccati equations.
-    certificates : dict of RiccatiSolution
-        Residual, definiteness and stability of each.
+    X, Y : (n, n) arrays, the solutions of the Riccati equations
+    certificates : dict of RiccatiSolution, the residual, definiteness and stability of each
     bound : float
         V: half the mean square of w-hat's error, in the loop with the copies' fictitious noise, is
         below it for every admissible uncertainty. The error is that against w, or with
         cost="smoothed" that against the output w_a of the delay model (not of the true delay).
-    bound_infimum : float or None
-        Where `minimize_bound` made the design and the least bound is not attained: its infimum.
-    limit : RobustSmoother or None
-        Then the design that attains it in the limit.
-    spectral_radius : float
-        rho(YX), below tau.
+    bound_infimum, limit : float and RobustSmoother, or None
+        Where `minimize_bound` found no least bound: its infimum, and the design that attains it in
+        the limit.
+    spectral_radius : float, rho(YX), below tau
+
+    See Also
+    --------
+    error_covariance, worst_case : its errors under given and worst uncertainties.
 
     Examples
     --------
     >>> import robsmooth as rs
-    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-    >>> smoother = rs.design_smoother(plant, tau=1.1e-6, multipliers=[1.0, 0.49, 1e-4, 1e-4])
-    >>> smoother.A_c.shape, round(smoother.bound, 4), round(smoother.mean_square_bound, 4)
-    ((3, 3), 0.1233, 0.2465)
+    >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
+    >>> ngcf.A_c.shape, round(ngcf.mean_square_bound, 4), round(2.0 * ngcf.bound_infimum, 4)
+    ((1, 1), 0.2434, 0.2433)
     """
 
     tau: float
@@ -102,10 +92,8 @@ def design_smoother(
 
     Parameters
     ----------
-    plant : AugmentedSystem
-        Made by `augment`.
-    tau : float
-        :math:`\bar\tau > 0`, in seconds times the squared unit of w.
+    plant : AugmentedSystem, made by `augment`
+    tau : float, :math:`\bar\tau > 0`, in seconds times the squared unit of w
     multipliers : (k + 3g,) sequence
         lambda, not negative: those of the k uncertainties, then for the g nonlinearities those of
         the difference constraints, of the mu constraints and of the mu-tilde constraints.
@@ -126,8 +114,7 @@ def design_smoother(
 
     See Also
     --------
-    minimize_bound : finds tau and lambda.
-    limiting_smoother : where multipliers vanish.
+    minimize_bound, limiting_smoother : the search for tau and lambda; multipliers that vanish.
 
     References
     ----------
@@ -154,14 +141,14 @@ def design_equations(
     rates: ArrayLike | None = None,
 ) -> DesignEquations:
     """Return the equations of a design or of a limit, after checking all but Assumption 3."""
-    check_plant(plant, cost)
+    conditions.check_plant(plant, cost)
     tau = validation.positive("tau", tau)
-    multipliers = weights("multipliers", plant, multipliers)
-    zeros = 1.0 * singular(plant, multipliers)
-    rates = zeros if rates is None else weights("rates", plant, rates)
+    multipliers = conditions.weights("multipliers", plant, multipliers)
+    zeros = 1.0 * conditions.singular(plant, multipliers)
+    rates = zeros if rates is None else conditions.weights("rates", plant, rates)
     rates = np.where(multipliers == 0.0, rates, 0.0)
-    check_multipliers(plant, multipliers, limit)
-    if singular(plant, multipliers + rates).any():
+    conditions.check_multipliers(plant, multipliers, limit)
+    if conditions.singular(plant, multipliers + rates).any():
         raise ValueError(
             "rates must be positive for enough of the vanishing multipliers to make M positive, "
             f"got {rates.tolist()}"
@@ -172,21 +159,12 @@ def design_equations(
 
 def solve_design(plant: AugmentedSystem, equations: DesignEquations, cost: str) -> RobustSmoother:
     """Solve the equations of a design, after checking Assumption 3."""
-    check_stable(plant)
-    Y = certified_solution(ASSUMPTION_Y, equations.solve_Y)
-    X = certified_solution(ASSUMPTION_X, equations.solve_X)
+    conditions.check_stable(plant)
+    Y = conditions.certified_solution(conditions.ASSUMPTION_Y, equations.solve_Y)
+    X = conditions.certified_solution(conditions.ASSUMPTION_X, equations.solve_X)
     A_c, B_c, C_c, bound, radius = equations.gains(X.X, Y.X)
     C_f = C_c[: plant.system.m] if cost == "filtered" else plant.C_p0
     matrices = {"A_c": A_c, "B_c": B_c, "C_c": C_c, "C_a": plant.C_a, "C_f": C_f}
-    return RobustSmoother(
-        plant=plant,
-        **matrices,
-        tau=equations.tau,
-        multipliers=equations.multipliers,
-        cost=cost,
-        X=X.X,
-        Y=Y.X,
-        certificates={"X": X, "Y": Y},
-        bound=bound,
-        spectral_radius=radius,
-    )
+    given = {"tau": equations.tau, "multipliers": equations.multipliers, "cost": cost}
+    found = {"X": X.X, "Y": Y.X, "certificates": {"X": X, "Y": Y}, "bound": bound}
+    return RobustSmoother(plant=plant, **matrices, **given, **found, spectral_radius=radius)

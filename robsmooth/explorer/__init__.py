@@ -2,7 +2,7 @@
 
 from robsmooth._support.extras import extra
 from robsmooth.explorer.describe import experiments
-from robsmooth.explorer.settings import Settings
+from robsmooth.explorer.snapshot import Settings
 
 with extra("notebooks", "the explorer"):
     from robsmooth.explorer.explorer import Explorer

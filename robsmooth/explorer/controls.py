@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from html import escape
 
 import ipywidgets as widgets
 from IPython.display import Javascript
 
-from robsmooth.explorer.settings import DESIGNS, RANGES, Settings
+from robsmooth.explorer.snapshot import DESIGNS, RANGES, Settings
 
 _BY_HAND = "A design by hand"
 _COLUMNS = {  # of each setting: label and tooltip
@@ -36,11 +37,9 @@ _CHOICES = {
     "cost": {"the filtered error": "filtered", "the smoothed error": "smoothed"},
 }
 _WIDEST = "1000px"  # more would blur the panels
-# The panels stay in place whatever is above them: the longest column is not always shown, and a
-# sentence may take three lines.
+# The panels stay in place whatever is above them: not all columns, or a sentence of three lines.
 _COLUMNS_HEIGHT, _SUMMARY_HEIGHT = "196px", "4.5em"
-# Labels take the room that they need in any font.
-_GRID = {"grid_template_columns": "max-content minmax(12em, 1fr)"}
+_GRID = {"grid_template_columns": "max-content minmax(12em, 1fr)"}  # any label fits, in any font
 _AUTO = {"width": "auto"}
 # A page that was not fetched securely has no clipboard: the text is selected then, for Ctrl+C.
 _COPY = """
@@ -53,21 +52,19 @@ else document.execCommand("copy");
 
 
 class Controls:
-    """The widgets, and the settings that they stand for: to begin with, and to go back to, these.
-
-    `inputs` are by their settings; `panels`, `summary` and `code` are what is shown.
-    """
+    """The widgets, and the settings that they stand for: at first, and after a reset, these."""
 
     def __init__(self, settings: Settings, on_change: Callable[[], None]):
         self._on_change, self._muted = on_change, False
         self.panels = widgets.Image(format="png", layout=_AUTO)
         self.summary = widgets.HTML(layout={"min_height": _SUMMARY_HEIGHT})
         self.code = widgets.Textarea(layout={"width": "auto", "height": "26em"})
-        self.reset = _button("Reset", "back to the settings at the start")
-        self.copy = _button("Copy these settings as code", "to the clipboard")
+        button = partial(widgets.Button, layout=_AUTO)
+        self.reset = button(description="Reset", tooltip="back to the settings at the start")
+        self.copy = button(description="Copy these settings as code", tooltip="to the clipboard")
         self._script = widgets.Output()
         self._own_class = f"robsmooth-{self.code.model_id}"  # a notebook may show several
-        self.inputs: dict[str, widgets.Widget] = {}
+        self.inputs: dict[str, widgets.Widget] = {}  # by their settings
         self._columns = {title: self._column(title) for title in _COLUMNS}
         row = {"flex_flow": "row wrap", "min_height": _COLUMNS_HEIGHT}
         columns = widgets.HBox([*self._columns.values()], layout=row)
@@ -78,7 +75,7 @@ class Controls:
         for name in ("panels", "summary", "code", "reset", "copy"):
             getattr(self, name).add_class(f"robsmooth-{name}")
         self.reset.on_click(lambda _: self.set(settings))
-        self.copy.on_click(lambda _: self._copy_to_clipboard())
+        self.copy.on_click(self._copy_to_clipboard)
         self.set(settings)
 
     @property
@@ -101,14 +98,13 @@ class Controls:
         self.summary.value = f'<div style="line-height: 1.4">{escape(summary)}</div>'
 
     def _notify(self, _=None) -> None:
-        if self._muted:
-            return
-        design = self.inputs["design"].value
-        self._columns[_BY_HAND].layout.display = "flex" if design == "by hand" else "none"
-        self.inputs["cost"].disabled = design == "classical"
-        self._on_change()
+        if not self._muted:
+            design = self.inputs["design"].value
+            self._columns[_BY_HAND].layout.display = "flex" if design == "by hand" else "none"
+            self.inputs["cost"].disabled = design == "classical"
+            self._on_change()
 
-    def _copy_to_clipboard(self) -> None:
+    def _copy_to_clipboard(self, _) -> None:
         self._script.outputs = ()
         self._script.append_display_data(Javascript(_COPY % self._own_class))
 
@@ -133,7 +129,3 @@ def _input(name: str, tooltip: str) -> widgets.Widget:
         return widgets.IntSlider(**common)
     decimals = len(f"{step:g}".partition(".")[2])
     return widgets.FloatSlider(**common, readout_format=f".{decimals}f")
-
-
-def _button(label: str, tooltip: str) -> widgets.Button:
-    return widgets.Button(description=label, tooltip=tooltip, layout=_AUTO)

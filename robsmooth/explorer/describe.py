@@ -6,15 +6,11 @@ from collections.abc import Mapping
 import robsmooth as rs
 from robsmooth._support.tables import Table
 from robsmooth.explorer import snapshot as model
-from robsmooth.explorer.settings import Settings
-from robsmooth.explorer.snapshot import RUNS, SLOPES, Snapshot, simulate, take_snapshot
+from robsmooth.explorer.snapshot import RUNS, SLOPES, Settings, Snapshot, simulate, take_snapshot
 
 
 def code(settings: Settings) -> str:
-    """Return code that finds the numbers on the panels by the public API.
-
-    Where there is no design it raises what says so.
-    """
+    """Return code that finds the numbers on the panels by the public API, or raises why not."""
     p, low, high = settings.parameters, float(SLOPES[0]), float(SLOPES[-1])
     return f"""\
 import numpy as np
@@ -96,20 +92,17 @@ def _guarantee(snapshot: Snapshot) -> str:
 
 def experiments(cases: Mapping[str, Settings], caption: str) -> Table:
     """Return what the panels show in several cases, one a row."""
-    records = []
+    columns = ("settings", "filtered (rad²)", "smoothed (rad²)", "saved")
+    columns += ("guaranteed below (rad²)", "paths that slip")
+    rows = []
     for name, settings in cases.items():
         snapshot = take_snapshot(settings)
         simulated = simulate(snapshot)
-        record = {"settings": name, "filtered (rad²)": "no design", "smoothed (rad²)": "no design"}
+        found = ["no design", "no design", None, None, None]
         if not isinstance(simulated, str):
             filtered, smoothed = (error.mean_square for error in simulated.in_lock())
-            bound = snapshot.guarantee.bound
-            record |= {
-                "filtered (rad²)": filtered,
-                "smoothed (rad²)": smoothed,
-                "saved": f"{100 * (1 - smoothed / filtered):.0f}%",
-                "guaranteed below (rad²)": bound if math.isfinite(bound) else "none",
-                "paths that slip": f"{simulated.slipped_paths} of {RUNS}",
-            }
-        records.append(record)
-    return Table.of_records(records, caption, digits=3)
+            bound = snapshot.guarantee.bound if snapshot.guarantee.bound < math.inf else "none"
+            slipped = f"{simulated.slipped_paths} of {RUNS}"
+            found = [filtered, smoothed, f"{1 - smoothed / filtered:.0%}", bound, slipped]
+        rows.append((name, *found))
+    return Table(columns, rows, caption, digits=3)

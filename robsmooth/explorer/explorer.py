@@ -1,15 +1,14 @@
 """The explorer: what is drawn when.
 
-An event of a slider says only that something has changed. A little later, when no more events are
-waiting, the newest settings are drawn; none that are stale ever are. The first simulation of each
-order compiles its kernel. So the simulation runs in a thread, for which a drawing waits a little;
-where that is not enough, its panel says so, and all is drawn again when it is there.
+A little after the last event of a slider the newest settings are drawn. The first simulation of an
+order compiles its kernel: it runs in a thread, for which a drawing waits a little. Where that is
+not enough, its panel says so, and all is drawn again when it is there.
 """
 
 import asyncio
 import base64
-from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Self
 
 from IPython import get_ipython
 from matplotlib.figure import Figure
@@ -18,8 +17,7 @@ import robsmooth as rs
 from robsmooth.explorer.controls import Controls
 from robsmooth.explorer.describe import code, summary
 from robsmooth.explorer.panels import PREPARING, Panels
-from robsmooth.explorer.settings import Settings
-from robsmooth.explorer.snapshot import Snapshot, simulate, take_snapshot
+from robsmooth.explorer.snapshot import Settings, Snapshot, simulate, take_snapshot
 
 DEBOUNCE = 0.004  # s without an event, before the newest settings are drawn
 SIMULATION_TIMEOUT = 0.5  # s that a drawing waits for its simulation, where it may come later
@@ -30,9 +28,7 @@ _thread = ThreadPoolExecutor(1, "robsmooth-simulation")
 class Explorer:
     """Panels that show what a design does at some settings, and sliders for these.
 
-    It begins with the settings given, by default the paper's example. As the value of a notebook's
-    cell it shows itself: with its sliders in a browser, and as an image where a notebook is run
-    without one. `controls` are the sliders, once they have been shown.
+    As the value of a notebook's cell it shows itself, with its sliders where they can be moved.
     """
 
     def __init__(self, settings: Settings | None = None):
@@ -52,20 +48,17 @@ class Explorer:
     @property
     def snapshot(self) -> Snapshot:
         """What is shown, but for the simulation."""
-        self._wait()
-        return self._snapshot
+        return self._wait()._snapshot
 
     @property
     def simulated(self) -> rs.MonteCarloResult | str:
         """The simulation that is shown."""
-        self._wait()
-        return self._simulated
+        return self._wait()._simulated
 
     @property
     def figure(self) -> Figure:
         """The panels."""
-        self._wait()
-        return self._panels.figure
+        return self._wait()._panels.figure
 
     def show_controls(self) -> Controls:
         """Return the sliders, which from now on say what is shown."""
@@ -77,7 +70,7 @@ class Explorer:
     def __repr__(self) -> str:
         return f"Explorer({self.settings})"
 
-    def _repr_mimebundle_(self, **_) -> Mapping[str, object]:
+    def _repr_mimebundle_(self, **_) -> dict[str, object]:
         live = self.show_controls().widget._repr_mimebundle_() if can_show_widgets() else {}
         if not live:
             self._wait()
@@ -86,13 +79,12 @@ class Explorer:
 
     def _redraw_soon(self) -> None:
         """Have the newest settings drawn: soon, or at once where there is no event loop."""
-        loop = _running_loop()
-        if loop is None:
-            self._redraw()
-            return
         if self._timer is not None:
             self._timer.cancel()
-        self._timer = loop.call_later(DEBOUNCE, self._redraw)
+        if loop := _running_loop():
+            self._timer = loop.call_later(DEBOUNCE, self._redraw)
+        else:
+            self._redraw()
 
     def _redraw(self) -> None:
         loop, settings = _running_loop(), self.settings
@@ -116,18 +108,16 @@ class Explorer:
             described = summary(self._snapshot, self._simulated)
             self.controls.update(self._panels.png(), described, code(self.settings))
 
-    def _wait(self) -> None:
+    def _wait(self) -> Self:
         """Wait until the newest settings are drawn, simulation and all."""
         while self._simulated is PREPARING or self._snapshot.settings != self.settings:
             self._simulation.result()
             self._redraw()
+        return self
 
 
 def can_show_widgets() -> bool:
-    """Tell whether a cell is run by a frontend that could show sliders.
-
-    Those that run notebooks in batches could not, nor answer a question of the code's.
-    """
+    """Tell whether a frontend could show sliders: in a batch it could answer no question either."""
     kernel = getattr(get_ipython(), "kernel", None)
     return bool(kernel and kernel.get_parent("shell").get("content", {}).get("allow_stdin"))
 

@@ -1,7 +1,6 @@
-"""The six panels of the explorer: one figure, drawn once, of which only the data are drawn again.
+"""The six panels of the explorer: one figure, of which what the settings change is drawn again.
 
-Axes, labels and legends are the background. It is kept as pixels, and what depends on the settings
-is drawn on top. The axes never change: errors are relative to the Kalman-Bucy filter's.
+Axes, labels and legends are kept as pixels. The axes never change: errors are relative.
 """
 
 import io
@@ -22,14 +21,11 @@ from PIL import Image
 
 import robsmooth as rs
 from robsmooth.explorer import snapshot as model
-from robsmooth.explorer.settings import Settings
-from robsmooth.explorer.snapshot import ADMISSIBLE, RUNS, SHOWN, SLOPES, STEP, Snapshot
+from robsmooth.explorer.snapshot import ADMISSIBLE, RUNS, SHOWN, SLOPES, STEP, Settings, Snapshot
 from robsmooth.paper.figures import TRUTH, styles, use_style
 
-PREPARING = (
-    "The simulation is being prepared. For an order that is new on this computer that takes some "
-    "seconds, once."
-)
+PREPARING = "The simulation is being prepared. "
+PREPARING += "For an order that is new on this computer that takes some seconds, once."
 NO_DESIGN = "No design."
 _SIZE, _RESOLUTION = (7.0, 4.5), 130  # inches, and pixels of an inch on the screen
 _WIDTH = 26  # letters of a sentence in a panel
@@ -49,8 +45,8 @@ class Panels:
             self.figure = Figure(figsize=_SIZE, dpi=_RESOLUTION)
             canvas = FigureCanvasAgg(self.figure)
             axes = self.figure.subplots(2, 3).flat
-            makers = zip(axes, _PANELS.items(), strict=True)
-            self._panels = {name: _Panel(each, make) for each, (name, make) in makers}
+            panels = map(_Panel, axes, _PANELS.values())
+            self._panels = dict(zip(_PANELS, panels, strict=True))
             canvas.draw()
             self.figure.set_layout_engine("none")  # it has done its work: nothing moves any more
         self._background = canvas.copy_from_bbox(self.figure.bbox)
@@ -59,10 +55,9 @@ class Panels:
         """Set the data of all panels; a sentence takes the place of those that there are not."""
         shown, said = {**vars(snapshot), "simulated": simulated}, set()
         for name, panel in self._panels.items():
-            found = shown[name]
-            sentence = found if isinstance(found, str) else ""
+            sentence = shown[name] if isinstance(shown[name], str) else ""
             if not sentence:
-                panel.update(found, snapshot)
+                panel.update(shown[name], snapshot)
             again = sentence == snapshot.estimator and sentence in said
             panel.set_message(NO_DESIGN if again else sentence)
             said.add(sentence)
@@ -119,9 +114,6 @@ def _legend(axes: Axes, place: str, **options) -> None:
     axes.legend(loc=place, **options).set_in_layout(False)
 
 
-# --- what each panel shows: the axes, and how settings change it ----------------------------------
-
-
 def _sector(axes: Axes) -> Changing:
     error = np.linspace(-np.pi, np.pi, 181)
     axes.plot(error, np.sin(error), color="k", linestyle="-", label="sine")
@@ -135,14 +127,14 @@ def _sector(axes: Axes) -> Changing:
     axes.set(xlabel="phase error (rad)", ylabel="detector's signal")
 
     def update(settings: Settings, snapshot: Snapshot) -> None:
-        parameters, predicted = settings.parameters, snapshot.predicted
+        parameters = settings.parameters
         low, high = parameters.lower_slope, parameters.beta
         edge = error[[0, -1, -1, 0]]
         sector.set_xy(np.column_stack([edge, edge * [low, low, high, high]]))
         reach = parameters.sector_range()
         for end, place in zip(ends, (-reach, reach), strict=True):
             end.set_xdata([place, place])
-        variance = math.inf if isinstance(predicted, str) else predicted.filtered
+        variance = getattr(snapshot.predicted, "filtered", math.inf)
         bell = np.exp(-(error**2) / (2.0 * variance)) if math.isfinite(variance) else 0.0 * error
         density.set_xy(np.column_stack([error, 0.9 * bell - 2.0]))
 
@@ -154,15 +146,13 @@ def _sweep(axes: Axes) -> Changing:
     optimum = _line(axes, "k*", markersize=6, clip_on=False, label="optimum at this lag")
     _legend(axes, "upper right")
     axes.set(title="error against uncertainty", ylabel=_ERROR, ylim=(0.0, 3.0))
-    words = r"uncertainty $\Delta_2$ (most: $-1$)"
-    axes.set(xlabel=words, xlim=(-1.0, 0.0), xticks=[-1.0, -0.5, 0.0])
+    axes.set(xlabel=r"uncertainty $\Delta_2$ (most: $-1$)", xlim=(-1.0, 0.0), xticks=[-1, -0.5, 0])
 
     def update(sweep: model.Sweep, snapshot: Snapshot) -> None:
         one, other = snapshot.filtering, snapshot.classical
         filtered.set_data(SLOPES, sweep.filtered / one)
         smoothed.set_data(SLOPES, sweep.smoothed / one)
-        known = np.nan * SLOPES if isinstance(other, str) else other.smoothed
-        classical.set_data(SLOPES, known / one)
+        classical.set_data(SLOPES, getattr(other, "smoothed", np.nan * SLOPES) / one)
         optimum.set_data([0.0], [snapshot.optimum / one])
 
     return [classical, filtered, smoothed, optimum], update
@@ -213,10 +203,9 @@ def _path(axes: Axes) -> Changing:
     axes.set(xlim=(0.0, 1e6 * STEP * SHOWN), ylim=(-3.0, 3.0))
 
     def update(path: model.Path, snapshot: Snapshot) -> None:
-        time = 1e6 * path.time
-        phase.set_data(time, path.phase)
-        filtered.set_data(time, path.filtered)
-        smoothed.set_data(time - 1e6 * snapshot.settings.lag, path.smoothed)
+        phase.set_data(1e6 * path.time, path.phase)
+        filtered.set_data(1e6 * path.time, path.filtered)
+        smoothed.set_data(1e6 * (path.time - snapshot.settings.lag), path.smoothed)
 
     return [phase, filtered, smoothed], update
 
@@ -235,29 +224,21 @@ def _simulation(axes: Axes) -> Changing:
     axes.set_xticks([0, 1], ["filtered", "smoothed"])
 
     def update(simulated: rs.MonteCarloResult, snapshot: Snapshot) -> None:
-        one, sweep, theory = snapshot.filtering, snapshot.sweep, snapshot.predicted
-        means = simulated.in_lock()
-        values = np.array([mean.mean_square for mean in means]) / one
-        points.set_data([0, 1], values)
+        one, means = snapshot.filtering, simulated.in_lock()
+        points.set_data([0, 1], [mean.mean_square / one for mean in means])
         for place, (line, text, mean) in enumerate(zip(intervals, numbers, means, strict=True)):
             half = 1.96 * mean.standard_error
-            line.set_data([place, place], np.array([-half, half]) / one + values[place])
+            ends = mean.mean_square - half, mean.mean_square + half
+            line.set_data([place, place], [end / one for end in ends])
             text.set_text(f"{mean.mean_square:.5f}\n± {half:.5f}")
-        unknown = [math.nan, math.nan]
-        known = unknown if isinstance(sweep, str) else [sweep.filtered[-1], sweep.smoothed[-1]]
-        nominal.set_data([0, 1], np.array(known) / one)
-        known = unknown if isinstance(theory, str) else [theory.filtered, theory.smoothed]
-        fitted.set_data([0, 1], np.array(known) / one)
+        for line, found in ((nominal, snapshot.sweep), (fitted, snapshot.predicted)):
+            known = [getattr(found, name, math.nan) for name in ("filtered", "smoothed")]
+            line.set_data([0, 1], [np.ravel(value)[-1] / one for value in known])  # without Delta
         slips.set_text(f"{simulated.slipped_paths} of {RUNS} paths slip" * (simulated.slips > 0))
 
     return [nominal, fitted, *intervals, points, *numbers, slips], update
 
 
-_PANELS = {  # by what each shows of a snapshot, or the simulation
-    "settings": _sector,
-    "sweep": _sweep,
-    "poles": _poles,
-    "guarantee": _guarantee,
-    "path": _path,
-    "simulated": _simulation,
-}
+# By what each shows of a snapshot, or the simulation.
+_PANELS = {"settings": _sector, "sweep": _sweep, "poles": _poles}
+_PANELS |= {"guarantee": _guarantee, "path": _path, "simulated": _simulation}

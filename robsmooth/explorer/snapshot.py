@@ -6,19 +6,23 @@ that says so.
 
 import math
 import warnings
+from collections import namedtuple
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache, lru_cache
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from functools import lru_cache, partial
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 import robsmooth as rs
+from robsmooth._support import validation
 from robsmooth.analysis.statistical_linearisation import StatisticalLinearisation
 from robsmooth.estimators.bound import best_tau
-from robsmooth.explorer.settings import RANGES, Settings
+from robsmooth.estimators.conditions import COSTS
 from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.paper.published import DELAY, ORDER, printed
 from robsmooth.simulation.integrator import ExponentialIntegrator
 from robsmooth.simulation.loop import nonlinear_loop
 
@@ -30,42 +34,99 @@ ADMISSIBLE = np.linspace(-1.0, 1.0, 13)  # Delta_2 of what the bound is compared
 RUNS = 128  # paths of the simulation
 STEP, SHOWN, BEFORE = 0.4e-6, 100, 25  # of the sample path: s, steps that are shown, and before
 SEED = 11  # of the sample path
-_MOST_STATES = 2 + int(RANGES["order"].high)  # the phase and an estimator of the largest order
+DESIGNS = ("robust", "by hand", "classical")
+_PAPER = rs.homodyne.PAPER
 
+
+class Range(NamedTuple):
+    """The values of a setting in the unit of its slider; its default must be one of them."""
+
+    low: float
+    high: float
+    step: float
+    exponent: int = 0  # the slider's unit is 10^exponent of SI
+
+    def si(self, shown: float) -> float:
+        """Return in SI what the slider shows, to the digits that it shows."""
+        return float(Decimal(f"{shown:.4g}").scaleb(self.exponent))
+
+    def shown(self, value: float) -> float:
+        """Return a value in the unit of the slider."""
+        return round(value / 10.0**self.exponent, 12)
+
+
+RANGES = {
+    "lag": Range(0.2, 15.0, 0.1, -6),
+    "order": Range(1, 5, 1),
+    "gamma": Range(0.05, 0.8, 0.01),
+    "noise": Range(0.1, 5.0, 0.1),
+    "lam": Range(1.0, 50.0, 0.02, 3),
+    "kappa": Range(4.0, 250.0, 2.0, 3),
+    "tau": Range(0.2, 10.0, 0.01, -6),
+    **dict.fromkeys(("lambda1", "lambda2"), Range(0.0, 1.0, 0.0001)),
+    **dict.fromkeys(("lambda3", "lambda4"), Range(0.0, 0.02, 0.0001)),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the explorer shows; by default the paper's example."""
+
+    lag: float = DELAY  # how far back the smoothed estimate looks, s
+    order: int = ORDER  # of the Pade model of the lag
+    gamma: float = _PAPER.gamma  # half width of the sector that the sine is taken to stay in
+    noise: float = 1.0  # power of the shot noise, relative to the paper's; the design knows of it
+    lam: float = _PAPER.lam  # decay rate of the phase, rad/s
+    kappa: float = _PAPER.kappa  # diffusion of the phase, rad^2/s
+    cost: str = COSTS[0]  # the error that a robust design keeps low
+    design: str = DESIGNS[0]  # least bound, these tau and lambda, or the nominal smoother
+    tau: float = printed("tau")  # rad^2 s
+    lambda1: float = printed("lambda_1")
+    lambda2: float = printed("lambda_2")
+    lambda3: float = printed("lambda_3")
+    lambda4: float = printed("lambda_4")
+
+    def __post_init__(self):
+        for name, allowed in RANGES.items():
+            low, high = allowed.si(allowed.low), allowed.si(allowed.high)
+            value = validation.real(name, getattr(self, name), low=low, high=high)
+            object.__setattr__(self, name, value)
+        if not self.order.is_integer():
+            raise ValueError(f"order must be a whole number, got {self.order}")
+        object.__setattr__(self, "order", int(self.order))
+        validation.choice("cost", self.cost, COSTS)
+        validation.choice("design", self.design, DESIGNS)
+
+    @property
+    def multipliers(self) -> tuple[float, ...]:
+        """The four multipliers of a design by hand."""
+        return self.lambda1, self.lambda2, self.lambda3, self.lambda4
+
+    @property
+    def parameters(self) -> rs.homodyne.HomodyneParameters:
+        """The optical loop: more noise is that of a weaker beam."""
+        alpha = _PAPER.alpha / self.noise**0.5
+        return replace(_PAPER, lam=self.lam, kappa=self.kappa, alpha=alpha, gamma=self.gamma)
+
+
+_MOST_STATES = 2 + int(RANGES["order"].high)  # the phase and an estimator of the largest order
 Array = NDArray[np.float64]
 Poles = NDArray[np.complex128]
 T = TypeVar("T")
 
 
-class Guarantee(NamedTuple):
-    """The error that a design's bound is for, with the fictitious noise that the bound counts."""
-
-    errors: Array  # mean squares at each of `ADMISSIBLE`, rad^2
-    bound: float  # on them, rad^2: twice V; infinity for a design that comes without
-
-
-class Sweep(NamedTuple):
-    """Mean square errors at each of `SLOPES`, rad^2, in a loop without the fictitious noise."""
-
-    filtered: Array
-    smoothed: Array
-
-
-class Path(NamedTuple):
-    """A path of the phase, rad, and its estimates, made at the same times."""
-
-    time: Array
-    phase: Array
-    filtered: Array
-    smoothed: Array
+# Mean squares at each of `ADMISSIBLE`, rad^2, with the fictitious noise, and what bounds them: 2V,
+# or infinity for a design that comes without.
+Guarantee = namedtuple("Guarantee", "errors bound")
+# Mean square errors at each of `SLOPES`, rad^2, in a loop without the fictitious noise.
+Sweep = namedtuple("Sweep", "filtered smoothed")
+# A path of the phase, rad, and its estimates, made at the same times.
+Path = namedtuple("Path", "time phase filtered smoothed")
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What there is to see at some settings, but for the simulation of many paths.
-
-    A sentence stands for what there is not.
-    """
+    """What there is to see at some settings, but for the simulation of many paths."""
 
     settings: Settings
     filtering: float  # the Kalman-Bucy filter's error without uncertainty, rad^2
@@ -82,14 +143,12 @@ class Snapshot:
 def take_snapshot(settings: Settings) -> Snapshot:
     """Return what there is to see at some settings."""
     parameters = settings.parameters
-    system = parameters.uncertain_system()
-    least = (rs.baselines.optimal_fixed_lag_error(system, lag) for lag in (0.0, settings.lag))
-    filtering, optimum = (float(error[0, 0]) for error in least)
+    least = partial(rs.baselines.optimal_fixed_lag_error, parameters.uncertain_system())
     estimator = _found(design, settings)
     return Snapshot(
         settings=settings,
-        filtering=filtering,
-        optimum=optimum,
+        filtering=least(0.0).item(),
+        optimum=least(settings.lag).item(),
         estimator=estimator,
         poles=_found(_poles, estimator, parameters),
         sweep=_found(_sweep, estimator),
@@ -145,8 +204,7 @@ def _found(find: Callable[..., T], *given: object, **options: object) -> T | str
 
 
 def _sweep(estimator: rs.Estimator) -> Sweep:
-    outputs = ("filtered", "smoothed")
-    found = (rs.delta_sweep(estimator, SLOPES, output, loop="real") for output in outputs)
+    found = (rs.delta_sweep(estimator, SLOPES, output, loop="real") for output in Sweep._fields)
     return Sweep(*(errors[:, 0, 0] for errors in found))
 
 
@@ -165,13 +223,11 @@ def _poles(estimator: rs.Estimator, parameters: rs.homodyne.HomodyneParameters) 
 
 
 def _path(estimator: rs.Estimator) -> Path:
-    """Simulate one path, on the same noise whatever the loop: a change moves it, no more.
-
-    That of `sample_paths` depends on the lag, which its step divides, and on the order.
-    """
+    """Simulate one path, on the same noise whatever the loop, unlike `rs.sample_paths`."""
     loop = nonlinear_loop(estimator)
     integrator = ExponentialIntegrator(loop, STEP)
-    start, *steps = _normals()[:, : loop.order, None]
+    noise = np.random.default_rng(SEED).standard_normal((1 + BEFORE + SHOWN, _MOST_STATES))
+    start, *steps = noise[:, : loop.order, None]
     z = loop.stationary_root @ start
     states = []
     for normals in steps:
@@ -179,9 +235,3 @@ def _path(estimator: rs.Estimator) -> Path:
         states.append(z[:, 0])
     time = STEP * np.arange(1, SHOWN + 1)
     return Path(time, *loop.readout @ np.array(states[BEFORE:]).T)  # w and its two estimates
-
-
-@cache
-def _normals() -> Array:
-    """Return the noise of each state at the start and in each step."""
-    return np.random.default_rng(SEED).standard_normal((1 + BEFORE + SHOWN, _MOST_STATES))

@@ -9,7 +9,6 @@ from robsmooth.analysis.constraints import AnalysisBound, analysis_bound
 from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.analysis.worst_case import WorstCase, worst_case
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne.moments import StationaryErrors, stationary_errors
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, MeanSquare, monte_carlo
 from robsmooth.homodyne.parameters import HomodyneParameters
@@ -29,12 +28,6 @@ class Compared:
     moments: StationaryErrors  # in lock, without sampling
 
     @property
-    def promised(self) -> float | None:
-        """Twice the design's bound V, rad^2: what it promises of the error of its cost."""
-        robust = isinstance(self.estimator, RobustSmoother)
-        return self.estimator.mean_square_bound if robust else None
-
-    @property
     def exact(self) -> float:
         """The error in the loop with the sine, from the moments, rad^2."""
         return getattr(self.moments, self.output)
@@ -50,8 +43,8 @@ def compare(
 ) -> dict[str, Compared]:
     """Find the errors of each estimator and its output, at slopes Delta_2 and in `monte_carlo`."""
     found = {}
-    cases = progress_bar(estimators.items(), unit="estimator", shown=progress)
-    for name, (estimator, output) in cases:
+    cases = estimators.items()
+    for name, (estimator, output) in progress_bar(cases, unit="estimator", shown=progress):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LossOfLockWarning)  # the result has the slips
             result = monte_carlo(parameters, estimator, "paper", **simulation)

@@ -65,20 +65,14 @@ class Loop:
     sine_gain: Matrix  # (n,), b_s, 1/s
     copy_gain: Matrix  # (n,), b_c, 1/s
     sine_noise: float  # nu, s^(1/2)
-    filtered: Matrix  # (n,), as the next two rows that read an angle out of the state, rad
-    smoothed: Matrix
-    oscillator: Matrix
+    noise_gain: Matrix  # (n,), nu b_s, of dW
+    readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase, rad
     delay: float  # of the smoothed estimate, s
 
     @property
     def order(self) -> int:
         """Number of states of the estimator."""
-        return len(self.filtered)
-
-    @property
-    def noise_gain(self) -> Matrix:
-        r"""Gain of dW into :math:`\hat x`."""
-        return self.sine_noise * self.sine_gain
+        return len(self.drift)
 
     def linearised_drift(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
         r"""Drift of :math:`(\varphi, \hat x)`, each sine replaced by a slope, 1/s."""
@@ -115,11 +109,7 @@ class Loop:
             tolerance=FIXED_POINT_TOLERANCE,
             largest=LARGEST_VARIANCE,
         )
-        return float(slopes[0]), float(slopes[1])
-
-    def readout(self) -> Matrix:
-        """Rows of the filtered estimate, the smoothed estimate and the oscillator's phase."""
-        return np.vstack([self.filtered, self.smoothed, self.oscillator])
+        return tuple(slopes.tolist())
 
     def noise_gains(self) -> Matrix:
         r"""Columns by which dV and dW drive :math:`(\varphi, \hat x)`."""
@@ -182,19 +172,18 @@ def homodyne_loop(
     # of the sine and its copy, behind the channel of an uncertainty that is zero
     gains, arguments = 2 * alpha * inputs[:, 1:], outputs[1:] / scale
     linear = drift - beta * gains @ arguments
-    runs_copy = gains[:, 1].any()
+    sine_noise = beta * system.D21[0, 1]
     return Loop(
         phase_decay=-linear[0, 0],
         phase_diffusion=noise[0, 0],
         drift=linear[1:, 1:],
         reference=-arguments[0, 1:],
-        copy=arguments[1, 1:] * runs_copy,
+        copy=arguments[1, 1:] * gains[:, 1].any(),
         sine_gain=gains[1:, 0],
         copy_gain=gains[1:, 1],
-        sine_noise=beta * system.D21[0, 1],
-        filtered=estimator.C_f[0],
-        smoothed=estimator.C_a[0],
-        oscillator=u[0],
+        sine_noise=sine_noise,
+        noise_gain=sine_noise * gains[1:, 0],
+        readout=np.vstack([estimator.C_f, estimator.C_a, u]),
         delay=estimator.plant.delay,
     )
 
@@ -207,9 +196,9 @@ def numbers_of(parameters) -> dict[str, float]:
             raise TypeError(
                 f"parameters must be HomodyneParameters, got {parameters!r} without {name}"
             )
-        low_open = name not in ("lam", "kappa")
+        without = [] if name in ("lam", "kappa") else [0.0]
         given = getattr(parameters, name)
-        numbers[name] = validation.real(f"parameters.{name}", given, low=0.0, low_open=low_open)
+        numbers[name] = validation.real(f"parameters.{name}", given, low=0.0, without=without)
     return numbers
 
 
@@ -226,20 +215,19 @@ def _estimator(smoother, system: UncertainSystem, copy: bool) -> Estimator:
     n = A_c.shape[0]
     if n == 0 or A_c.shape[1] != n:
         raise ValueError(f"smoother.A_c must be square and not empty, got shape {A_c.shape}")
-    B_c = validation.matrix("smoother.B_c", B_c, (n, None))
     C_c = validation.matrix("smoother.C_c", C_c, (None, n))
     C_f = validation.matrix("smoother.C_f", getattr(smoother, "C_f", C_c[:1]), (None, n))
     C_a = validation.matrix("smoother.C_a", C_a, (None, n))
-    outputs, inputs = C_c.shape[0], B_c.shape[1]
-    if (C_f.shape[0], C_a.shape[0]) != (1, 1) or outputs != inputs or inputs not in (1, 2):
+    B_c = validation.matrix("smoother.B_c", B_c, (n, None))
+    inputs = B_c.shape[1]
+    if (len(C_f), len(C_a), len(C_c)) != (1, 1, inputs) or inputs not in (1, 2):
         raise ValueError(
             "smoother must have one output, one measurement and at most one nonlinearity "
             "(1 row in C_a and C_f, 1 or 2 columns in B_c, and as many rows in C_c), got "
             f"C_a {C_a.shape}, C_f {C_f.shape}, B_c {B_c.shape}, C_c {C_c.shape}"
         )
     delay = validation.real("smoother.plant.delay", delay, low=0.0)
-    runs = np.array([1.0, float(copy)])[: C_c.shape[0]]
-    missing = 2 - inputs
+    runs, missing = np.array([1.0, float(copy)])[:inputs], 2 - inputs
     return Estimator(
         plant=augment(system, delay, order=0),
         A_c=A_c,

@@ -8,10 +8,9 @@ With :math:`z = (\varphi, \hat x)`, the arguments :math:`s_k z` of the two sines
     dz = \Bigl[Az + \sum_k b_k\bigl(\sin s_kz - \rho_k s_kz\bigr)\Bigr]dt + Q^{1/2}\,dW,
     \qquad AP + PA' + Q = 0 .
 
-Let :math:`z = S\xi` with :math:`P = SS'`, so that the linear part leaves :math:`N(0, I)` invariant
-(`robsmooth.homodyne.whitening`), with :math:`h_\alpha` the normalised Hermite polynomials of
-:math:`\xi` and :math:`a_i = \partial/\partial\xi_i` (`robsmooth._numerics.hermite`). The backward
-Kolmogorov operator of the loop is
+Let :math:`z = S\xi` with :math:`P = SS'`, so that the linear part leaves :math:`N(0, I)` invariant,
+with :math:`h_\alpha` the normalised Hermite polynomials of :math:`\xi` and :math:`a_i =
+\partial/\partial\xi_i` (`robsmooth._numerics.hermite`). The loop's backward Kolmogorov operator is
 
 .. math::
 
@@ -46,20 +45,25 @@ slip, of the order of :math:`e^{-2/\sigma^2}` for a scalar loop with error varia
 
 import math
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.linalg import qr, solve_triangular
 from scipy.sparse.linalg import expm_multiply, splu
 
+from robsmooth._numerics import linearisation
 from robsmooth._numerics.hermite import HermiteBasis, multiplication_matrix
+from robsmooth._numerics.lyapunov import stationary_root
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.tables import Table
+from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.homodyne.loop import Loop, check_stationary, homodyne_loop
 from robsmooth.homodyne.parameters import HomodyneParameters
-from robsmooth.homodyne.whitening import Sine, WhitenedLoop, whitened
 
 TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
 LARGEST_TRUNCATION = 0.02  # relative truncation error above which there is no result
@@ -70,6 +74,16 @@ DEFAULT_UNKNOWNS, MOST_UNKNOWNS = 2500, 6000  # at most: of the default degree, 
 DECAYED = 30.0  # time constants of the loop's slowest mode after which e^{Lt} is zero
 _LARGEST_RESIDUAL = 1e-10  # relative residual up to which the moments are solved for
 _ZERO_ENTRY = 1e-16  # of a matrix, relative to its largest entry, below which it is zero
+
+LARGEST_DEVIATION = math.pi / 2  # standard deviation of the argument of a sine in lock, rad
+_NEGLIGIBLE_REMAINDER = 1e-15  # of what sin(v) - v does to the state in a time constant
+_SLOPE_TOLERANCE = 1e-9  # change of the slopes at which they are found
+_LARGEST_ROUNDING = 1e-4  # of the covariance in white coordinates
+_NEGLIGIBLE_DEVIATION = 1e-10  # of a direction in which nothing moves, relative
+_ILL_CONDITIONED = (
+    "the covariance of the linearised loop is lost in rounding: its rates, or the scales of the "
+    "estimator's states, are too far apart"
+)
 
 
 @dataclass(frozen=True)
@@ -84,6 +98,10 @@ class StationaryErrors:
         Estimates of the error that the finite degree, and rounding, make in them, rad^2.
     degree, unknowns : int
         Total degree of the polynomials, and the moments that were solved for.
+
+    See Also
+    --------
+    stationary_errors, MonteCarloResult : what returns them; the same by simulation.
 
     Examples
     --------
@@ -100,6 +118,14 @@ class StationaryErrors:
     degree: int
     unknowns: int
 
+    @property
+    def _relative_truncation(self) -> float:
+        """The larger of both, infinite where the degree had no solution."""
+        if not math.isfinite(self.smoothed_truncation + self.filtered_truncation):
+            return math.inf
+        smoothed = self.smoothed_truncation and self.smoothed_truncation / self.smoothed
+        return max(smoothed, self.filtered_truncation and self.filtered_truncation / self.filtered)
+
     def __repr__(self) -> str:
         return (
             f"StationaryErrors(smoothed {self.smoothed:.10g} +- {self.smoothed_truncation:.1g} "
@@ -115,6 +141,26 @@ class StationaryErrors:
         columns = ("estimate", "mean square error (rad²)", "truncation (rad²)")
         size = f"polynomials of degree {self.degree}, {self.unknowns} unknowns"
         return Table(columns, rows, f"The loop in lock: {size}.", digits=1).html()
+
+
+@dataclass(frozen=True, eq=False)
+class WhitenedLoop:
+    """The loop in the coordinates xi, with time in units of its fastest time constant."""
+
+    drift: Matrix
+    sines: list[tuple[Matrix, float, Matrix]]  # v = row . (xi_1, xi_2), slope, gain (n,)
+    phase: Matrix  # rows that read the phase and the errors out of xi
+    filtered: Matrix  # phi - C_f x_hat
+    smoothed: Matrix  # phi - C_a x_hat
+    phase_decay: float
+    phase_variance: float
+    delay: float
+    rounding: float  # relative error of the covariance
+
+    @property
+    def dimension(self) -> int:
+        """Number of coordinates."""
+        return len(self.drift)
 
 
 @one_thread
@@ -169,12 +215,12 @@ def stationary_errors(
     >>> print(f"{errors.filtered:.6f} rad^2")
     0.088235 rad^2
     """
+    least = LEAST_DEGREE
     if degree is not None:
-        degree = validation.integer("degree", degree, low=LEAST_DEGREE)
+        least = validation.integer("degree", degree, low=LEAST_DEGREE)
         if degree % 2:
             raise ValueError(f"degree must be even, got {degree}")
     loop = homodyne_loop(parameters, smoother, oscillator, copy, nonlinearity, shot_noise)
-    least = degree or LEAST_DEGREE
     unknowns = _unknowns(1 + loop.order, least)
     if unknowns > MOST_UNKNOWNS:
         raise ValueError(
@@ -187,9 +233,9 @@ def stationary_errors(
     if degree is None:
         result = _converged(problem)
     else:
-        degrees = range(max(2, degree - 4), degree + 1, 2)
-        result = _result(problem, [_errors(problem, N) for N in degrees], degree)
-    relative = _relative_truncation(result)
+        degrees = range(max(2, least - 4), least + 1, 2)
+        result = _result(problem, [_errors(problem, N) for N in degrees], least)
+    relative = result._relative_truncation
     if not relative <= LARGEST_TRUNCATION:
         raise ArithmeticError(
             "the loop is so noisy that it slips: the expansion does not converge (relative "
@@ -205,19 +251,16 @@ def _unknowns(dimension: int, degree: int) -> int:
 
 def _converged(problem: WhitenedLoop) -> StationaryErrors:
     """Raise the degree until the truncation error is small, or no longer gets smaller."""
-    errors, degree = [_errors(problem, 2)], 2
-    best, since = None, 0
-    while since < STEPS_WITHOUT_GAIN:
-        degree += 2
+    errors, best = [_errors(problem, 2)], None
+    for degree in count(LEAST_DEGREE, 2):
         errors.append(_errors(problem, degree))
         result = _result(problem, errors, degree)
-        since += 1
-        if best is None or _relative_truncation(result) < _relative_truncation(best):
-            best, since = result, 0
+        if best is None or result._relative_truncation < best._relative_truncation:
+            best = result
+        gains_nothing = degree >= best.degree + 2 * STEPS_WITHOUT_GAIN
         too_large = _unknowns(problem.dimension, degree + 2) > DEFAULT_UNKNOWNS
-        if too_large or _relative_truncation(best) <= TOLERANCE:
-            break
-    return best
+        if gains_nothing or too_large or best._relative_truncation <= TOLERANCE:
+            return best
 
 
 def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> StationaryErrors:
@@ -228,15 +271,6 @@ def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> Statio
         truncation = steps.max(axis=0) + problem.rounding * errors[-1]
     unknowns = _unknowns(problem.dimension, degree)
     return StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree, unknowns)
-
-
-def _relative_truncation(result: StationaryErrors) -> float:
-    """The larger of both, infinite where the degree had no solution."""
-    errors = np.array([result.smoothed, result.filtered])
-    truncation = np.array([result.smoothed_truncation, result.filtered_truncation])
-    if not np.isfinite(truncation).all():
-        return math.inf
-    return float(max(np.divide(truncation, errors, out=np.zeros(2), where=truncation > 0)))
 
 
 def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
@@ -260,15 +294,16 @@ def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
         )
     errors = np.array([smoothed, filtered])
     valid = np.isfinite(errors).all() and (errors >= 0).all()
-    if not valid or np.linalg.eigvalsh(covariance)[0] < 0:
-        return np.full(2, np.inf)
-    return errors
+    valid = valid and np.linalg.eigvalsh(covariance)[0] >= 0
+    return errors if valid else np.full(2, np.inf)
 
 
 def _generator(problem: WhitenedLoop, basis: HermiteBasis) -> sparse.csr_array:
     """The matrix of L."""
     linear = basis.lowering.T @ sparse.kron(problem.drift.T, basis.identity) @ basis.lowering
-    terms = (_remainder(sine, basis) @ basis.derivative(sine.gain) for sine in problem.sines)
+    terms = (
+        _remainder(row, slope, basis) @ basis.derivative(gain) for row, slope, gain in problem.sines
+    )
     generator = sum(terms, start=linear).tocsr()
     size = np.abs(generator.data)
     generator.data[size < _ZERO_ENTRY * size.max()] = 0.0  # they would only fill the factors
@@ -276,17 +311,17 @@ def _generator(problem: WhitenedLoop, basis: HermiteBasis) -> sparse.csr_array:
     return generator
 
 
-def _remainder(sine: Sine, basis: HermiteBasis) -> sparse.csr_array:
+def _remainder(row: Matrix, slope: float, basis: HermiteBasis) -> sparse.csr_array:
     """The matrix of multiplication with sin(v) - slope v, v = row . (xi_1, xi_2)."""
-    sines = [multiplication_matrix(np.sin, factor, basis.degree) for factor in sine.row]
-    cosines = [multiplication_matrix(np.cos, factor, basis.degree) for factor in sine.row]
-    if len(sine.row) == 1 or not sine.row[1]:
+    sines = [multiplication_matrix(np.sin, factor, basis.degree) for factor in row]
+    cosines = [multiplication_matrix(np.cos, factor, basis.degree) for factor in row]
+    if len(row) == 1 or not row[1]:
         product = basis.multiplication(sines[:1])
     else:
         product = basis.multiplication([sines[0], cosines[1]])
         product = product + basis.multiplication([cosines[0], sines[1]])
-    linear = sum(factor * x for factor, x in zip(sine.row, basis.coordinates, strict=False))
-    return product - sine.slope * linear
+    linear = sum(factor * x for factor, x in zip(row, basis.coordinates, strict=False))
+    return product - slope * linear
 
 
 def _stationary_moments(generator: sparse.csr_array) -> NDArray[np.float64]:
@@ -308,3 +343,97 @@ def _change(problem: WhitenedLoop, generator: sparse.csr_array) -> NDArray[np.fl
     if slowest * problem.delay > DECAYED:
         return -error
     return expm_multiply(generator * problem.delay, error) - error
+
+
+def whitened(loop: Loop) -> WhitenedLoop:
+    """Return the loop in white coordinates, where it is stable and in lock."""
+    rate = np.abs(np.linalg.eigvals(loop.linearised_drift())).max()
+    slopes = slopes_of_lock(loop, rate)
+    S, inverse, rounding = _white_coordinates(loop, slopes, rate)
+
+    rows = loop.arguments() @ S
+    deviations = np.linalg.norm(rows, axis=1)
+    # Far out of lock there are slopes again, because the noise averages the sine to nothing.
+    largest = deviations[loop.arguments()[:, 1:].any(axis=1)].max(initial=0.0)
+    if largest > LARGEST_DEVIATION:
+        raise UnstableLoopError(
+            "the loop is not in lock: by statistical linearisation the argument of its sine has a "
+            f"standard deviation of {largest:.3g} rad"
+        )
+    # The arguments of the sines that are not linear all the same span the first coordinates.
+    gains = inverse @ loop.gains() / rate
+    active = deviations**3 * np.linalg.norm(gains, axis=0) > _NEGLIGIBLE_REMAINDER
+    rotation, arguments = np.linalg.qr(rows[active].T, mode="complete")
+    S, inverse = S @ rotation, rotation.T @ inverse
+    sines = zip(arguments.T[:, :2], slopes[active], gains.T[active] @ rotation, strict=True)
+    return WhitenedLoop(
+        drift=inverse @ (loop.linearised_drift(*slopes) / rate) @ S,
+        sines=list(sines),
+        phase=S[0],
+        filtered=S[0] - loop.readout[0] @ S[1:],
+        smoothed=S[0] - loop.readout[1] @ S[1:],
+        phase_decay=loop.phase_decay / rate,
+        phase_variance=loop.phase_diffusion**2 / (2 * loop.phase_decay),
+        delay=loop.delay * rate,
+        rounding=rounding,
+    )
+
+
+def slopes_of_lock(loop: Loop, rate: float) -> Matrix:
+    """Return the slopes of statistical linearisation, iterated from slopes of one."""
+    S, inverse = _error_coordinates(loop)
+    rows = loop.arguments() @ S
+    return linearisation.equivalent_slopes(
+        np.ones(2),
+        lambda slopes: ((rows @ _root(loop, slopes, rate, S, inverse)) ** 2).sum(axis=1),
+        linearisation.of_sine,
+        tolerance=_SLOPE_TOLERANCE,
+    )
+
+
+def _white_coordinates(loop: Loop, slopes: Matrix, rate: float) -> tuple[Matrix, Matrix, float]:
+    """Return S with P = S S', a left inverse, and how far from I the covariance is behind it.
+
+    What does not move has no coordinate. A triangular factor, unlike one of eigenvectors, does not
+    mix coordinates of different rates.
+    """
+    from_error, to_error = _error_coordinates(loop)
+    root = _root(loop, slopes, rate, from_error, to_error)
+    deviations = np.linalg.norm(root, axis=1)
+    deviations[deviations == 0.0] = 1.0
+    triangle, order = qr((root / deviations[:, None]).T, mode="r", pivoting=True)
+    rank = np.count_nonzero(np.abs(triangle.diagonal()) > _NEGLIGIBLE_DEVIATION)
+    scaled = np.empty((len(root), rank))
+    scaled[order] = triangle[:rank].T
+    S = from_error * deviations @ scaled
+    moving = (to_error / deviations[:, None])[order[:rank]]
+    inverse = solve_triangular(triangle[:rank, :rank].T, moving, lower=True)
+    white = _root(loop, slopes, rate, S, inverse)
+    rounding = np.abs(white @ white.T - np.eye(rank)).max(initial=0.0)
+    if rounding > _LARGEST_ROUNDING:
+        raise ArithmeticError(_ILL_CONDITIONED)
+    return S, inverse, rounding
+
+
+def _root(loop: Loop, slopes: Matrix, rate: float, S: Matrix, inverse: Matrix) -> Matrix:
+    """Return a root of the stationary covariance of the linear loop in the coordinates S.
+
+    It tells small deviations from none, down to rounding; the covariance only their squares.
+    """
+    drift = loop.linearised_drift(*slopes)
+    check_stationary(np.linalg.eigvals(drift))
+    noise = inverse @ loop.noise_gains() / math.sqrt(rate)
+    try:
+        return stationary_root(inverse @ (drift / rate) @ S, noise)
+    except UnstableLoopError:  # the eigenvalues are stable
+        raise ArithmeticError(_ILL_CONDITIONED) from None
+
+
+def _error_coordinates(loop: Loop) -> tuple[Matrix, Matrix]:
+    """Return coordinates with the argument of the detector's sine for the phase, and their inverse.
+
+    The phase may wander far, and the estimate with it; their difference does not.
+    """
+    S, inverse = np.eye(1 + loop.order), np.eye(1 + loop.order)
+    S[0, 1:], inverse[0, 1:] = loop.reference, -loop.reference
+    return S, inverse

@@ -42,6 +42,7 @@ class HomodyneParameters:
 
     See Also
     --------
+    PAPER : the values of Table I.
     robsmooth.monte_carlo, robsmooth.stationary_errors : errors of an estimator in the loop.
 
     Examples
@@ -60,7 +61,7 @@ class HomodyneParameters:
     def __post_init__(self) -> None:
         for name in ("lam", "kappa", "alpha", "beta"):
             object.__setattr__(self, name, validation.positive(name, getattr(self, name)))
-        gamma = validation.real("gamma", self.gamma, low=0, high=1, low_open=True, high_open=True)
+        gamma = validation.real("gamma", self.gamma, low=0, high=1, without=[0, 1])
         object.__setattr__(self, "gamma", gamma)
 
     def uncertain_system(self) -> UncertainSystem:
@@ -152,18 +153,12 @@ def homodyne_system(
 ) -> UncertainSystem:
     """Return the system of `HomodyneParameters`, or one without decay or without process noise."""
     lam, kappa, alpha, beta, gamma = numbers.values()
-    drive = math.sqrt(kappa)
-    gain = 1.0 / (2.0 * alpha * beta)
+    drive, gain = math.sqrt(kappa), 1.0 / (2.0 * alpha * beta)
+    B1, D21 = [[drive, 0.0]], [[0.0, math.sqrt(shot_noise) * gain]]
+    process = Uncertainty(B=[[drive]], C=[[0.0]], D=[[0.0]])
     C = [[2.0 * alpha * gamma]]
-    return UncertainSystem(
-        A=[[-lam]],
-        B1=[[drive, 0.0]],
-        C0=[[1.0]],
-        C2=[[1.0]],
-        D21=[[0.0, math.sqrt(shot_noise) * gain]],
-        uncertainties=(Uncertainty(B=[[drive]], C=[[0.0]], D=[[0.0]]),),
-        nonlinearities=(Nonlinearity([[0.0]], C, [[gain]], 1.0, function, "filtered"),),
-    )
+    sine = Nonlinearity([[0.0]], C, [[gain]], 1.0, function, "filtered")
+    return UncertainSystem([[-lam]], B1, [[1.0]], [[1.0]], D21, (process,), (sine,))
 
 
 def fraction_inside(error_range: float, variance: float) -> float:
@@ -177,6 +172,10 @@ def fraction_inside(error_range: float, variance: float) -> float:
     Returns
     -------
     float
+
+    See Also
+    --------
+    HomodyneParameters.sector_range, HomodyneParameters.lipschitz_range : ranges to ask for.
 
     Examples
     --------

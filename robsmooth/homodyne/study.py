@@ -23,7 +23,7 @@ from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
-from robsmooth.analysis.covariance import error_covariance
+from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import design_smoother
@@ -36,10 +36,9 @@ if TYPE_CHECKING:
 
 Axis = Sequence[float] | NDArray[np.float64]
 
-AXES = ("gamma", "noise", "order", "lag")
-LINEAR = ("bound", "nominal", "edge", "optimal", "optimal_filtered")
-NONLINEAR = ("filtered", "filtered_error", "smoothed", "smoothed_error", "slip_rate")
-QUANTITIES = LINEAR + NONLINEAR
+AXES = ("gammas", "noises", "orders", "lags")
+QUANTITIES = ("bound", "nominal", "edge", "optimal", "optimal_filtered")  # of the linear loop
+QUANTITIES += ("filtered", "filtered_error", "smoothed", "smoothed_error", "slip_rate")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +59,15 @@ class Study:
     failures : dict of (gamma, noise) to str
         Why there is no design.
 
+    See Also
+    --------
+    parameter_study : makes it.
+
     Examples
     --------
-    >>> import numpy as np
     >>> import robsmooth as rs
-    >>> found = {"smoothed": np.array([[[[0.08, 0.06]]]]), "filtered": np.array([[[[0.1, 0.1]]]])}
-    >>> study = rs.Study((0.4,), (1.0,), (2,), (1e-6, 3e-6), found, failures={})
-    >>> study.ratio.round(2)
-    array([[[[0.8, 0.6]]]])
+    >>> rs.Study((0.4,), (1.0,), (2,), (1e-6, 3e-6), {"bound": [[[[0.1, 0.1]]]]}, failures={})
+    Study(1 gammas x 1 noises x 1 orders x 2 lags: 2 designs, 0 columns without)
     """
 
     gammas: tuple[float, ...]
@@ -93,16 +93,17 @@ class Study:
         return self.quantities["optimal"] / self.quantities["optimal_filtered"]
 
     def __repr__(self) -> str:
-        sizes = " x ".join(f"{len(getattr(self, name + 's'))} {name}s" for name in AXES)
+        sizes = " x ".join(f"{len(getattr(self, name))} {name}" for name in AXES)
         return f"Study({sizes}: {self.designs} designs, {len(self.failures)} columns without)"
 
     def _repr_html_(self) -> str:
-        ranges = {
-            r"half width $\gamma$ of the sector": self.gammas,
-            "power of the shot noise": self.noises,
-            "order": self.orders,
-            "lag (s)": self.lags,
-        }
+        names = (
+            r"half width $\gamma$ of the sector",
+            "power of the shot noise",
+            "order",
+            "lag (s)",
+        )
+        ranges = dict(zip(names, (self.gammas, self.noises, self.orders, self.lags), strict=True))
         if (found := self.ratio[np.isfinite(self.ratio)]).size:
             ranges["smoothed / filtered"] = found
         rows = [(name, len(r), float(min(r)), float(max(r))) for name, r in ranges.items()]
@@ -127,8 +128,7 @@ def parameter_study(
 
     Parameters
     ----------
-    parameters : HomodyneParameters
-        The loop in the middle of the grid.
+    parameters : HomodyneParameters, the loop in the middle of the grid
     lags, orders, gammas : sequences of float, int, float
         Of the smoother, s; of the delay's Pade model; half widths of the sector.
     noises : sequence of float
@@ -151,6 +151,7 @@ def parameter_study(
     See Also
     --------
     design_smoother, monte_carlo : what is done for each point of the grid.
+    best_lag : the lag alone.
 
     Examples
     --------
@@ -166,22 +167,19 @@ def parameter_study(
     orders = tuple(validation.integer("orders", order, low=1) for order in orders)
     gammas = tuple(replace(parameters, gamma=gamma).gamma for gamma in gammas)
     noises = tuple(validation.positive("noises", noise) for noise in noises)
-    for name, axis in zip(AXES, (gammas, noises, orders, lags), strict=True):
+    axes = dict(zip(AXES, (gammas, noises, orders, lags), strict=True))
+    for name, axis in axes.items():
         if not axis or len(set(axis)) < len(axis):
-            raise ValueError(f"{name}s must be one or more different values, got {axis}")
+            raise ValueError(f"{name} must be one or more different values, got {axis}")
     runs, seed = validation.integer("runs", runs, low=2), validation.integer("seed", seed, low=0)
     validation.boolean("progress", progress)
 
-    axes = {"gammas": gammas, "noises": noises, "orders": orders, "lags": lags}
     identity = {
         "study": {**axes, "parameters": vars(parameters), "runs": runs, "seed": seed},
         "software": cluster.software(),
     }
-    columns = list(product(range(len(gammas)), range(len(noises))))
-    loops = [
-        replace(parameters, gamma=gammas[i], alpha=parameters.alpha / noises[j] ** 0.5)
-        for i, j in columns
-    ]
+    columns = list(product(gammas, noises))
+    loops = [replace(parameters, gamma=g, alpha=parameters.alpha / s**0.5) for g, s in columns]
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
     with open_journal(checkpoint, identity) as journal:
         results = list(journal.records()) if journal else []
@@ -195,14 +193,13 @@ def parameter_study(
                 results.append(result)
                 bar.update()
 
-    shape = tuple(len(axis) for axis in axes.values())
-    quantities = {name: np.full(shape, np.nan) for name in QUANTITIES}
-    failures = {}
-    for (i, j), result in zip(columns, results, strict=True):
-        if "failure" in result:
-            failures[gammas[i], noises[j]] = result["failure"]
-        for name, values in result.get("quantities", {}).items():
-            quantities[name][i, j] = values
+    nothing, shape = np.full((len(orders), len(lags)), np.nan), tuple(map(len, axes.values()))
+    quantities = {
+        name: np.array([result.get(name, nothing) for result in results]).reshape(shape)
+        for name in QUANTITIES
+    }
+    found = zip(columns, results, strict=True)
+    failures = {column: result["failure"] for column, result in found if "failure" in result}
     return Study(gammas, noises, orders, lags, quantities, failures)
 
 
@@ -216,22 +213,19 @@ def _column(
         best = minimize_bound(augment(system, 0.0, 0))
     except InfeasibleDesignError as error:
         return {"failure": str(error)}
-    quantities = {name: np.full((len(orders), len(lags)), np.nan) for name in QUANTITIES}
+    found = {name: np.full((len(orders), len(lags)), np.nan) for name in QUANTITIES}
     for (a, order), (b, lag) in product(enumerate(orders), enumerate(lags)):
         smoother = design_smoother(augment(system, lag, order), best.tau, best.multipliers)
         for name, value in _measure(loop, smoother, runs, seed).items():
-            quantities[name][a, b] = value
-        quantities["optimal"][a, b] = baselines.optimal_fixed_lag_error(system, lag)[0, 0]
-    quantities["optimal_filtered"][:] = baselines.optimal_fixed_lag_error(system, 0.0)[0, 0]
-    return {"quantities": {name: values.tolist() for name, values in quantities.items()}}
+            found[name][a, b] = value
+        found["optimal"][a, b] = baselines.optimal_fixed_lag_error(system, lag)[0, 0]
+    found["optimal_filtered"][:] = baselines.optimal_fixed_lag_error(system, 0.0)[0, 0]
+    return {name: values.tolist() for name, values in found.items()}
 
 
 def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[str, float]:
-    def linear(slope: float) -> float:
-        Delta = smoother.plant.structured_delta((), [slope])
-        return float(error_covariance(smoother, Delta, loop="real")[0, 0])
-
-    found = {"bound": smoother.mean_square_bound, "nominal": linear(0.0), "edge": linear(-1.0)}
+    nominal, edge = delta_sweep(smoother, (0.0, -1.0), "smoothed", loop="real")[:, 0, 0].tolist()
+    found = {"bound": smoother.mean_square_bound, "nominal": nominal, "edge": edge}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LossOfLockWarning)  # slips are a result here

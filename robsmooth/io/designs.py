@@ -20,21 +20,45 @@ Numbers are written so that they are read back bit for bit. A function is named 
 file is ever imported or run, and `load` takes the functions by those names.
 """
 
+import difflib
 import json
+import math
 import os
+import re
+import reprlib
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from robsmooth._support import files, validation
+from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.io.design_reader import FORMAT, GAINS, Reader, parsed, recomputed
-from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.channels import Nonlinearity
+from robsmooth.systems.augmented import AugmentedSystem, augment
+from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.system import UncertainSystem
+
+_FORMAT = 1
+_SAVED = {"system": UncertainSystem, "plant": AugmentedSystem, "estimator": Estimator}
+_GAINS = ("A_c", "B_c", "C_c", "C_a", "C_f")
+_FIELDS = {  # of each table, and which of them may be left out
+    "system": ("A", "B1", "C0", "C2", "D21", "uncertainties", "nonlinearities"),
+    "uncertainties": ("B", "C", "D"),
+    "nonlinearities": ("B", "C", "D", "lipschitz", "function", "reference"),
+    "plant": ("delay", "order", "J_21", "system"),
+    "estimator": (*_GAINS, "design", "plant"),
+    "design": ("tau", "multipliers", "cost", "bound"),
+}
+_OPTIONAL = ("uncertainties", "nonlinearities", "function", "reference", "J_21", "design")
+_LISTS = ("uncertainties", "nonlinearities")
+_DEPTHS = {"lipschitz": 0, "delay": 0, "tau": 0, "bound": 0, "multipliers": 1}  # else matrices
+_DESIGN_TOLERANCE = 1e-6  # largest relative difference of a stored design to its parameters' own
 
 _FIRST = "# Of robsmooth: time in seconds, rates in 1/s, matrices by rows."
 _ABOUT = {
@@ -62,8 +86,7 @@ def save(
     ----------
     value : UncertainSystem, AugmentedSystem or Estimator
         An estimator is saved by its matrices, with its plant; a `RobustSmoother` with its tau,
-        multipliers, cost and bound, too, but without what `minimize_bound` found around it. Of a
-        nonlinearity's function the name is saved.
+        multipliers, cost and bound, too. Of a nonlinearity's function the name is saved.
     path : str or path
         Ends in .toml or .json. The file appears whole or not at all.
 
@@ -79,6 +102,10 @@ def save(
     OSError
         Where the file cannot be written.
 
+    See Also
+    --------
+    load : reads the file.
+
     Examples
     --------
     >>> import tempfile
@@ -89,14 +116,19 @@ def save(
     array([[-9140.]])
     """
     path, language = _language(path)
-    for kind, (made, fields) in _KINDS.items():
-        if isinstance(value, made):
-            content = {"format": FORMAT, "kind": kind, "units": "SI", **fields(value)}
-            toml = [_FIRST, *_toml(content, "", kind)]
-            lines = toml if language == "toml" else [_json(content)]
-            return files.write_text(path, "\n".join([*lines, ""]))
-    kinds = "an UncertainSystem, AugmentedSystem or Estimator"
-    raise TypeError(f"value must be {kinds}, got {type(value).__name__}")
+    kind = next((kind for kind, made in _SAVED.items() if isinstance(value, made)), None)
+    if kind is None:
+        kinds = "an UncertainSystem, AugmentedSystem or Estimator"
+        raise TypeError(f"value must be {kinds}, got {type(value).__name__}")
+    content = {"format": _FORMAT, "kind": kind, "units": "SI", **_content(kind, value)}
+    if kind == "estimator":
+        _estimator(
+            value.plant,
+            **{name: getattr(value, name) for name in _GAINS},
+            design=content.get("design"),
+        )
+    lines = [_FIRST, *_toml(content, "", kind)] if language == "toml" else [_json(content)]
+    files.write_text(path, "\n".join([*lines, ""]))
 
 
 def load(
@@ -106,27 +138,29 @@ def load(
 
     Parameters
     ----------
-    path : str or path
-        Ends in .toml or .json.
+    path : str or path, ends in .toml or .json
     functions : mapping of str to callable, optional
-        The functions of the nonlinearities, by the names that the file gives them. A nonlinearity
-        whose function is not among them has none: a design needs none.
+        The functions of the nonlinearities, by the names that the file gives them. A design needs
+        none.
 
     Returns
     -------
     UncertainSystem, AugmentedSystem or Estimator
-        A `RobustSmoother` where the file holds a tau and multipliers: its guarantee is computed
-        anew, and its gains are those of the file.
+        A `RobustSmoother` where the file holds one: its guarantee is computed anew.
 
     Raises
     ------
     ValueError
-        Where the file is not valid: one sentence that names the file and the field. That includes
-        a robust design whose gains do not follow from its tau and multipliers.
+        Where the file is not valid, or gains do not follow from the tau and multipliers of their
+        design: one sentence that names the file and the field.
     TypeError
         For functions that are not a mapping of names to callables.
     OSError
         Where the file cannot be read.
+
+    See Also
+    --------
+    save : writes the file.
 
     Examples
     --------
@@ -146,7 +180,7 @@ def load(
     data = path.read_bytes()
     try:
         with np.errstate(over="raise", invalid="raise", divide="raise"):
-            return Reader(functions).document(parsed(data, language))
+            return _Reader(functions).document(_parsed(data, language))
     except (ValueError, TypeError, ArithmeticError) as error:
         raise ValueError(f"{path.name}: {error}") from None
 
@@ -159,66 +193,40 @@ def _language(path: str | os.PathLike[str]) -> tuple[Path, str]:
     return path, language
 
 
-# --- objects to fields ----------------------------------------------------------------------------
+def _content(kind: str, value: Any) -> dict:
+    """Return the fields of an object's table."""
+    content = {}
+    for name in _FIELDS[kind]:
+        part = value if name == "design" else getattr(value, name)
+        if name == "design" and not isinstance(part, RobustSmoother):
+            continue
+        if name in _OPTIONAL and (part is None or np.size(part) == 0):
+            continue
+        if name == "nonlinearities":
+            _check_names([c.function for c in part])
+        if name in _LISTS:
+            part = [_content(name, member) for member in part]
+        elif name in _FIELDS:
+            part = _content(name, part)
+        content[name] = _name(part) if name == "function" else part
+    return content
 
 
-def _system_fields(system: UncertainSystem) -> dict:
-    fields = {name: getattr(system, name) for name in ("A", "B1", "C0", "C2", "D21")}
-    if system.uncertainties:
-        fields["uncertainties"] = [{"B": c.B, "C": c.C, "D": c.D} for c in system.uncertainties]
-    names = _function_names(system.nonlinearities)
-    if system.nonlinearities:
-        fields["nonlinearities"] = [
-            {"B": c.B, "C": c.C, "D": c.D, "lipschitz": c.lipschitz}
-            | ({} if name is None else {"function": name})
-            | ({} if c.reference is None else {"reference": c.reference})
-            for c, name in zip(system.nonlinearities, names, strict=True)
-        ]
-    return fields
+def _name(function: Callable | None) -> str | None:
+    called = getattr(function, "__name__", type(function).__qualname__)  # NumPy's, before 2.2
+    return None if function is None else getattr(function, "__qualname__", called)
 
 
-def _plant_fields(plant: AugmentedSystem) -> dict:
-    J_21 = {"J_21": plant.J_21} if plant.system.g else {}
-    system = _system_fields(plant.system)
-    return {"delay": plant.delay, "order": plant.order, **J_21, "system": system}
-
-
-def _estimator_fields(estimator: Estimator) -> dict:
-    fields = {
-        name: validation.matrix(name, getattr(estimator, name), (None, None)) for name in GAINS
-    }
-    if isinstance(estimator, RobustSmoother):
-        names = ("tau", "multipliers", "cost", "bound")
-        fields["design"] = {name: getattr(estimator, name) for name in names}
-        recomputed(estimator, **fields["design"])  # as `load` will have it
-    return fields | {"plant": _plant_fields(estimator.plant)}
-
-
-_KINDS = {
-    "system": (UncertainSystem, _system_fields),
-    "plant": (AugmentedSystem, _plant_fields),
-    "estimator": (Estimator, _estimator_fields),
-}
-
-
-def _function_names(nonlinearities: Sequence[Nonlinearity]) -> list[str | None]:
-    """Return the names of the functions, after checking that each stands for one function."""
-    named: dict[str, int] = {}
-    names: list[str | None] = []
-    for i, function in enumerate(channel.function for channel in nonlinearities):
-        called = getattr(function, "__name__", type(function).__qualname__)  # NumPy's, before 2.2
-        name = None if function is None else getattr(function, "__qualname__", called)
-        names.append(name)
-        first = named.setdefault(name, i)
-        if nonlinearities[first].function != function:
+def _check_names(functions: Sequence[Callable | None]) -> None:
+    """Check that each name stands for one function."""
+    named: dict[str | None, int] = {}
+    for i, function in enumerate(functions):
+        first = named.setdefault(_name(function), i)
+        if functions[first] != function:
             raise ValueError(
                 f"nonlinearities[{first}].function and nonlinearities[{i}].function must have "
-                f"names of their own to be saved, got two different ones called {name!r}"
+                f"names of their own to be saved, got two different ones called {_name(function)!r}"
             )
-    return names
-
-
-# --- fields to text -------------------------------------------------------------------------------
 
 
 def _toml(table: Mapping, prefix: str, kind: str) -> Iterator[str]:
@@ -253,3 +261,157 @@ def _json(value: object, indent: str = "") -> str:
         return repr(np.asarray(value).tolist())
     body = ",".join(f"\n{inner}{member}" for member in members)
     return f"{brackets[0]}{body}\n{indent}{brackets[1]}"
+
+
+def _parsed(data: bytes, language: str) -> object:
+    """Return the content of a file in "toml" or "json"."""
+    text = data.decode("utf-8-sig")
+    try:
+        if language == "toml":
+            return tomllib.loads(text)
+        return json.loads(text, object_pairs_hook=_without_duplicates)
+    except RecursionError:
+        raise ValueError("its brackets are nested too deeply") from None
+
+
+def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:
+    result = {}
+    for name, value in pairs:
+        if name in result:
+            raise ValueError(f"{name!r} is there twice")
+        result[name] = value
+    return result
+
+
+class _Reader:
+    """Makes the objects of one file; its errors name the field by its path."""
+
+    def __init__(self, functions: Mapping[str, Callable]):
+        self.functions = functions
+        self.named: set[str] = set()  # the functions that the file names
+
+    def document(self, content: object) -> Any:
+        """Return the object that the content of a file describes."""
+        if not isinstance(content, dict):
+            raise ValueError(f"its content must be a table, got {reprlib.repr(content)}")
+        fields = dict(content)
+        for name in ("format", "kind", "units"):
+            if name not in fields:
+                raise ValueError(f"{name} is missing")
+        version = validation.integer("format", fields.pop("format"), low=1)
+        if version != _FORMAT:
+            raise ValueError(f"format must be {_FORMAT}, got {version}: another version's file")
+        kind = validation.choice("kind", fields.pop("kind"), tuple(_SAVED))
+        validation.choice("units", fields.pop("units"), ("SI",))
+        result = self.object(kind, fields, "")
+        for name in self.functions:
+            if name not in self.named:
+                known = ", ".join(map(repr, sorted(self.named))) or "none"
+                raise ValueError(f"functions has {name!r}, but the file names {known}")
+        return result
+
+    def object(self, kind: str, table: object, path: str) -> Any:
+        """Return the object of a table, which `path` leads to."""
+        if not isinstance(table, dict):
+            raise ValueError(f"{path.rstrip('.')} must be a table, got {reprlib.repr(table)}")
+        known = {name.lower(): name for name in _FIELDS[kind]}
+        for name in table:
+            if name not in known.values():
+                nearest = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.0)[0]
+                raise ValueError(f"{path}{name} is not a field: the nearest is {known[nearest]}")
+        for name in _FIELDS[kind]:
+            if name not in table and name not in _OPTIONAL:
+                raise ValueError(f"{path}{name} is missing")
+        fields = {name: self.field(name, value, f"{path}{name}") for name, value in table.items()}
+        with _within(path):
+            return _MAKERS[kind](**fields)
+
+    def field(self, name: str, value: Any, path: str) -> Any:
+        """Return the value of a field: its class checks what is not checked here."""
+        if name in _LISTS:
+            if not isinstance(value, list):
+                raise ValueError(f"{path} must be a list of tables")
+            return [self.object(name, table, f"{path}[{i}].") for i, table in enumerate(value)]
+        if name in _FIELDS:
+            return self.object(name, value, f"{path}.")
+        if name == "function":
+            if not isinstance(value, str):
+                raise ValueError(f"{path} must be a name, got {reprlib.repr(value)}")
+            self.named.add(value)
+            return self.functions.get(value)
+        if name in ("order", "reference", "cost"):
+            return value
+        return _numbers(path, value, _DEPTHS[name]) if name in _DEPTHS else _matrix(path, value)
+
+
+def _uncertainty(B: Matrix, C: Matrix, D: Matrix) -> Uncertainty:
+    """Return an uncertainty; a C without rows has no columns in a file."""
+    return Uncertainty(B, C if len(C) else np.zeros((0, len(B))), D)
+
+
+def _estimator(plant: AugmentedSystem, design: dict | None = None, **gains: Matrix) -> Estimator:
+    """Return an estimator, a robust design where there are the parameters of one."""
+    n, m, g = len(gains["A_c"]), plant.system.m, plant.system.g
+    shapes = ((n, n), (n, plant.system.l + g), (m + g, n), (m, n), (m, n))
+    for name, shape in zip(_GAINS, shapes, strict=True):
+        gains[name] = validation.matrix(name, gains[name], shape)
+    if design is None:
+        return Estimator(plant=plant, **gains)
+    with _within("design: "):
+        smoother = limiting_smoother(plant, design["tau"], design["multipliers"], design["cost"])
+    for name, given in {**gains, "bound": design["bound"]}.items():
+        expected = getattr(smoother, name)
+        size = np.abs(expected).max(initial=0.0)
+        difference = np.abs(given - expected).max(initial=0.0)
+        if not difference <= _DESIGN_TOLERANCE * size:
+            raise ValueError(
+                f"{name} does not follow from the tau and multipliers of the design: it is off by "
+                f"{difference:.2g} where its size is {size:.2g}"
+            )
+    return replace(smoother, **gains)
+
+
+_MAKERS = {
+    "system": UncertainSystem,
+    "uncertainties": _uncertainty,
+    "nonlinearities": Nonlinearity,
+    "plant": augment,
+    "estimator": _estimator,
+    "design": dict,
+}
+
+
+def _matrix(path: str, value: object) -> Matrix:
+    """Return a matrix from its list of rows."""
+    rows = _numbers(path, value, 2)
+    widths = sorted({len(row) for row in rows}) or [0]
+    if len(widths) > 1:
+        raise ValueError(f"{path} must have rows of one length, got {widths[0]} and {widths[-1]}")
+    return np.array(rows).reshape(len(rows), widths[0])
+
+
+def _numbers(path: str, value: object, depth: int) -> Any:
+    """Return a float, or of depth 1 a list of floats, or of depth 2 a list of rows of floats."""
+    if depth > 0:
+        if not isinstance(value, list):
+            what = ("numbers", "rows")[depth - 1]
+            raise ValueError(f"{path} must be a list of {what}, got {reprlib.repr(value)}")
+        return [_numbers(f"{path}[{i}]", entry, depth - 1) for i, entry in enumerate(value)]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{path} must be a number, got {reprlib.repr(value)}")
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf  # and refused as such
+
+
+@contextmanager
+def _within(path: str) -> Iterator[None]:
+    """Put the path in front of the field's name in what a class says to its arguments."""
+    try:
+        yield
+    except (ValueError, TypeError) as error:
+        field = re.sub("^(Uncertainty|Nonlinearity) ", "", str(error))
+        raise ValueError(f"{path}{field}") from None
+    except ArithmeticError as error:
+        raise ValueError(f"{path.rstrip('.: ')}: {error}") from None

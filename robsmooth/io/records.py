@@ -1,8 +1,7 @@
 """Measured records in files: read, smoothed and written in chunks.
 
-A record has a row for each sample and a column for each measurement, the mean of dy/dt over the
-sample's interval. It is a CSV file, or an NPY file with an array of numbers. A chunk is all that is
-in memory at a time.
+A record is a CSV file, or an NPY file with an array of numbers. It has a row for each sample and a
+column for each measurement, the mean of dy/dt over the sample's interval.
 """
 
 import csv
@@ -28,7 +27,7 @@ TIMING = 0.5  # of a sample: by how much a row may come too early or too late
 DRIFT = 1e-3  # by how much the record's clock may differ from dt's
 
 Column = int | str
-Columns = Column | Sequence[Column]
+Columns = Column | Sequence[Column] | None
 Write = Callable[[Matrix, Matrix], None]
 
 
@@ -37,8 +36,8 @@ def smooth_record(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],
     *,
-    columns: Columns | None = None,
-    reference: Columns | None = None,
+    columns: Columns = None,
+    reference: Columns = None,
     time: Column | None = None,
     output: str = "smoothed",
     delimiter: str = ",",
@@ -52,31 +51,24 @@ def smooth_record(
 
     Parameters
     ----------
-    smoother : DiscreteSmoother
-        Made by ``estimator.discretize(dt)``.
+    smoother : DiscreteSmoother, made by ``estimator.discretize(dt)``
     source : path
-        A ``.csv`` file, where nan and empty cells are missing measurements and a first line without
-        any number is a header, or a ``.npy`` file with an array (N, columns) or (N,) of numbers,
-        where nan is missing.
+        A ``.csv`` file, of which a first line without any number is a header, or a ``.npy`` file
+        with an array (N, columns) or (N,). Where it has nan or an empty cell, a measurement is
+        missing.
     target : path
-        For the estimates. A ``.csv`` file has the columns ``time``, s, of w as
-        `DiscreteSmoother.times` tells it, then ``w[0]``, ``w[1]``...; a ``.npy`` file has the
-        (N, m) array that `DiscreteSmoother.run` returns.
+        For the estimates: a ``.csv`` file with the columns ``time``, s, as in
+        `DiscreteSmoother.times`, ``w[0]``, ``w[1]``..., or a ``.npy`` file of an (N, m) array.
     columns : int, str or sequence of them, optional
-        The l columns that are measurements: indices, or names from a CSV file's header. All that
-        are not named otherwise, by default.
+        The l columns that are measurements: indices, or names of a header. Default: all others.
     reference : int, str or sequence of them, optional
         The g columns with the reference of the nonlinearities, as in `DiscreteSmoother.run`.
     time : int or str, optional
         A column with times, s: a row that is missing, or a wrong dt, is refused.
-    output : {"smoothed", "filtered"}
-        Which estimates to write.
-    delimiter : str
-        One character, of CSV files.
-    chunk : int
-        Rows in memory at a time.
-    progress : bool
-        Whether to show a progress bar.
+    output : {"smoothed", "filtered"}, which estimates to write
+    delimiter : str, one character, of CSV files
+    chunk : int, rows in memory at a time
+    progress : bool, whether to show a progress bar
 
     Returns
     -------
@@ -86,23 +78,25 @@ def smooth_record(
     Raises
     ------
     ValueError, TypeError
-        For what cannot be read, or is no number where it should be one; the message names the
-        file with the line or row, and the column.
+        For what cannot be read, or is no number; the message names the file, row and column.
     ArithmeticError
         Where the smoother's state leaves the range of floats.
     OSError
         Where a file cannot be opened or written.
 
+    See Also
+    --------
+    DiscreteSmoother.run : does it with an array.
+
     Examples
     --------
-    >>> import os, tempfile
+    >>> import tempfile
     >>> import numpy as np
     >>> import robsmooth as rs
     >>> smoother = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system()).discretize(1e-7)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     source, target = os.path.join(folder, "y.npy"), os.path.join(folder, "w.csv")
-    ...     np.save(source, np.zeros((100, 1)))
-    ...     rs.smooth_record(smoother, source, target)
+    ...     np.save(folder + "/y.npy", np.zeros((100, 1)))
+    ...     rs.smooth_record(smoother, folder + "/y.npy", folder + "/w.csv")
     100
     """
     validation.instance("smoother", smoother, DiscreteSmoother)
@@ -137,36 +131,16 @@ def smooth_record(
     return rows
 
 
-# --- which column is what ------------------------------------------------------------------------
-
-
 class _Layout:
     """The columns that are used: measurements, reference and time, in this order."""
 
-    def __init__(
-        self,
-        record: "_Csv | _Npy",
-        smoother: DiscreteSmoother,
-        columns: Columns | None,
-        reference: Columns | None,
-        time: Column | None,
-    ):
-        known = [] if reference is None else _indices("reference", record, reference)
-        times = [] if time is None else _indices("time", record, time)
+    def __init__(self, record: "_Record", smoother: DiscreteSmoother, *chosen: Columns):
+        columns, reference, time = chosen
+        known = record.columns("reference", reference, smoother.g, "nonlinearities")
+        times = record.columns("time", time, 1, "time")
         if columns is None:
-            measurements = [i for i in range(record.width) if i not in (*known, *times)]
-        else:
-            measurements = _indices("columns", record, columns)
-        for name, found, wanted, what in (
-            ("columns", measurements, smoother.l, "measurements"),
-            ("reference", known, smoother.g, "nonlinearities"),
-            ("time", times, 1, "time"),
-        ):
-            if len(found) != wanted and (found or name == "columns"):
-                raise ValueError(
-                    f"{name} must name {wanted} of the columns of {record.path}, one for each of "
-                    f"the {what}, got {len(found)} ({', '.join(map(record.name, found))})"
-                )
+            columns = [i for i in range(record.width) if i not in (*known, *times)]
+        measurements = record.columns("columns", columns, smoother.l, "measurements")
         self.record, self.dt = record, smoother.dt
         self.indices = [*measurements, *known, *times]
         self.ends = np.cumsum([len(measurements), len(known)])
@@ -201,33 +175,53 @@ class _Layout:
         self.last_time = times[-1]
 
 
-def _indices(name: str, record: "_Csv | _Npy", columns: Columns) -> list[int]:
-    if isinstance(columns, int | np.integer | str):
-        columns = [columns]
-    return [_index(name, record, column) for column in columns]
+class _Record:
+    """A file with a row for each sample."""
+
+    path: Path
+    width: int  # number of columns
+    size: int  # in units
+    unit: str
+    first: tuple[str, int]  # what a row is called, and the number of the first one
+    header: Sequence[str] = ()
+
+    def name(self, column: int) -> str:
+        return f"column {column}" + (f" ({self.header[column]!r})" if self.header else "")
+
+    def place(self, row: int, column: int) -> str:
+        called, first = self.first
+        return f"{self.path}, {called} {first + row}, {self.name(column)}"
+
+    def columns(self, name: str, chosen: Columns, wanted: int, what: str) -> list[int]:
+        """Return the positions of the columns that the argument of this name chooses."""
+        if chosen is None:
+            return []
+        single = isinstance(chosen, int | np.integer | str)
+        found = [self._index(name, column) for column in ([chosen] if single else chosen)]
+        if len(found) != wanted:
+            raise ValueError(
+                f"{name} must name {wanted} of the columns of {self.path}, one for each of the "
+                f"{what}, got {len(found)} ({', '.join(map(self.name, found))})"
+            )
+        return found
+
+    def _index(self, name: str, column: Column) -> int:
+        if isinstance(column, str):
+            if self.header.count(column) != 1:
+                found = "twice" if column in self.header else "not"
+                names = ", ".join(map(repr, self.header)) or "no header"
+                raise ValueError(f"{name}: {column!r} is {found} in {self.path}, which has {names}")
+            return self.header.index(column)
+        index = validation.integer(name, column, low=0)
+        if index >= self.width:
+            raise ValueError(f"{name}: {self.path} has {self.width} columns, there is no {index}")
+        return index
 
 
-def _index(name: str, record: "_Csv | _Npy", column: Column) -> int:
-    if isinstance(column, str):
-        if record.header.count(column) != 1:
-            found = "twice" if column in record.header else "not"
-            names = ", ".join(map(repr, record.header)) or "no header"
-            raise ValueError(f"{name}: {column!r} is {found} in {record.path}, which has {names}")
-        return record.header.index(column)
-    index = validation.integer(name, column, low=0)
-    if index >= record.width:
-        raise ValueError(f"{name}: {record.path} has {record.width} columns, there is no {index}")
-    return index
-
-
-# --- records -------------------------------------------------------------------------------------
-
-
-class _Npy:
+class _Npy(_Record):
     """An NPY file. It is mapped anew for each chunk: what was read need not stay in memory."""
 
-    unit = "row"
-    header: Sequence[str] = ()
+    unit, first = "row", ("row", 0)
 
     def __init__(self, path: Path, _delimiter: str):
         self.path = path
@@ -248,12 +242,6 @@ class _Npy:
                 f"are never unpickled: {error}"
             ) from None
 
-    def name(self, column: int) -> str:
-        return f"column {column}"
-
-    def place(self, row: int, column: int) -> str:
-        return f"{self.path}, row {row}, {self.name(column)}"
-
     def chunks(self, columns: list[int], rows: int) -> Iterator[tuple[Matrix, int]]:
         """Yield the chosen columns of the next rows, and their number."""
         for start in range(0, self.size, rows):
@@ -263,7 +251,7 @@ class _Npy:
             yield values, len(values)
 
 
-class _Csv:
+class _Csv(_Record):
     """A CSV file."""
 
     unit = "B"
@@ -279,20 +267,14 @@ class _Csv:
         numbers = [_is_number(cell) for cell in cells]
         is_header = not any(numbers) and any(cells)
         self.header = [cell.strip() for cell in cells] if is_header else []
+        self.first = "line", 1 + is_header
 
     def _open(self):
         return open(self.path, encoding="utf-8-sig", errors="replace", newline="")
 
-    def name(self, column: int) -> str:
-        return f"column {column}" + (f" ({self.header[column]!r})" if self.header else "")
-
-    def place(self, row: int, column: int) -> str:
-        line = row + 1 + bool(self.header)
-        return f"{self.path}, line {line}, {self.name(column)}"
-
     def chunks(self, columns: list[int], rows: int) -> Iterator[tuple[Matrix, int]]:
         """Yield the chosen columns of the next lines, and the size of these in bytes."""
-        begin = 1 + bool(self.header)  # number of the next line
+        begin = self.first[1]
         with self._open() as file:
             lines = islice(self._lines(file), begin - 1, None)
             while part := list(islice(lines, rows)):
@@ -306,9 +288,8 @@ class _Csv:
             if not line.strip("\r\n ".replace(self.delimiter, "")):
                 blank = blank or number
             elif blank:
-                raise ValueError(
-                    f"{self.path}, line {blank}: blank; a row of gaps has its nan or commas"
-                )
+                message = "blank; a row of gaps has its nan or commas"
+                raise ValueError(f"{self.path}, line {blank}: {message}")
             else:
                 yield line
 
@@ -316,17 +297,15 @@ class _Csv:
         """Return the numbers of some lines, the first of which has this number."""
         with suppress(ValueError):  # NumPy's parser is faster by far, but knows no empty cells
             if all(line.count(self.delimiter) == self.width - 1 for line in lines):
-                return np.loadtxt(
-                    lines, delimiter=self.delimiter, usecols=columns, comments=None, ndmin=2
-                )
+                layout = {"delimiter": self.delimiter, "usecols": columns}
+                return np.loadtxt(lines, comments=None, ndmin=2, **layout)
         values = np.empty((len(lines), len(columns)))
         for i, line in enumerate(lines):
             cells = self._cells(line, number + i)
             place = f"{self.path}, line {number + i}"
             if len(cells) != self.width:
-                raise ValueError(
-                    f"{place}: {len(cells)} cells, where the first line has {self.width}"
-                )
+                wanted = f"where the first line has {self.width}"
+                raise ValueError(f"{place}: {len(cells)} cells, {wanted}")
             for j, column in enumerate(columns):
                 cell = cells[column].strip()
                 if cell and not _is_number(cell):
@@ -347,9 +326,6 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return "_" not in cell  # 1_000 is a number in Python only
-
-
-# --- what is written -----------------------------------------------------------------------------
 
 
 @contextmanager
@@ -376,10 +352,8 @@ def _csv_writer(path: Path, outputs: int, delimiter: str) -> Iterator[Write]:
         file.write(delimiter.join(names) + "\n")
 
         def write(times: Matrix, estimates: Matrix) -> None:
-            rows = zip(times.tolist(), estimates.tolist(), strict=True)
-            file.writelines(
-                delimiter.join([f"{time:.15g}", *map(repr, row)]) + "\n" for time, row in rows
-            )
+            for time, row in zip(times.tolist(), estimates.tolist(), strict=True):
+                file.write(delimiter.join([f"{time:.15g}", *map(repr, row)]) + "\n")
 
         yield write
 

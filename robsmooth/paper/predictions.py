@@ -4,8 +4,9 @@ import math
 import warnings
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 from scipy.optimize import brentq
 
@@ -15,25 +16,15 @@ from robsmooth.analysis.statistical_linearisation import (
     statistical_linearisation,
 )
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne.moments import stationary_errors
-from robsmooth.homodyne.montecarlo import (
-    LossOfLockWarning,
-    MeanSquare,
-    MonteCarloResult,
-    monte_carlo,
-)
+from robsmooth.homodyne import montecarlo
+from robsmooth.homodyne.moments import LARGEST_DEVIATION, stationary_errors
+from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.homodyne.parameters import HomodyneParameters
-from robsmooth.homodyne.whitening import LARGEST_DEVIATION
 
 # What of the loop is multiplied, and the matrix of the system that has the root of its power.
-CHANGES = {
-    "power of the shot noise": "D21",
-    "power of the phase noise": "B1",
-    "detector gain": None,
-}
-
-# From the name of an error, by the method, to the mean square.
-ErrorsByMethod = Mapping[str, Mapping[str, MeanSquare]]
+CHANGES = {"power of the shot noise": "D21", "power of the phase noise": "B1"}
+CHANGES |= {"detector gain": None}
+ErrorsByMethod = Mapping[str, Mapping[str, MeanSquare]]  # by the name of an error, and the method
 
 
 def outputs(design: Estimator) -> tuple[str, ...]:
@@ -47,10 +38,7 @@ def errors_by_method(
     ergodic: Mapping[str, MonteCarloResult],
     values: HomodyneParameters,
 ) -> ErrorsByMethod:
-    """Return the errors by simulation, by their moments and by statistical linearisation.
-
-    What is not simulated has no standard error: for moments it is their truncation, else zero.
-    """
+    """Return the errors by each method, where the standard error of moments is their truncation."""
     found = {}
     for name, design in compared.items():
         moments = stationary_errors(values, design)
@@ -66,8 +54,7 @@ def errors_by_method(
     return found
 
 
-@dataclass(frozen=True)
-class NoisySimulation:
+class NoisySimulation(NamedTuple):
     """A design in the loop with a multiple of the phase noise: filtered errors, rad^2."""
 
     factor: float
@@ -79,16 +66,15 @@ class NoisySimulation:
 def noise_sweep(
     design: Estimator, values: HomodyneParameters, factors: Iterable[float], **arguments
 ) -> list[NoisySimulation]:
-    """Simulate a design with ever more phase noise, and predict its filtered error.
-
-    A prediction is not a number where its method says that the loop does not stay in lock.
-    """
+    """Simulate a design with ever more phase noise, and predict its error in a loop in lock."""
     found = []
     for factor in factors:
         noisier = replace(values, kappa=factor * values.kappa)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LossOfLockWarning)  # the slips are what is shown
-            simulated = monte_carlo(noisier, design, **arguments)
+            warnings.simplefilter(
+                "ignore", montecarlo.LossOfLockWarning
+            )  # the slips are what is shown
+            simulated = montecarlo.monte_carlo(noisier, design, **arguments)
         moments = linearised = math.nan
         with suppress(UnstableLoopError, ArithmeticError):
             moments = stationary_errors(noisier, design).filtered

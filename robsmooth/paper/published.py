@@ -1,13 +1,16 @@
-r"""What the paper prints: its numbers, and the designs that they make.
+r"""What the paper prints, in ``data/published.toml``: its numbers, and the designs they make.
 
-The printed values are data, in ``data/published.toml``. This is also the home of the paper's slip
-of sign: the printed gains follow from the printed :math:`\tau` and :math:`\lambda` only with the
-quadratic term of the X equation negated, as a standard Riccati solver has it. The library's core
-knows nothing of that.
+Beside it lies ``data/monte_carlo.json``: what it is compared with, as notebook 04 writes it.
+This is also the home of the paper's slip of sign: the printed gains follow from the printed
+:math:`\tau` and :math:`\lambda` only with the quadratic term of the X equation negated, as a
+standard Riccati solver has it. The library's core knows nothing of that.
 """
 
 import itertools
+import json
+import math
 import re
+import time
 import tomllib
 from collections.abc import Iterator, Mapping
 from functools import cache
@@ -17,18 +20,26 @@ from types import MappingProxyType
 import numpy as np
 
 from robsmooth import homodyne
+from robsmooth._support import files
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
+from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.delay import DelayModel
+from robsmooth.workbench import provenance
 
 DELAY = 3.1e-6  # s
 ORDER = 2
-LAMBDA = ("lambda_1", "lambda_2", "lambda_3", "lambda_4")
+RESULTS = "monte_carlo.json"
+NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that verdicts are about
+_NOT_RESULTS = ("wall_time", "provenance")
 
+# From the name of a design to its "smoothed" and its "filtered" error.
+SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]
+LAMBDA = ("lambda_1", "lambda_2", "lambda_3", "lambda_4")
 _REQUIRED = {
     "quantity": ("id", "place", "kind", "printed"),
     "statement": ("id", "place", "kind", "text"),
@@ -63,11 +74,10 @@ def read_published(path: Path) -> dict:
             name = entry.get("id", "without id")
             if missing := [field for field in required if field not in entry]:
                 raise ValueError(f"{path.name}: [[{section}]] {name} lacks {missing[0]!r}")
+            texts = [(f"{key} of {name}", entry[key]) for key in entry if key not in required]
             if section == "quantity":
-                texts = {f"{name}{index}": text for index, text in each_entry(entry["printed"])}
-            else:
-                texts = {f"{key} of {name}": entry[key] for key in entry if key not in required}
-            for key, text in texts.items():
+                texts = [(f"{name}{at}", text) for at, text in each_entry(entry["printed"])]
+            for key, text in texts:
                 if not (isinstance(text, str) and _NUMBER.fullmatch(text)):
                     raise ValueError(f"{path.name}: {key} must be a number in quotes, got {text!r}")
     return content
@@ -126,33 +136,20 @@ def agrees(text: str, low: float, high: float, zero: float = 0.0) -> bool:
 
 def rounding_box() -> list[tuple[float, np.ndarray]]:
     """Return the printed tau and lambda and the corners of what rounds to them."""
-    names = ("tau", *LAMBDA)
-    half = np.array([last_digit(printed_text(name)) / 2 for name in names])
-    middle = np.array([printed(name) for name in names])
+    half = np.array([last_digit(printed_text(name)) / 2 for name in ("tau", *LAMBDA)])
+    middle = np.array([printed("tau"), *printed_multipliers()])
     corners = [middle + half * signs for signs in itertools.product((-1, 1), repeat=5)]
     return [(corner[0], corner[1:]) for corner in (middle, *corners)]
 
 
-# --- designs --------------------------------------------------------------------------------
-
-
 @cache
 def paper_plant() -> AugmentedSystem:
-    """Return the example's augmented system in the paper's coordinates of the delay model.
-
-    The second-order Pade model with its states scaled by powers of two, which gives the entries
-    2048 = 2^11 and 1.048e6 = 2^20 of the printed A_p.
-    """
+    """Return the example's augmented system in the paper's coordinates of the delay model."""
     damping, stiffness = 6.0 / DELAY, 12.0 / DELAY**2
-    drive, chain = 2.0**11, 2.0**20
-    model = DelayModel(
-        F=np.array([[-damping, -stiffness / chain], [chain, 0.0]]),
-        G=np.array([[drive], [0.0]]),
-        H=np.array([[-2.0 * damping / drive, 0.0]]),
-        J=np.eye(1),
-        delay=DELAY,
-        order=ORDER,
-    )
+    drive, chain = 2.0**11, 2.0**20  # the states are scaled: 2048 and 1.048e6 in the printed A_p
+    F = np.array([[-damping, -stiffness / chain], [chain, 0.0]])
+    G, H = np.array([[drive], [0.0]]), np.array([[-2.0 * damping / drive, 0.0]])
+    model = DelayModel(F, G, H, np.eye(1), delay=DELAY, order=ORDER)
     return AugmentedSystem(homodyne.PAPER.uncertain_system(), model, np.eye(1))
 
 
@@ -192,30 +189,60 @@ def corrected_smoother() -> RobustSmoother:
 def designs() -> Mapping[str, Estimator]:
     """Return the designs compared throughout, by the names that figures and tables use."""
     system = homodyne.PAPER.uncertain_system()
-    found = {
-        "smoother, as printed": recomputed_estimator(),
-        "smoother, corrected": corrected_smoother(),
-        "NGCF": baselines.ngcf(system),
-        "Kalman-Bucy": baselines.kalman_bucy(system, copies=True),  # which the adaptive loop runs
-    }
+    found = {"smoother, as printed": recomputed_estimator()}
+    found |= {"smoother, corrected": corrected_smoother(), "NGCF": baselines.ngcf(system)}
+    found["Kalman-Bucy"] = baselines.kalman_bucy(system, copies=True)  # as the adaptive loop runs
     return MappingProxyType(found)
 
 
 def design_near_edge(best: RobustSmoother, tau: float, vanishing: float) -> RobustSmoother:
-    """Return the example's design with lambda on the edge of its constraint.
-
-    It has the plant and the cost of another, and lambda_3 = lambda_4 given.
-    """
+    """Return a design like another, with lambda_3 = lambda_4 given, on the constraint's edge."""
     multipliers = [1.0, 0.5 - vanishing / 2, vanishing, vanishing]
     return design_smoother(best.plant, tau, multipliers, best.cost)
 
 
 def x_discriminant(tau: float, multipliers: np.ndarray) -> float:
-    """Return the discriminant of the example's X equation, relative to its linear term squared.
+    """Return the discriminant of kappa/(tau lambda_1) X^2 - 2 lambda X + q = 0 over (2 lambda)^2.
 
-    For the example it is a quadratic, kappa/(tau lambda_1) X^2 - 2 lambda X + q = 0; below zero
-    there is no real solution.
+    That is the example's X equation: below zero it has no real solution.
     """
     equations = design_equations(paper_plant(), tau, multipliers)
     linear = 2.0 * homodyne.PAPER.lam
     return float(1.0 - 4.0 * equations.worst_noise[0, 0] / tau * equations.Q_X[0, 0] / linear**2)
+
+
+def read_simulation(folder: Path) -> SimulatedErrors:
+    """Read the mean square errors of a folder; ValueError where the file is missing or corrupt."""
+    try:
+        cases = json.loads((folder / RESULTS).read_text(encoding="utf-8"))["cases"]
+        if missing := set(NEEDED) - set(cases):
+            raise ValueError(f"no result for {', '.join(sorted(missing))}")
+        return {
+            name: {output: _mean_square(case[output]) for output in ("smoothed", "filtered")}
+            for name, case in cases.items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"{RESULTS} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
+            "make figures ONLY=04 writes it anew"
+        ) from None
+
+
+def _mean_square(stored: Mapping[str, float]) -> MeanSquare:
+    for field in ("mean_square", "standard_error"):
+        if not 0.0 <= stored[field] < math.inf:
+            raise ValueError(f"{field} is not a finite number of at least zero")
+    return MeanSquare(stored["mean_square"], stored["standard_error"])
+
+
+def write_simulation(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) -> None:
+    """Write what does not differ from run to run to a folder, and the provenance beside it."""
+    path = Path(data) / RESULTS
+    cases = {
+        name: {key: value for key, value in result.to_dict().items() if key not in _NOT_RESULTS}
+        for name, result in results.items()
+    }
+    files.write_json(path, {"cases": cases})
+    times = {name: round(result.wall_time, 3) for name, result in results.items()}
+    started = time.perf_counter() - sum(times.values())
+    provenance.write(path, seed=seed, started=started, wall_time_seconds=times)

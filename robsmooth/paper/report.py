@@ -8,8 +8,8 @@ from pathlib import Path
 
 from robsmooth._support import files
 from robsmooth._support.tables import Table
-from robsmooth.paper import results
 from robsmooth.paper import verdicts as paper_verdicts
+from robsmooth.paper.published import RESULTS
 from robsmooth.paper.verdicts import NOT_REPRODUCED, OUTCOMES, WITH_FLIPPED_SIGN, Verdict, table
 from robsmooth.workbench import provenance
 
@@ -21,8 +21,8 @@ def write(figures: Path, data: Path) -> list[Verdict]:
     """Write the report to the folder `figures`, from the results in `data`; return its verdicts."""
     started = time.perf_counter()
     verdicts = paper_verdicts.verdicts(data)
-    for name, text in zip(_REPORT, (markdown(verdicts), table(verdicts).csv()), strict=True):
-        files.write_text(figures / name, text)
+    files.write_text(figures / _REPORT[0], markdown(verdicts))
+    files.write_text(figures / _REPORT[1], table(verdicts).csv())
     provenance.write(figures / _REPORT[0], started=started, files=_digests(figures, data))
     return verdicts
 
@@ -38,7 +38,7 @@ def is_fresh(figures: Path, data: Path) -> bool:
 
 
 def _digests(figures: Path, data: Path) -> dict[str, str]:
-    paths = (*(figures / name for name in _REPORT), data / results.FILE)
+    paths = (*(figures / name for name in _REPORT), data / RESULTS)
     return {path.name: provenance.sha256(path) for path in paths}
 
 
@@ -87,15 +87,12 @@ def markdown(verdicts: Sequence[Verdict]) -> str:
 def about() -> Table:
     """Return what a notebook was run with: versions, revision, lock and machine."""
     facts = provenance.collect()
-    revision = facts["revision"]
+    revision, machine = facts["revision"], facts["machine"]
     rows = [*facts["versions"].items()]
     if revision:
         changed = ", with changes" if revision["dirty"] else ""
         rows.append(("git revision", revision["commit"][:12] + changed))
-    rows += [
-        ("lock (SHA-256)", (facts["lock_sha256"] or "none")[:12]),
-        ("processor", f"{facts['machine']['processor']}, {facts['machine']['cores']} cores"),
-        ("platform", facts["machine"]["platform"]),
-        ("run at", facts["written"]),
-    ]
-    return Table(columns=("what", "version"), rows=rows, caption="Run with.")
+    rows.append(("lock (SHA-256)", (facts["lock_sha256"] or "none")[:12]))
+    rows.append(("processor", f"{machine['processor']}, {machine['cores']} cores"))
+    rows += [("platform", machine["platform"]), ("run at", facts["written"])]
+    return Table(("what", "version"), rows, "Run with.")

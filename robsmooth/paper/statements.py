@@ -1,8 +1,4 @@
-"""The statements in the paper's prose that numbers can check, one function each.
-
-Each function computes a verdict from what the statement claims: whether it holds, our value in
-words, and why, where that needs words.
-"""
+"""The statements in the paper's prose that numbers can check, one function each."""
 
 import math
 from collections.abc import Callable
@@ -19,11 +15,17 @@ from robsmooth.estimators import baselines
 from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.paper import published
-from robsmooth.paper.published import agrees, paper_plant, printed, printed_multipliers, stated
-from robsmooth.paper.results import SimulatedErrors
+from robsmooth.paper.published import (
+    SimulatedErrors,
+    agrees,
+    paper_plant,
+    printed,
+    printed_multipliers,
+    stated,
+)
 from robsmooth.systems.augmented import AugmentedSystem
 
-Finding = tuple[bool, str, str]
+Finding = tuple[bool, str, str]  # whether it holds, our value in words, and why, if need be
 Check = Callable[[], Finding]
 Sweep = Callable[[str, str], np.ndarray]
 
@@ -33,7 +35,7 @@ _EQUAL = 1e-9  # relative: two numbers that rounding alone keeps apart
 
 
 def checks(simulation: SimulatedErrors | None) -> dict[str, Check]:
-    """Return the check of each statement: whether it holds, our value in words, and why."""
+    """Return the check of each statement."""
     parameters, plant, lag = homodyne.PAPER, paper_plant(), published.DELAY
 
     def sweep(name: str, output: str) -> np.ndarray:
@@ -57,31 +59,23 @@ def checks(simulation: SimulatedErrors | None) -> dict[str, Check]:
     }
 
 
-# --- the model and the design ---------------------------------------------------------------
-
-
 def smoothing_improves(parameters: HomodyneParameters, lag: float) -> Finding:
     """Compare the optimal errors without a lag and with one."""
     system = parameters.uncertain_system()
-    filtered, smoothed = (
-        baselines.optimal_fixed_lag_error(system, delay).item() for delay in (0.0, lag)
-    )
+    filtered = baselines.optimal_fixed_lag_error(system, 0.0).item()
+    smoothed = baselines.optimal_fixed_lag_error(system, lag).item()
     value = f"{filtered:.5f} -> {smoothed:.5f} at the lag of {1e6 * lag:g} us"
     return smoothed < filtered, value, ""
 
 
 def sector(parameters: HomodyneParameters) -> Finding:
-    """Test the remainder against gamma wherever the sine is in the sector [m, 1].
-
-    The printed gamma = (1 - m)/2 gives m.
-    """
+    """Test the remainder against gamma = (1 - m)/2 wherever the sine is in the sector [m, 1]."""
     m, gamma, beta = parameters.sector_slope, parameters.gamma, parameters.beta
     error = np.linspace(0.0, np.pi, 5001)[1:]
-    ratio = _largest_ratio(parameters, error[np.sin(error) >= m * error])
-    value = (
-        f"m = {m:.3g}; where sin(mu_1)/mu_1 is in [m, 1], |f| is up to {ratio:.3g} |mu_1|, and "
-        f"gamma is {gamma:g}"
-    )
+    error = error[np.sin(error) >= m * error]
+    ratio = np.abs(parameters.remainder(error) / error).max()
+    value = f"m = {m:.3g}; where sin(mu_1)/mu_1 is in [m, 1], "
+    value += f"|f| is up to {ratio:.3g} |mu_1|, and gamma is {gamma:g}"
     if ratio <= gamma * (1.0 + _EQUAL):
         return True, value, ""
     ngcf, reach = baselines.ngcf(parameters.uncertain_system()), parameters.sector_range()
@@ -99,30 +93,22 @@ def sector(parameters: HomodyneParameters) -> Finding:
 def scaled_nonlinearity(parameters: HomodyneParameters) -> Finding:
     """Test with which power of gamma f~ = f gamma^power gives gamma f~ = f, in the unit sector."""
     gamma = parameters.gamma
-    ratio = _largest_ratio(parameters, np.linspace(0.0, parameters.sector_range(), 501)[1:])
+    error = np.linspace(0.0, parameters.sector_range(), 501)[1:]
+    ratio = np.abs(parameters.remainder(error) / error).max()
 
     def fits(power: float) -> bool:
-        recovered = gamma * gamma**power
-        return abs(recovered - 1.0) <= _EQUAL and ratio * gamma**power <= 1.0 + _EQUAL
+        scale = gamma**power
+        return abs(gamma * scale - 1.0) <= _EQUAL and ratio * scale <= 1.0 + _EQUAL
 
     power = float(stated("scaled nonlinearity", "power_of_gamma"))
-    value = (
-        f"gamma f~ = {gamma * gamma**power:.3g} f, and |f~| <= {ratio * gamma**power:.3g} |mu_1|"
-    )
+    recovered, reach = gamma * gamma**power, ratio * gamma**power
+    value = f"gamma f~ = {recovered:.3g} f, and |f~| <= {reach:.3g} |mu_1|"
     if fits(power):
         return True, value, ""
     readings = {-1.0: "f/gamma", 0.0: "f", 1.0: "f gamma"}
     right = " and ".join(text for power, text in readings.items() if fits(power)) or "none"
-    reason = (
-        f"of {', '.join(readings.values())} as f~, {right} alone has gamma f~/beta = f/beta, as "
-        "the measurement needs, and is in the unit sector"
-    )
-    return False, value, reason
-
-
-def _largest_ratio(parameters: HomodyneParameters, error: np.ndarray) -> float:
-    """Return the largest |f(e)/e|."""
-    return float(np.abs(parameters.remainder(error) / error).max())
+    needed = "alone has gamma f~/beta = f/beta, as the measurement needs, and is in the unit sector"
+    return False, value, f"of {', '.join(readings.values())} as f~, {right} {needed}"
 
 
 def inverse_of_M(plant: AugmentedSystem) -> Finding:
@@ -164,10 +150,8 @@ def assumption_3(plant: AugmentedSystem) -> Finding:
             refusals[number] = error.condition
     if 0 not in refusals:
         return True, "all conditions hold", ""
-    reason = (
-        f"no design at {len(refusals)} of {len(tried)} tau and lambda: the printed ones, and the "
-        "corners of what rounds to them"
-    )
+    where = "the printed ones, and the corners of what rounds to them"
+    reason = f"no design at {len(refusals)} of {len(tried)} tau and lambda: {where}"
     return False, f"{refusals[0]} fails", reason
 
 
@@ -175,9 +159,6 @@ def _slack(plant: AugmentedSystem, multipliers: np.ndarray) -> float:
     """Return the least eigenvalue of I - J'MJ."""
     gap = np.eye(plant.J.shape[1]) - plant.J.T @ plant.M(multipliers) @ plant.J
     return float(np.linalg.eigvalsh(gap).min())
-
-
-# --- the linear sweep -----------------------------------------------------------------------
 
 
 def grows(sweep: Sweep) -> Finding:
@@ -200,17 +181,12 @@ def less_sensitive(sweep: Sweep) -> Finding:
     ends = [sweep(*error)[[0, -1]] for error in _COMPARED.values()]
     rise, ngcf_rise = (worst - nominal for worst, nominal in ends)
     share, ngcf_share = (worst / nominal - 1.0 for worst, nominal in ends)
-    value = (
-        f"from Delta_2 = 0 to -1 the smoother's rises by {rise:.3f} rad^2 ({share:.0%}), "
-        f"the NGCF's by {ngcf_rise:.3f} rad^2 ({ngcf_share:.0%})"
-    )
+    value = f"from Delta_2 = 0 to -1 the smoother's rises by {rise:.3f} rad^2 ({share:.0%}), "
+    value += f"the NGCF's by {ngcf_rise:.3f} rad^2 ({ngcf_share:.0%})"
     if rise >= ngcf_rise:
         return False, value, "the smoother's rises more"
     absolute = "in absolute terms only: relative to its value the smoother's rises more"
     return True, value, absolute if share >= ngcf_share else ""
-
-
-# --- the nonlinear simulation ---------------------------------------------------------------
 
 
 def robust_against_kalman(simulation: SimulatedErrors) -> Finding:
@@ -223,11 +199,8 @@ def robust_against_kalman(simulation: SimulatedErrors) -> Finding:
     if difference < -3.0 * noise:
         return True, value, ""
     size = "within three standard errors of ours" if difference <= 3.0 * noise else "the other way"
-    reason = (
-        "the paper cites other work for this; in this example the two filters have all but the "
-        f"same gain, and the difference is {size}"
-    )
-    return False, value, reason
+    reason = "the paper cites other work for this; in this example the two filters have all but the"
+    return False, value, f"{reason} same gain, and the difference is {size}"
 
 
 def percent(simulation: SimulatedErrors) -> Finding:
@@ -237,18 +210,13 @@ def percent(simulation: SimulatedErrors) -> Finding:
     both = (theirs, simulated_errors(simulation))
     printed_larger, larger = (100 * (filtered / smoothed - 1) for smoothed, filtered in both)
     printed_smaller, smaller = (100 * (1 - smoothed / filtered) for smoothed, filtered in both)
-    value = (
-        f"the printed {theirs[1]:g} is {printed_larger:.0f}% larger than {theirs[0]:g}; "
-        f"ours: {larger:.0f}% larger"
-    )
+    value = f"the printed {theirs[1]:g} is {printed_larger:.0f}% larger than {theirs[0]:g}; "
+    value += f"ours: {larger:.0f}% larger"
     if agrees(text, larger, larger):
         return True, value, ""
     is_it = "is" if agrees(text, smaller, smaller) else "is not even"
-    reason = (
-        f"{text}% {is_it} by how much the smoother's is smaller: printed {printed_smaller:.1f}%, "
-        f"ours {smaller:.1f}%"
-    )
-    return False, value, reason
+    both = f"printed {printed_smaller:.1f}%, ours {smaller:.1f}%"
+    return False, value, f"{text}% {is_it} by how much the smoother's is smaller: {both}"
 
 
 def significant(simulation: SimulatedErrors) -> Finding:

@@ -63,9 +63,6 @@ def _numbers(values: Iterable[complex], digits: int = 4) -> str:
     return ", ".join(f"{value:.{digits}g}" for value in upper).replace("+0j", "")
 
 
-# --- the model and the designs ----------------------------------------------------------------
-
-
 def sector_ranges(values: HomodyneParameters, variance: float) -> Table:
     """Return how far each reading of the sector holds, and for what share of the time."""
     wide, narrow = values.sector_slope, values.lower_slope
@@ -74,32 +71,32 @@ def sector_ranges(values: HomodyneParameters, variance: float) -> Table:
         f"sin e between {narrow:.1f} e and e, as the design uses": values.sector_range(),
         f"sin e - e Lipschitz with constant {values.gamma:g}": values.lipschitz_range,
     }
-    records = []
+    rows = []
     for text, reach in readings.items():
         inside = fraction_inside(reach, variance)
-        times = {"time inside": f"{inside:.5%}", "time outside": f"{1 - inside:.1e}"}
-        records.append({"what is assumed": text, "holds up to (rad)": reach} | times)
-    return Table.of_records(
-        records,
+        rows.append((text, reach, f"{inside:.5%}", f"{1 - inside:.1e}"))
+    columns = ("what is assumed", "holds up to (rad)", "time inside", "time outside")
+    caption = (
         "How far each assumption on the sine holds, and how long the loop is within it, for a "
-        f"Gaussian error of variance {variance:.4f} rad².",
     )
+    return Table(columns, rows, f"{caption}Gaussian error of variance {variance:.4f} rad².")
 
 
 @_table(digits=5)
 def sign_readings(plant: AugmentedSystem, tau: float, multipliers: Sequence[float]) -> Records:
     """The gains at the printed tau and lambda for each reading of the X equation."""
+    columns = ("$A_c[0,0]$", "$B_c[0,1]$", "$C_c[0,0]$", "$C_c[1,0]$", "$V$")
 
     def leading(A_c: Matrix, B_c: Matrix, C_c: Matrix, bound: float) -> dict[str, float]:
-        gains = {"$A_c[0,0]$": A_c[0, 0], "$B_c[0,1]$": B_c[0, 1]}
-        return gains | {"$C_c[0,0]$": C_c[0, 0], "$C_c[1,0]$": C_c[1, 0], "$V$": bound}
+        gains = A_c[0, 0], B_c[0, 1], C_c[0, 0], C_c[1, 0], bound
+        return dict(zip(columns, gains, strict=True))
 
     equations = design_equations(plant, tau, multipliers)
     Y = equations.solve_Y().X
     for text, sign in {"+, as written": 1.0, "-, flipped": -1.0, "left out": 0.0}.items():
         try:
-            found = equations.gains(equations.solve_X(quadratic_sign=sign).X, Y)
-            yield {"sign": text} | leading(*found[:4])
+            X = equations.solve_X(quadratic_sign=sign).X
+            yield {"sign": text} | leading(*equations.gains(X, Y)[:4])
         except RiccatiError:
             yield {"sign": text, "$A_c[0,0]$": "no real solution"}
     names = ("A_c", "B_c", "C_c", "V at the printed tau, lambda")
@@ -108,22 +105,26 @@ def sign_readings(plant: AugmentedSystem, tau: float, multipliers: Sequence[floa
 
 def approach_to_infimum(best: RobustSmoother, vanishing: Iterable[float]) -> Table:
     """Return how bound and gains settle as the multipliers of mu and its copy go to zero."""
-    records = []
+    columns = (
+        r"$\lambda_3 = \lambda_4$",
+        "$V$",
+        "$B_c[0,0]$",
+        r"$\lVert X\rVert$",
+        "refused because",
+    )
+    rows = []
     for value in vanishing:
-        record = {r"$\lambda_3 = \lambda_4$": f"{value:.0e}"}
         try:
             design = published.design_near_edge(best, best.tau, value)
-            record |= {"$V$": design.bound, "$B_c[0,0]$": design.B_c[0, 0]}
-            record |= {r"$\lVert X\rVert$": np.linalg.norm(design.X, 2), "refused because": ""}
+            found = design.bound, design.B_c[0, 0], np.linalg.norm(design.X, 2), ""
         except InfeasibleDesignError as error:
-            record["refused because"] = error.condition
-        records.append(record)
-    return Table.of_records(
-        records,
+            found = None, None, None, error.condition
+        rows.append((f"{value:.0e}", *found))
+    caption = (
         "Towards the edge: the bound falls and X vanishes as the multipliers of the "
-        f"nonlinearity and its copy do. Over all the infimum is {best.bound_infimum:.5f}.",
-        digits=6,
+        f"nonlinearity and its copy do. Over all the infimum is {best.bound_infimum:.5f}."
     )
+    return Table(columns, rows, caption, digits=6)
 
 
 @_table()
@@ -149,8 +150,8 @@ def covariances(compared: Mapping[str, Estimator]) -> Records:
             record = {"error": f"{name}, {output}"}
             for loop, kind in {"paper's formula": "theory", "no copy noise": "real"}.items():
                 errors = delta_sweep(design, (0.0, -1.0), output, kind)[:, 0, 0]
-                columns = rf"$\Delta_2=0$, {loop}", rf"$\Delta_2=-1$, {loop}"
-                record |= dict(zip(columns, errors, strict=True))
+                for slope, error in zip((0, -1), errors, strict=True):
+                    record[rf"$\Delta_2={slope}$, {loop}"] = error
             yield record
 
 
@@ -168,23 +169,16 @@ def copy_noise(designs: Mapping[float, RobustSmoother]) -> Records:
         yield record
 
 
-# --- the nonlinear loop, by simulation and without ----------------------------------------------
-
-
 def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Table:
     """Return mean squares with standard errors, one case a row."""
-    records = [
-        {
-            "case": name,
-            "filtered (rad²)": _estimate(result.filtered),
-            "smoothed (rad²)": _estimate(result.smoothed) if result.provenance["delay"] else None,
-            "runs": result.runs,
-            "cycle slips": result.slips,
-            "in how many runs": result.slipped_paths,
-        }
-        for name, result in results.items()
-    ]
-    return Table.of_records(records, caption)
+    columns = ("case", "filtered (rad²)", "smoothed (rad²)", "runs")
+    columns += ("cycle slips", "in how many runs")
+    rows = []
+    for name, found in results.items():
+        smoothed = _estimate(found.smoothed) if found.provenance["delay"] else None
+        counts = found.runs, found.slips, found.slipped_paths
+        rows.append((name, _estimate(found.filtered), smoothed, *counts))
+    return Table(columns, rows, caption)
 
 
 @_table()
@@ -225,36 +219,28 @@ def noise_sweep(found: Iterable[predictions.NoisySimulation]) -> Records:
 
 
 def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParameters) -> Table:
-    """Return how far one number of the loop must change for the printed errors to be predicted.
-
-    Statistical linearisation predicts; the estimators stay as they are.
-    """
+    """Return how far one number of the loop must change for the printed errors to be predicted."""
     smoothed = published.printed("error covariance, smoother")
     filtered, runs = published.printed("error covariance, NGCF"), published.printed("runs")
     cases = {"smoother": (smoother, "smoothed", smoothed), "NGCF": (ngcf, "filtered", filtered)}
-    records = []
+    columns = ["changed", *(f"factor for the {name}" for name in cases)]
+    columns += [f"{name} at the mean factor" for name in cases]
+    rows = []
     for change in predictions.CHANGES:
-        factors = {
-            f"factor for the {name}": predictions.factor_for(*case, change, values)
-            for name, case in cases.items()
-        }
-        middle = sum(factors.values()) / 2
-        record = {"changed": change} | factors
-        for name, (design, output, target) in cases.items():
-            error = getattr(predictions.predicted(design, change, middle, values), output)
+        factors = [predictions.factor_for(*case, change, values) for case in cases.values()]
+        row = [change, *factors]
+        for design, output, target in cases.values():
+            error = getattr(predictions.predicted(design, change, sum(factors) / 2, values), output)
             # the standard error of a mean of squares of Gaussian errors
             distance = (error - target) / (target * math.sqrt(2 / runs))
-            record[f"{name} at the mean factor"] = f"{error:.4f} ({distance:+.1f})"
-        records.append(record)
-    return Table.of_records(
-        records,
+            row.append(f"{error:.4f} ({distance:+.1f})")
+        rows.append(row)
+    caption = (
         f"The factor on one number of the loop at which each printed error ({smoothed:g} and "
         f"{filtered:g} rad²) is predicted, and what is predicted at the mean of the two factors; "
-        f"in brackets, how far off, in standard errors of a simulation of {runs:.0f} runs.",
+        f"in brackets, how far off, in standard errors of a simulation of {runs:.0f} runs."
     )
-
-
-# --- beyond the paper ---------------------------------------------------------------------------
+    return Table(columns, rows, caption)
 
 
 @_table(digits=3)
@@ -297,7 +283,7 @@ def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float]) -> R
             **{rf"$\Delta_2 = {s:g}$": error for s, error in zip(slopes, case.at, strict=True)},
             "worst constant": case.worst.mean_square,
             "worst allowed": case.allowed.mean_square,
-            "$2V$": case.promised,
+            "$2V$": getattr(case.estimator, "mean_square_bound", None),
             "with the sine": _estimate(case.simulated, ".4f"),
             "without sampling": case.exact,
             "slips": case.slips,
@@ -311,14 +297,11 @@ def optima(designs: Mapping[str, RobustSmoother]) -> Records:
     """
     for name, design in designs.items():
         least = design.limit or design
-        yield {
-            "cost": name,
-            "infimum of $V$ (rad²)": least.bound,
-            "attained": "no" if design.limit else "yes",
-            r"$\tau$ (rad² µs)": 1e6 * least.tau,
-            r"$\lambda$": f"({_numbers(least.multipliers)})",
-            "poles (1/µs)": _numbers(least.poles / 1e6),
-        }
+        attained = "no" if design.limit else "yes"
+        record = {"cost": name, "infimum of $V$ (rad²)": least.bound, "attained": attained}
+        record |= {r"$\tau$ (rad² µs)": 1e6 * least.tau}
+        record |= {r"$\lambda$": f"({_numbers(least.multipliers)})"}
+        yield record | {"poles (1/µs)": _numbers(least.poles / 1e6)}
 
 
 @_table(digits=6)
@@ -327,14 +310,9 @@ def gains(estimators: Mapping[str, Estimator]) -> Records:
     what $\hat w$ and the copy's argument take of it.
     """
     for name, estimator in estimators.items():
-        yield {
-            "estimator": name,
-            "$A_c[0,0]$ (1/s)": estimator.A_c[0, 0],
-            "$B_c[0,0]$ (1/s)": estimator.B_c[0, 0],
-            "$B_c[0,1]$": estimator.B_c[0, 1],
-            "$C_c[0,0]$": estimator.C_c[0, 0],
-            "$C_c[1,0]$": estimator.C_c[1, 0],
-        }
+        record = {"estimator": name, "$A_c[0,0]$ (1/s)": estimator.A_c[0, 0]}
+        record |= {"$B_c[0,0]$ (1/s)": estimator.B_c[0, 0], "$B_c[0,1]$": estimator.B_c[0, 1]}
+        yield record | {f"$C_c[{i},0]$": estimator.C_c[i, 0] for i in (0, 1)}
 
 
 @_table()
@@ -366,28 +344,22 @@ def lag_choices(system: UncertainSystem, names: Iterable[str], shares: Iterable[
         record = {"design": design, "share of the gain": f"{100 * share:g}%"}
         with suppress(InfeasibleDesignError):
             choice = choose_lag(system, fraction=share, design=design)
-            record |= {
-                "lag (µs)": 1e6 * choice.lag,
-                "order": str(choice.order),
-                "error (rad²)": choice.error,
-                "shortest with an exact delay (µs)": 1e6 * choice.shortest,
-            }
+            record |= {"lag (µs)": 1e6 * choice.lag, "order": str(choice.order)}
+            record |= {"error (rad²)": choice.error}
+            record |= {"shortest with an exact delay (µs)": 1e6 * choice.shortest}
         yield record
-
-
-# --- a system of one's own ----------------------------------------------------------------------
 
 
 @_table()
 def refusals(attempts: Mapping[str, Callable[[], object]]) -> Records:
     """Refusals."""
     for name, attempt in attempts.items():
-        words = "not refused"
+        said = "not refused"
         try:
             attempt()
         except InfeasibleDesignError as error:
-            words = str(error)
-        yield {"what is wrong": name, "what the library says": words}
+            said = str(error)
+        yield {"what is wrong": name, "what the library says": said}
 
 
 @_table(digits=3)
@@ -419,10 +391,7 @@ def in_units(units: Mapping[str, float]) -> Records:
         parameters = replace(PAPER, **rates, alpha=PAPER.alpha * unit**0.5)
         plant = augment(parameters.uncertain_system(), published.DELAY / unit, published.ORDER)
         best = minimize_bound(plant)
-        edge = plant.structured_delta((), [-1.0])
-        yield {
-            "unit of time": name,
-            "infimum of $V$ (rad²)": best.bound_infimum,
-            r"error at $\Delta_2 = -1$ (rad²)": error_covariance(best.limit, edge)[0, 0],
-            r"$\tau$ (rad² s)": best.limit.tau * unit,
-        }
+        error = error_covariance(best.limit, plant.structured_delta((), [-1.0]))[0, 0]
+        record = {"unit of time": name, "infimum of $V$ (rad²)": best.bound_infimum}
+        record[r"error at $\Delta_2 = -1$ (rad²)"] = error
+        yield record | {r"$\tau$ (rad² s)": best.limit.tau * unit}

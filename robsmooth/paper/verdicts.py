@@ -7,7 +7,7 @@ what is printed (the paper does both). What follows from the printed :math:`\tau
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -17,18 +17,15 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
-from robsmooth.paper import published, results, statements
+from robsmooth.paper import published, statements
 
 REPRODUCED = "reproduced"
 WITH_FLIPPED_SIGN = "reproduced with the sign flipped"
 NOT_REPRODUCED = "not reproduced"
 NOT_CHECKABLE = "not checkable"
 OUTCOMES = (REPRODUCED, WITH_FLIPPED_SIGN, NOT_REPRODUCED, NOT_CHECKABLE)
-
 KINDS = ("input", "model", "optimum", "design", "sweep", "simulation")
-
-Values = dict[str, float | Matrix]
-
+Values = dict[str, float | Matrix]  # recomputed, by the names of the quantities
 _INPUT = "an input of the paper, not a result"
 _ZERO = 1e-9  # relative to the largest entry of its matrix, a computed value below this is zero
 
@@ -100,12 +97,18 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     ------
     ValueError
         Where a data file is missing or corrupt.
+
+    See Also
+    --------
+    robsmooth.homodyne.HomodyneParameters : the example that the numbers are of.
     """
     for kind in kinds:
         validation.choice("kinds", kind, KINDS)
     simulation = None
     if "simulation" in kinds:
-        simulation = results.read(Path(data_dir) if data_dir else published.data_folder())
+        simulation = published.read_simulation(
+            Path(data_dir) if data_dir else published.data_folder()
+        )
     recompute = {"model": _model, "optimum": _optimum, "design": _design}
     recompute["simulation"] = partial(_simulated, simulation)
     recomputed = {kind: values() for kind, values in recompute.items() if kind in kinds}
@@ -128,51 +131,32 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
 
 def table(verdicts: Iterable[Verdict], caption: str = "", merge_zeros: bool = False) -> Table:
     """Return the verdicts as a table, where asked with one row for a matrix's reproduced zeros."""
-    rows = [astuple(verdict) for verdict in (_merged(verdicts) if merge_zeros else verdicts)]
+    groups: dict[str | int, list[Verdict]] = {}  # by the name of the matrix of zeros, or a number
+    for number, verdict in enumerate(verdicts):
+        found = verdict.printed.split(" ")[0], verdict.value, verdict.verdict
+        zero = merge_zeros and found == ("0", 0.0, REPRODUCED)
+        groups.setdefault(verdict.name.split("[")[0] if zero else number, []).append(verdict)
+    rows = []
+    for matrix, (first, *others) in groups.items():
+        name = f"{matrix}, {1 + len(others)} zeros" if others else first.name
+        rows.append((name, *astuple(first)[1:]))
     columns = ("what", "where", "printed", "ours", "relative difference", "verdict", "why")
-    return Table(columns=columns, rows=rows, caption=caption, digits=6)
-
-
-def _merged(verdicts: Iterable[Verdict]) -> Iterator[Verdict]:
-    """Yield the verdicts, with the reproduced zeros of each matrix as one."""
-    groups: dict[tuple[str, bool], list[Verdict]] = {}
-    for verdict in verdicts:
-        zero = verdict.printed.split(" ")[0] == "0" and verdict.value == 0.0
-        zero = zero and verdict.verdict == REPRODUCED
-        name = verdict.name.split("[")[0] if zero else verdict.name
-        groups.setdefault((name, zero), []).append(verdict)
-    for (matrix, zero), group in groups.items():
-        if zero and len(group) > 1:
-            group = [replace(group[0], name=f"{matrix}, {len(group)} zeros")]
-        yield from group
-
-
-# --- recomputed values, by the names of the quantities ---------------------------------------
+    return Table(columns, rows, caption, digits=6)
 
 
 def _model() -> list[Values]:
     plant = published.paper_plant()
-    system = plant.system
-    noise = plant.D21_bar @ plant.D21_bar.T
-    values = {
-        "A_p": plant.A_p,
-        "B_p1": plant.B_p1[:, : system.q],
-        "B_p1,1": plant.B1_tilde[:, :1],
-        "Bbar_p1,1": plant.B1_tilde[:, 1:2],
-        "C_p0": plant.C_p0,
-        "C_p1,1": plant.C1_tilde[:1],
-        "Cbar_p1,1": plant.C1_tilde[1:2],
-        "C_p2": plant.C2_tilde[:1],
-        "h": sum(u.C.shape[0] for u in system.uncertainties),
-        "r": sum(u.B.shape[1] for u in system.uncertainties),
-        "p": plant.C1_tilde.shape[0],
-        "k_tilde": len(plant.M_i),
-        "g": system.g,
-        "k": system.k,
-        "largest d_0": float(np.linalg.eigvalsh(noise).min()),
-    }
-    same = ("B1_tilde", "C1_tilde", "D12_tilde", "C2_tilde", "D21_tilde", "D21_bar", "J")
-    return [values | {name: getattr(plant, name) for name in same}]
+    system, noise = plant.system, plant.D21_bar @ plant.D21_bar.T
+    same = ("A_p", "C_p0", "B1_tilde", "C1_tilde", "D12_tilde", "C2_tilde", "D21_tilde", "D21_bar")
+    values = {name: getattr(plant, name) for name in (*same, "J")}
+    values |= {"B_p1": plant.B_p1[:, : system.q], "C_p2": plant.C2_tilde[:1]}
+    values |= {"B_p1,1": plant.B1_tilde[:, :1], "Bbar_p1,1": plant.B1_tilde[:, 1:2]}
+    values |= {"C_p1,1": plant.C1_tilde[:1], "Cbar_p1,1": plant.C1_tilde[1:2]}
+    values |= {"g": system.g, "k": system.k, "k_tilde": len(plant.M_i)}
+    values |= {"p": plant.C1_tilde.shape[0], "largest d_0": float(np.linalg.eigvalsh(noise).min())}
+    values["h"] = sum(u.C.shape[0] for u in system.uncertainties)
+    values["r"] = sum(u.B.shape[1] for u in system.uncertainties)
+    return [values]
 
 
 def _optimum() -> list[Values]:
@@ -192,17 +176,13 @@ def _design() -> list[Values]:
     return found
 
 
-def _simulated(errors: results.SimulatedErrors) -> list[Values]:
+def _simulated(errors: published.SimulatedErrors) -> list[Values]:
     smoothed, filtered = statements.simulated_errors(errors)
     return [{"error covariance, smoother": smoothed, "error covariance, NGCF": filtered}]
 
 
 def _verdicts_on(entry: dict, values: Sequence[float | Matrix]) -> Iterator[Verdict]:
-    """Yield the verdict on a quantity, one for each entry of a matrix.
-
-    It is reproduced where something between the least and the largest of the values agrees; the
-    first is shown. Without a value it cannot be checked.
-    """
+    """Yield the verdict on each entry of a quantity: something between its values must agree."""
     unit = f" {entry['unit']}" if "unit" in entry else ""
     for index, text in published.each_entry(entry["printed"]):
         name = entry["id"] + (str(list(index)) if index else "")
@@ -216,8 +196,7 @@ def _verdicts_on(entry: dict, values: Sequence[float | Matrix]) -> Iterator[Verd
         value = 0.0 if abs(candidates[0]) < zero else candidates[0]
         number = float(text)
         difference = (value - number) / abs(number) if number else None
-        if published.agrees(text, min(candidates), max(candidates), zero):
-            verdict = WITH_FLIPPED_SIGN if entry["kind"] == "design" else REPRODUCED
-            yield Verdict(*quantity, value, difference, verdict, "")
-        else:
-            yield Verdict(*quantity, value, difference, NOT_REPRODUCED, entry["why"])
+        verdict, why = WITH_FLIPPED_SIGN if entry["kind"] == "design" else REPRODUCED, ""
+        if not published.agrees(text, min(candidates), max(candidates), zero):
+            verdict, why = NOT_REPRODUCED, entry["why"]
+        yield Verdict(*quantity, value, difference, verdict, why)

@@ -1,10 +1,6 @@
 """Simulation of any uncertain system in the loop with its estimator, nonlinearities and all.
 
-`loop` joins the two into one equation, `integrator` takes the steps, and `simulate` makes errors,
-sample paths and a check of the theory's constraints of them, in the classes of `statistics`.
-
-That of the paper's example, Section IV, has a detector that is steered by an estimate, its
-*reference* (`Nonlinearity`): `monte_carlo` is a faster simulation of it.
+`monte_carlo` is a faster simulation of the paper's example, Section IV.
 
 **How long a step may be.** The scheme is exact for a linear loop, and of the second order in the
 step for a nonlinear one. In units of the loop's response time, in which the nonlinearities'

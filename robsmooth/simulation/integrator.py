@@ -7,15 +7,10 @@ With :math:`\rho_0 = \rho(t, Lz)`, and exactly but for the course of :math:`\rho
     z^* = e^{F_\Delta h}z + K_1\rho_0 + \eta,\qquad
     z \leftarrow z^* + K_2\,[\rho(t + h, Lz^*) - \rho_0],\qquad F_\Delta = F + G\Delta L .
 
-That is Heun's scheme for additive noise [1]_ in the exponential form of Cox and Matthews [2]_: of
-weak order two in `h`, and exact in distribution where the loop is linear.
-
-References
-----------
-.. [1] P. E. Kloeden and E. Platen, "Numerical Solution of Stochastic Differential Equations",
-   Springer, 1992, Section 15.1.
-.. [2] S. M. Cox and P. C. Matthews, "Exponential time differencing for stiff systems", Journal of
-   Computational Physics 176 (2), 2002.
+That is Heun's scheme for additive noise (P. E. Kloeden and E. Platen, "Numerical Solution of
+Stochastic Differential Equations", Springer, 1992, Section 15.1) in the exponential form of
+`robsmooth.estimators.discrete`: of weak order two in `h`, and exact in distribution where the loop
+is linear.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,8 +20,8 @@ from numpy.random import SFC64, Generator, SeedSequence
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from robsmooth._numerics.exponential import responses
 from robsmooth._numerics.lyapunov import noise_root
+from robsmooth._numerics.steps import responses
 from robsmooth.simulation.loop import NonlinearLoop
 
 CHUNK = 64  # steps for which noise is drawn ahead, and between two looks for divergence
@@ -68,9 +63,8 @@ class ExponentialIntegrator:
     ) -> Iterator[tuple[int, NDArray[np.float64]]]:
         """Take `before` steps to time zero, and `steps` more, from a stationary start.
 
-        Yields what `readout` gives after each step, (at most CHUNK, rows of `readout`, paths), and
-        how many steps from time zero the first of these is. A path depends on the seed and its
-        number alone. One that diverges is a RuntimeError.
+        Yields how many steps from time zero the first of some is, and what `readout` gives after
+        each, (at most CHUNK, rows of `readout`, paths). A path that diverges is a RuntimeError.
         """
         N, measured = self.loop.order, len(self.transition) - self.loop.order
         of_state = [_generator(seed, path, 0) for path in paths]

@@ -12,9 +12,7 @@ With :math:`z = [x; \hat x_p]` and the paper's channels, uncertainties, nonlinea
     L = \begin{bmatrix} C_{1,s} & 0\\ \bar C_{1,i} & 0\\ 0 & \tilde C_{c,\nu}\end{bmatrix},
 
 where :math:`\tilde B_c = [B_y\ B_\mu]`. Below them are the rows of the measurement y, on which
-nothing depends. In :math:`R` are the references, rows of the estimator's state: a nonlinearity acts
-on :math:`\nu_i - r_i`, and its copy on :math:`\tilde\nu_i - r_i`. In the homodyne loop there is
-one, :math:`2\alpha\gamma` times the phase of the local oscillator.
+nothing depends. In :math:`R` are the references, rows of the estimator's state.
 
 :math:`\Delta` holds the constant uncertainties and, for each nonlinearity and each copy, the slope
 that is statistically equivalent to it in the loop (`robsmooth._numerics.linearisation`). What is
@@ -97,8 +95,7 @@ class NonlinearLoop:
         """How fast the arguments of the functions move and act on each other, 1/s.
 
         The largest of the root mean square drift of an argument over its size, and of the gain from
-        one argument, through its function, to the drift of another. Without functions the first, of
-        the outputs. (The `response_time` of the homodyne loop is that to an impulse.)
+        one argument, through its function, to the drift of another; of the outputs without any.
         """
         root, N = self.stationary_root, self.order
         size = np.linalg.norm(self.arguments @ root, axis=1)
@@ -178,11 +175,7 @@ def nonlinear_loop(
 
 
 def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
-    """Return the loop with the statistically equivalent slopes, as far as they are found.
-
-    They are iterated from slopes of zero; where that leads to a linear loop that is not stable,
-    they are the last ones before.
-    """
+    """Return the loop with the equivalent slopes, iterated from zero while the loop is stable."""
     parts = [part for part in loop.functions if part.elementwise]
     rows = [row for part in parts for row in part.inputs]
     columns = [column for part in parts for column in part.outputs]
@@ -203,11 +196,9 @@ def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
         return np.array([linearisation.of_function(psi, variance) for psi, variance in each])
 
     start, unit = np.zeros(len(rows)), loop.lipschitz[columns]
+    how = {"tolerance": _SLOPE_TOLERANCE, "unit": unit}
     with suppress(UnstableLoopError):
-        found = linearisation.equivalent_slopes(
-            start, variances, slopes, tolerance=_SLOPE_TOLERANCE, unit=unit
-        )
-        variances(found)
+        variances(linearisation.equivalent_slopes(start, variances, slopes, **how))
     return loop
 
 

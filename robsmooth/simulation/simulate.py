@@ -57,8 +57,7 @@ def simulate(
     Parameters
     ----------
     smoother : Estimator
-        Any design of this package. Every nonlinearity of its system needs its function: one of
-        arrays, or a numba function of a number.
+        Every nonlinearity of its system needs its function: of arrays, or numba's of a number.
     uncertainties : sequence of k numbers, (r_s, h_s) arrays or functions
         Constants of norm at most one, as in `AugmentedSystem.structured_delta`, or functions
         ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s from where averaging
@@ -71,11 +70,11 @@ def simulate(
         Whether the design's fictitious noise drives the copies, as in the theory.
     runs : int, independent paths
     duration : float, optional
-        Of a path, without the warm-up, s; rounded to whole steps. Default: 100 times the slowest
-        time constant of the linearised loop.
+        Of a path, without the warm-up, s; in whole steps. Default: 100 times the slowest time
+        constant of the linearised loop.
     step : float, optional
-        s; must divide the lag into whole steps. Default: the largest such step up to a fifth of the
-        loop's response time, of which `robsmooth.simulation` tells, and the bias that it makes.
+        s; must divide the lag. Default: the largest such step up to a fifth of the loop's response
+        time; `robsmooth.simulation` tells of the bias that it makes.
     seed : int
         At least 0. A path depends on it, the path's number and the step alone.
     progress : bool, whether to show a bar
@@ -97,8 +96,10 @@ def simulate(
         Where the loop is not stable without its nonlinearities.
     RuntimeError
         Where a path diverges; it names the path and the time.
-    ValueError, TypeError
-        For an argument that is not as described, before anything is simulated.
+
+    See Also
+    --------
+    sample_paths, monte_carlo : the paths, and a faster simulation of the paper's example.
 
     Examples
     --------
@@ -113,7 +114,8 @@ def simulate(
     started = time.perf_counter()
     joined = nonlinear_loop(smoother, uncertainties, loop, reference)
     progress = validation.boolean("progress", progress)
-    run = _Run(smoother, joined, runs, duration, step, seed, TIME_CONSTANTS)
+    duration = TIME_CONSTANTS / joined.slowest_rate if duration is None else duration
+    run = _Run(smoother.plant, joined, runs, duration, step, seed)
     m, checks = run.plant.system.m, np.zeros((3, len(run.plant.M_i)))
     products, traces = Moments((2, m, m)), Moments(2)
     path_steps = run.runs * (run.before + run.steps)
@@ -126,12 +128,10 @@ def simulate(
             checks += of_checks.sum(axis=2) / run.runs
 
     used, allowed, violated = checks
+    constraints = np.divide(used, allowed, out=0.0 * used, where=used > 0.0)
     result = SimulationResult(
-        smoothed=_error(products, traces, 1),
-        filtered=_error(products, traces, 0),
-        constraints=frozen(np.divide(used, allowed, out=0.0 * used, where=used > 0.0)),
-        violated=frozen(violated),
-        equivalent_delta=frozen(joined.delta.copy()),
+        *(_error(products, traces, which) for which in (1, 0)),
+        *map(frozen, (constraints, violated, joined.delta.copy())),
         runs=run.runs,
         path_steps=path_steps,
         wall_time=time.perf_counter() - started,
@@ -161,21 +161,15 @@ def sample_paths(
     Parameters
     ----------
     smoother, uncertainties, reference, loop, runs, duration, step, seed
-        As in `simulate`. The default duration is a fifth of the one there.
+        As in `simulate`, and what it raises, too; the default duration is a fifth of that there.
 
     Returns
     -------
     SamplePaths
 
-    Warns
-    -----
-    LongStepWarning
-        As in `simulate`.
-
-    Raises
-    ------
-    UnstableLoopError, RuntimeError, ValueError, TypeError
-        As in `simulate`.
+    See Also
+    --------
+    simulate, DiscreteSmoother.run : averages, and other estimates from the record y of a path.
 
     Examples
     --------
@@ -185,16 +179,13 @@ def sample_paths(
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
     joined = nonlinear_loop(smoother, uncertainties, loop, reference)
-    run = _Run(smoother, joined, runs, duration, step, seed, TIME_CONSTANTS / 5, measured=True)
+    duration = TIME_CONSTANTS / 5 / joined.slowest_rate if duration is None else duration
+    run = _Run(smoother.plant, joined, runs, duration, step, seed, measured=True)
     parts = list(run.records(range(run.runs)))
     names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
-    series = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    return SamplePaths(
-        time=np.concatenate([part["time"] for part in parts]),
-        step=run.step,
-        delay=smoother.plant.delay,
-        **{name: frozen(np.moveaxis(values, 2, 0)) for name, values in series.items()},
-    )
+    times, *series = (np.concatenate([part[name] for part in parts]) for name in ("time", *names))
+    by_path = (frozen(np.moveaxis(values, 2, 0)) for values in series)
+    return SamplePaths(times, *by_path, run.step, smoother.plant.delay)
 
 
 class _Run:
@@ -202,43 +193,37 @@ class _Run:
 
     def __init__(
         self,
-        smoother: Estimator,
+        plant: AugmentedSystem,
         loop: NonlinearLoop,
         runs: int,
-        duration: float | None,
+        duration: float,
         step: float | None,
         seed: int,
-        time_constants: float,
         measured: bool = False,
     ):
-        self.plant, delay, slowest = smoother.plant, smoother.plant.delay, loop.slowest_rate
+        self.plant, delay = plant, plant.delay
         self.runs = validation.integer("runs", runs, low=1)
         self.seed = validation.integer("seed", seed, low=0)
-        if duration is None:
-            duration = time_constants / slowest
         duration = validation.positive("duration", duration)
         response_time = 1.0 / loop.argument_rate()
         default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
         self.step = step = validation.positive("step", default if step is None else step)
-        self.before = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + delay) / step)
+        self.before = math.ceil((WARM_UP_TIME_CONSTANTS / loop.slowest_rate + delay) / step)
         self.steps, self.lag = steps_in(duration, step), whole_steps(delay, step)
         if not loop.is_linear:  # else the scheme is exact
             warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
         self.integrator = ExponentialIntegrator(loop, step, measured)
 
     def records(self, paths: range, bar=None) -> Iterator[dict[str, NDArray]]:
-        """Simulate paths, and yield what is from time zero on, (steps, rows, paths), by its name.
-
-        The reference was subtracted from zeta-tilde to give "zeta".
-        """
+        """Simulate paths; yield what is from time zero on, (steps, rows, paths), by its name."""
         m, g = self.plant.system.m, self.plant.system.g
         arguments = len(self.integrator.loop.arguments)
         names = ("w", "filtered", "smoothed", "zeta", "subtracted", "y")
         rows = np.cumsum([m, m, m, arguments, arguments])
         of_detectors = slice(arguments - 2 * g, arguments - g)
         past, last = np.zeros((self.lag, m, len(paths))), np.zeros((1, g, len(paths)))
-        whole = self.integrator.records(self.seed, paths, self.before, self.steps)
-        for first, records in whole:
+        all_steps = self.integrator.records(self.seed, paths, self.before, self.steps)
+        for first, records in all_steps:
             part = dict(zip(names, np.split(records, rows, axis=1), strict=True))
             outputs = np.concatenate([past, part["w"]])
             part["delayed"], past = outputs[: len(records)], outputs[len(records) :]
@@ -250,10 +235,7 @@ class _Run:
                 bar.update(len(records) * len(paths))
 
     def averages(self, paths: range, bar) -> tuple[NDArray, NDArray]:
-        """Return averages over time, (2, m, m, paths) and (3, k + 3g, paths).
-
-        They are of the products of filtered and smoothed errors, and of what `_constraints` has.
-        """
+        """Return averages over time: of errors' products, (2, m, m, paths), and of checks."""
         m, samples = self.plant.system.m, 0
         products = np.zeros((2, m, m, len(paths)))
         checks = np.zeros((3, len(self.plant.M_i), len(paths)))
@@ -285,12 +267,9 @@ def _energies(forms: Sequence[Matrix], values: NDArray) -> NDArray[np.float64]:
 
 def _error(products: Moments, traces: Moments, which: int) -> SimulatedError:
     trace = traces.mean_square(which)
-    return SimulatedError(
-        trace.mean_square,
-        trace.standard_error,
-        covariance=frozen(products.means[which]),
-        covariance_error=frozen(products.standard_errors[which]),
-    )
+    covariance, error = map(frozen, (products.means[which], products.standard_errors[which]))
+    found = {"covariance": covariance, "covariance_error": error}
+    return SimulatedError(trace.mean_square, trace.standard_error, **found)
 
 
 def _warn(plant: AugmentedSystem, result: SimulationResult) -> None:

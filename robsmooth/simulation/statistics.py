@@ -1,20 +1,11 @@
 r"""What simulations return, and how it is made of the paths: errors, standard errors, slips.
 
-Paths are independent. Over N of them, with :math:`v_i` the result of path i,
-
-.. math::
-
-    \overline v = \frac1N\sum_i v_i,\qquad
-    \text{standard error} = \sqrt{\frac{\sum_i (v_i - \overline v)^2}{N(N - 1)}} .
-
-With control variates :math:`c_i` of known mean :math:`\mu` the results are
-:math:`v_i - \beta'(c_i - \mu)` instead. The weights :math:`\beta` must not depend on these paths:
-those of a regression on the same paths bias the mean, by a part of its (small) standard error that
-spoils the intervals. They come from a pilot, of other paths.
-
-References
-----------
-S. Asmussen and P. W. Glynn, "Stochastic Simulation", Springer, 2007, Section V.2.
+Paths are independent: the standard error of a mean over N of them is their standard deviation over
+the root of N. With control variates :math:`c_i` of known mean :math:`\mu` the results of the paths
+are :math:`v_i - \beta'(c_i - \mu)` instead of :math:`v_i`. The weights :math:`\beta` come from a
+pilot, of other paths: those of a regression on the same paths bias the mean, by a part of its
+(small) standard error that spoils the intervals (S. Asmussen and P. W. Glynn, "Stochastic
+Simulation", Springer, 2007, Section V.2).
 """
 
 import math
@@ -40,8 +31,7 @@ class MeanSquare:
     mean_square, standard_error : float
         In the squared unit of the estimated quantity: rad^2 for a phase. The second is not a
         number for a single path.
-    variance_reduction : float
-        How many times as many paths it would take without control variates.
+    variance_reduction : float, how many times as many paths it would take without control variates
 
     Examples
     --------
@@ -63,9 +53,7 @@ class MeanSquare:
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float]:
         """Return the interval that holds the mean with this probability."""
-        confidence = validation.real(
-            "confidence", confidence, low=0.0, high=1.0, low_open=True, high_open=True
-        )
+        validation.real("confidence", confidence, low=0.0, high=1.0, without=[0.0, 1.0])
         reach = float(ndtri((1 + confidence) / 2)) * self.standard_error
         return self.mean_square - reach, self.mean_square + reach
 
@@ -116,9 +104,8 @@ class SimulationResult:
     smoothed, filtered : SimulatedError
         Of the estimates of w one lag back, and of w now, in the squared unit of w.
     constraints : (k + 3g,) array
-        E[xi' M_i xi] / E[zeta' N_i zeta] of each of the theory's constraints, in the order of the
-        multipliers: at most one where the uncertainty is admissible. The theory has no reference:
-        in zeta are the nonlinearities' whole arguments.
+        E[xi' M_i xi] / E[zeta' N_i zeta], with whole arguments in zeta, in the order of the
+        multipliers: at most one where the uncertainty is admissible.
     violated : (k + 3g,) array
         The fraction of time for which xi' M_i xi > zeta' N_i zeta, where in zeta are the arguments
         less the reference: where a nonlinearity is Lipschitz in a region only, the time outside.
@@ -183,15 +170,12 @@ class SamplePaths:
     Attributes
     ----------
     time : (N,) array, the ends of the steps, s
-    y : (paths, N, l) array
-        The measured record: the mean of dy/dt over the step that ends at `time`.
+    y : (paths, N, l) array, the measured record: the mean of dy/dt over the step
     reference : (paths, N, g) array
-        What was taken off the nonlinearities' arguments, zero where nothing was: the mean of its
-        values at the ends of the step, as `DiscreteSmoother.run` takes it beside y.
-    w, delayed : (paths, N, m) arrays
-        The outputs at `time`, and one lag before.
-    filtered, smoothed : (paths, N, m) arrays
-        The estimates of `w` and of `delayed`, made at `time`.
+        What was taken off the nonlinearities' arguments: the mean of its values at the ends of the
+        step, as `DiscreteSmoother.run` takes it beside y.
+    w, delayed : (paths, N, m) arrays, the outputs at `time`, and one lag before
+    filtered, smoothed : (paths, N, m) arrays, their estimates, made at `time`
     step, delay : float, s; the second is the lag of the smoothed estimates
 
     Examples
@@ -229,21 +213,18 @@ class Moments:
 
     def add(self, values: Floats) -> None:
         """Add values, (variables, paths)."""
-        added = Moments(0)
-        added.count = values.shape[-1]
-        if added.count > 0:
-            added.means = values.mean(axis=-1)
+        added = Moments(values.shape[:-1])
+        if values.shape[-1] > 0:
+            added.count, added.means = values.shape[-1], values.mean(axis=-1)
             added.squares = ((values - added.means[..., None]) ** 2).sum(axis=-1)
         self.merge(added)
 
     def merge(self, other: "Moments") -> None:
         """Add other values, of which the moments are given (Chan, Golub and LeVeque's update)."""
-        if other.count == 0:
-            return
-        count = self.count + other.count
-        shift = other.means - self.means
-        self.squares += other.squares + shift**2 * (self.count * other.count / count)
-        self.means += shift * (other.count / count)
+        count, shift = self.count + other.count, other.means - self.means
+        share = other.count / max(count, 1)
+        self.squares += other.squares + shift**2 * (self.count * share)
+        self.means += shift * share
         self.count = count
 
     @property
@@ -289,22 +270,24 @@ class Tally:
 
     def __init__(self, variables: int):
         self.all, self.locked = Moments(variables), Moments(variables)
-        self.slips, self.slipped_paths = 0, 0
+        self.slips = 0
 
     def add(self, values: Floats, slips: Floats) -> None:
         """Add paths: the variables (variables, paths) and the slips (paths,)."""
-        kept = slips == 0
         self.all.add(values)
-        self.locked.add(values[:, kept])
+        self.locked.add(values[:, slips == 0])
         self.slips += int(slips.sum())
-        self.slipped_paths += int((~kept).sum())
 
     def merge(self, other: "Tally") -> None:
         """Add the paths of another tally."""
         self.all.merge(other.all)
         self.locked.merge(other.locked)
         self.slips += other.slips
-        self.slipped_paths += other.slipped_paths
+
+    @property
+    def slipped_paths(self) -> int:
+        """Number of paths that slipped."""
+        return self.all.count - self.locked.count
 
     def state(self) -> dict:
         """All of it as JSON values, every bit."""
@@ -315,5 +298,5 @@ class Tally:
         """Return what `state` was taken of."""
         tally = cls(0)
         tally.all, tally.locked = (Moments.from_state(state[name]) for name in ("all", "locked"))
-        tally.slips, tally.slipped_paths = state["slips"], state["slipped_paths"]
+        tally.slips = state["slips"]
         return tally

@@ -10,9 +10,8 @@ The delay model joins the system, :math:`x_p = [x; x_a]`, and all channels are s
     d\tilde y &= [\tilde C_2 x_p + \tilde D_{21}\tilde\xi]\,dt + \bar D_{21}\,dW, &
         \tilde\zeta &= \tilde C_1 x_p + \tilde D_{12}\tilde u,
 
-with :math:`\tilde y = [y; \tilde\mu]` and :math:`\tilde u = [\hat w; \tilde\nu]`. The noise `W` has
-the system's q components, then g fictitious ones that the theory adds to the copies through
-:math:`J_{21}`.
+with :math:`\tilde y = [y; \tilde\mu]` and :math:`\tilde u = [\hat w; \tilde\nu]`. After the
+system's q noises, `W` has g that the theory adds to the copies through :math:`J_{21}`.
 """
 
 from collections.abc import Sequence
@@ -27,7 +26,7 @@ from scipy.linalg import block_diag
 from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import table_of_values
-from robsmooth._support.validation import Matrix, frozen, set_fields
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.statespace import state_space
 from robsmooth.systems.system import UncertainSystem
@@ -43,14 +42,11 @@ _CORRELATED = 1e-12  # smallest eigenvalue of a noise's correlation matrix that 
 class AugmentedSystem:
     r"""The system with its delay model, in the paper's compact form.
 
-    Made by `augment`. All matrices follow from the first three attributes.
-
     Attributes
     ----------
     system : UncertainSystem
     delay_model : DelayModel
-    J_21 : (g, g) array
-        Intensity of the fictitious noise of the copies.
+    J_21 : (g, g) array, intensity of the fictitious noise of the copies
     A_p, B_p1 : (n, n) and (n, q + g) arrays
         Drift of the augmented state, 1/s, and its noise, with zero columns for that of the copies.
     C_p0, C_a : (m, n) arrays
@@ -61,6 +57,10 @@ class AugmentedSystem:
         State, channel inputs and noise in the extended measurement: y, then the copies' outputs.
     M_i, N_i : tuples of k + 3g arrays
         The matrices of the quadratic constraints on the channel inputs and outputs.
+
+    See Also
+    --------
+    augment, minimize_bound : make it, and the robust design for it.
 
     Examples
     --------
@@ -91,22 +91,20 @@ class AugmentedSystem:
         r, h = B.shape[1] + g, len(C) + g
         A_p = block_diag(system.A, model.F)
         A_p[system.n :, : system.n] = model.G @ system.C0
-        matrices = {
-            "A_p": A_p,
-            "B_p1": _padded(system.B1, n, system.q + g),
-            "C_p0": _padded(system.C0, system.m, n),
-            "C_a": np.hstack([model.J @ system.C0, model.H]),
-            "B1_tilde": _padded(B, n, r),
-            "C1_tilde": _padded(C, h, n),
-            "D12_tilde": block_diag(np.zeros((h - g, system.m)), np.eye(g)),
-            "C2_tilde": _padded(system.C2, system.l + g, n),
-            "D21_tilde": block_diag(D, np.eye(g)),
-            "D21_bar": block_diag(system.D21, self.J_21),
-        }
-        set_fields(self, **{name: frozen(matrix) for name, matrix in matrices.items()})
-        bounds = [c.lipschitz for c in system.nonlinearities]
-        set_fields(self, M_i=_constraints(self.input_sizes, [1.0] * g))
-        set_fields(self, N_i=_constraints(self.output_sizes, bounds))
+        vars(self).update(
+            A_p=frozen(A_p),
+            B_p1=_padded(system.B1, n, system.q + g),
+            C_p0=_padded(system.C0, system.m, n),
+            C_a=frozen(np.hstack([model.J @ system.C0, model.H])),
+            B1_tilde=_padded(B, n, r),
+            C1_tilde=_padded(C, h, n),
+            D12_tilde=frozen(block_diag(np.zeros((h - g, system.m)), np.eye(g))),
+            C2_tilde=_padded(system.C2, system.l + g, n),
+            D21_tilde=frozen(block_diag(D, np.eye(g))),
+            D21_bar=frozen(block_diag(system.D21, self.J_21)),
+            M_i=_constraints(self.input_sizes, [1.0] * g),
+            N_i=_constraints(self.output_sizes, [c.lipschitz for c in system.nonlinearities]),
+        )
 
     @property
     def delay(self) -> float:
@@ -173,10 +171,10 @@ class AugmentedSystem:
 
         Parameters
         ----------
-        uncertainties : sequence of k floats or (r_s, h_s) arrays
-            A float stands for itself on the diagonal of its block. Left out: zero.
-        nonlinearities : sequence of g floats
-            The slopes of the nonlinearities. The copies get the same. Left out: zero.
+        uncertainties : sequence of k floats or (r_s, h_s) arrays, optional
+            A float stands for itself on the diagonal of its block. Default: zeros.
+        nonlinearities : sequence of g floats, optional
+            The slopes of the nonlinearities and their copies. Default: zeros.
 
         Returns
         -------
@@ -186,6 +184,10 @@ class AugmentedSystem:
         ------
         ValueError, TypeError
             For another number of entries, or one that is no number or block of its channel's size.
+
+        See Also
+        --------
+        error_covariance : the errors of an estimator under it.
 
         Examples
         --------
@@ -220,24 +222,22 @@ class AugmentedSystem:
         return state_space(self.A_p, inputs, {**outputs, "w_a": self.C_a}, feedthrough)
 
     def __repr__(self) -> str:
-        return (
-            f"AugmentedSystem({self.system!r}, delay={self.delay:g} s, order={self.order}, "
-            f"n={self.n} states)"
-        )
+        model = f"delay={self.delay:g} s, order={self.order}, n={self.n} states"
+        return f"AugmentedSystem({self.system!r}, {model})"
 
     def _repr_html_(self) -> str:
-        names = {
-            "A_p": "$A_p$ (1/s)",
-            "B1_tilde": r"$\tilde B_1$",
-            "B_p1": "$B_{p1}$",
-            "C_p0": "$C_{p0}$",
-            "C_a": "$C_a$",
-            "C1_tilde": r"$\tilde C_1$",
-            "C2_tilde": r"$\tilde C_2$",
-            "D21_tilde": r"$\tilde D_{21}$",
-            "D21_bar": r"$\bar D_{21}$",
+        matrices = {
+            "$A_p$ (1/s)": self.A_p,
+            r"$\tilde B_1$": self.B1_tilde,
+            "$B_{p1}$": self.B_p1,
+            "$C_{p0}$": self.C_p0,
+            "$C_a$": self.C_a,
+            r"$\tilde C_1$": self.C1_tilde,
+            r"$\tilde C_2$": self.C2_tilde,
+            r"$\tilde D_{21}$": self.D21_tilde,
+            r"$\bar D_{21}$": self.D21_bar,
         }
-        rows = [(text, f"${notation.matrix(getattr(self, name))}$") for name, text in names.items()]
+        rows = [(name, f"${notation.matrix(value)}$") for name, value in matrices.items()]
         caption = (
             f"Augmented system: {self.n} states, of which {self.n - self.system.n} model the delay "
             f"of ${notation.number(self.delay)}$ s with order {self.order}."
@@ -252,10 +252,8 @@ def augment(
 
     Parameters
     ----------
-    system : UncertainSystem
-        Every row of its C0 is delayed.
-    delay : float
-        The delay of the outputs, s, at least zero: that of the smoothed estimate.
+    system : UncertainSystem, every row of its C0 is delayed
+    delay : float, the delay of the outputs, s, at least zero: that of the smoothed estimate
     order : int
         Pade order of the delay model, at least zero; order 0 has no delay states.
     J_21 : float or (g, g) array
@@ -269,6 +267,10 @@ def augment(
     ------
     ValueError, TypeError
         For a bad delay, order or J_21.
+
+    See Also
+    --------
+    minimize_bound, baselines.fixed_lag_smoother : the robust and the classical smoother.
 
     Examples
     --------
@@ -291,30 +293,25 @@ def check_noise(condition: str, D: Matrix) -> None:
     intensity = D @ D.T
     size = np.sqrt(np.diag(intensity))
     if (size == 0.0).any():
-        raise InfeasibleDesignError(
-            condition,
-            f"measurement {int(np.argmin(size))} has no noise; give its row of D21 "
-            "a noise of its own, however small",
-        )
+        detail = f"measurement {int(np.argmin(size))} has no noise; give its row of D21 a noise"
+        raise InfeasibleDesignError(condition, f"{detail} of its own, however small")
     smallest = np.linalg.eigvalsh(intensity / np.outer(size, size)).min()
     if not smallest > _CORRELATED:
-        raise InfeasibleDesignError(
-            condition,
-            "some combination of the measurements has no noise: the smallest eigenvalue of the "
-            f"noise's correlation matrix is {smallest:.2g}",
-        )
+        eigenvalue = f"the smallest eigenvalue of the noise's correlation matrix is {smallest:.2g}"
+        detail = f"some combination of the measurements has no noise: {eigenvalue}"
+        raise InfeasibleDesignError(condition, detail)
 
 
 def _padded(matrix: Matrix, rows: int, columns: int) -> Matrix:
     """Return a matrix with zeros below and to its right: nothing drives the delay model but w."""
-    return np.pad(matrix, ((0, rows - matrix.shape[0]), (0, columns - matrix.shape[1])))
+    return frozen(np.pad(matrix, ((0, rows - len(matrix)), (0, columns - matrix.shape[1]))))
 
 
 def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix, ...]:
     """Return the matrices of (eqIQC1) to (eqIQC4), of channels of these sizes.
 
-    First come the uncertainties, then for every nonlinearity, times its bound, the difference to
-    its copy, then the nonlinearities, then the copies.
+    They are of the uncertainties and, times the bounds, of the differences of nonlinearities and
+    copies, of the nonlinearities and of the copies.
     """
     g, k = len(bounds), len(sizes) - 2 * len(bounds)
     rows = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))[:-1]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Matrix, set_fields
+from robsmooth._support.validation import Matrix
 
 REFERENCES = ("filtered", "smoothed")
 
@@ -18,8 +18,8 @@ REFERENCES = ("filtered", "smoothed")
 class Uncertainty:
     r"""One uncertainty channel: :math:`\xi_s` is no larger than :math:`\zeta_s` in the mean square.
 
-    A noise channel that carries no uncertainty is declared with ``C`` zero: the theory wants every
-    noise to enter where an uncertainty enters (Assumption 1).
+    Every noise must enter where an uncertainty enters (Assumption 1): where there is none, C is
+    zero.
 
     Parameters
     ----------
@@ -34,6 +34,10 @@ class Uncertainty:
     ------
     ValueError, TypeError
         For a matrix that is not 2-D, real and finite.
+
+    See Also
+    --------
+    Nonlinearity, UncertainSystem : the other channels, and what they are part of.
 
     Examples
     --------
@@ -74,8 +78,7 @@ class Nonlinearity:
     lipschitz : float
         :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`.
     function : callable, optional
-        :math:`\psi_i` itself, vectorised over arrays or compiled by numba, for scalars too. The
-        design needs only the Lipschitz constant.
+        :math:`\psi_i`, vectorised or compiled by numba, for scalars too. A design needs none.
     reference : {None, "filtered", "smoothed"}
         The estimate :math:`r_i` of :math:`\nu_i` that the detector is steered by: the nonlinearity
         acts on :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. `simulate` uses it,
@@ -86,6 +89,10 @@ class Nonlinearity:
     ValueError, TypeError
         For a matrix that is not 2-D, real and finite, a constant that is not positive, a function
         that is not callable, not vectorised or not zero at zero, or another reference.
+
+    See Also
+    --------
+    Uncertainty, UncertainSystem : the other channels, and what they are part of.
 
     Examples
     --------
@@ -119,7 +126,7 @@ class Nonlinearity:
             _check_function("Nonlinearity function", function)
         if reference is not None:
             validation.choice("Nonlinearity reference", reference, REFERENCES)
-        set_fields(self, lipschitz=lipschitz, function=function, reference=reference)
+        vars(self).update(lipschitz=lipschitz, function=function, reference=reference)
 
     def __repr__(self) -> str:
         function = getattr(self.function, "__name__", type(self.function).__name__)
@@ -138,23 +145,16 @@ class Nonlinearity:
 Channel = Uncertainty | Nonlinearity
 
 
-def members(name: str, values: Iterable, kind: type) -> tuple:
-    """Return a sequence of channels of one kind as a tuple."""
-    try:
-        result = tuple(values)
-    except TypeError:
-        raise TypeError(f"{name} must be a sequence of {kind.__name__}, got {values!r}") from None
-    for index, member in enumerate(result):
-        validation.instance(f"{name}[{index}]", member, kind)
-    return result
-
-
 def fitting(
     name: str, values: Iterable, kind: type[Channel], states: int, measurements: int
 ) -> tuple[Channel, ...]:
     """Return channels of one kind, checked against the system that they are part of."""
-    channels = members(name, values, kind)
+    try:
+        channels = tuple(values)
+    except TypeError:
+        raise TypeError(f"{name} must be a sequence of {kind.__name__}, got {values!r}") from None
     for index, channel in enumerate(channels):
+        validation.instance(f"{name}[{index}]", channel, kind)
         inputs, outputs = (1, 1) if kind is Nonlinearity else (channel.B.shape[1], None)
         shapes = {"B": (states, inputs), "C": (outputs, states), "D": (measurements, inputs)}
         for letter, shape in shapes.items():
@@ -163,10 +163,9 @@ def fitting(
 
 
 def _set_matrices(channel: Channel, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> None:
-    """Set the matrices of a channel, each checked."""
     for letter, value in (("B", B), ("C", C), ("D", D)):
-        matrix = validation.matrix(f"{type(channel).__name__} {letter}", value, (None, None))
-        set_fields(channel, **{letter: matrix})
+        name = f"{type(channel).__name__} {letter}"
+        vars(channel)[letter] = validation.matrix(name, value, (None, None))
 
 
 def _text(channel: Channel) -> str:
@@ -192,10 +191,8 @@ def _check_function(name: str, function: Callable) -> None:
             "any function so"
         ) from error
     if values.shape != np.shape(at):
-        raise ValueError(
-            f"{name} must be vectorised: an argument of shape {np.shape(at)} gave shape "
-            f"{values.shape}"
-        )
+        given = f"an argument of shape {np.shape(at)} gave shape {values.shape}"
+        raise ValueError(f"{name} must be vectorised: {given}")
     at_zero = np.ravel(values)[0]
     if not at_zero == 0.0:
         raise ValueError(

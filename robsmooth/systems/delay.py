@@ -6,22 +6,21 @@ with the transfer function of the Pade approximation :math:`[N/N]` of :math:`e^{
 each output of `w` separately (S. Chirarattananon and B. D. O. Anderson, "Stable fixed-lag
 smoothing of continuous time processes", IEEE Trans. Inf. Theory 20(1), 1974).
 
-The realisation comes from Lambert's continued fraction, not from polynomial coefficients, which
-span twelve decades at order 10. With :math:`z = s\delta/2`,
+The realisation comes from Lambert's continued fraction: polynomial coefficients span twelve
+decades at order 10. With :math:`z = s\delta/2`,
 
 .. math::
 
     e^{-s\delta} = \frac{1 - \tanh z}{1 + \tanh z},\qquad
     \tanh z = \cfrac{z}{1 + \cfrac{z^2}{3 + \cfrac{z^2}{5 + \cdots}}},
 
-and the fraction cut after N terms gives the [N/N] approximation. A ladder of N lossless elements
-1, 3, 5, ... realises it, which makes the model all-pass by construction:
+and the fraction cut after N terms gives [N/N]. A ladder of N lossless elements 1, 3, 5, ...
+realises it, all-pass by construction:
 
 .. math:: F_a + F_a' = -\tfrac{1}{\delta} b b', \qquad G_a = \tfrac{1}{\delta} b,
           \qquad H_a = -J_a b', \qquad J_a = (-1)^N .
 
-Both Gramians of this realisation are the identity (up to the unit of time): no other coordinates
-are better conditioned.
+Both Gramians are the identity (up to the unit of time): no coordinates are better conditioned.
 """
 
 from dataclasses import dataclass
@@ -47,8 +46,7 @@ class DelayModel:
     F, G, H, J : arrays
         :math:`F_a` (n_a, n_a) and :math:`G_a` (n_a, m) in 1/s, :math:`H_a` (m, n_a), :math:`J_a`
         (m, m).
-    delay : float
-        The delay modelled, s.
+    delay : float, the delay modelled, s
     order : int
         Pade order; n_a = order * m, or no state at all where the delay or the order is zero.
     """
@@ -62,10 +60,8 @@ class DelayModel:
 
     def __repr__(self) -> str:
         channels, states = self.H.shape
-        return (
-            f"DelayModel(delay={self.delay:g} s, order={self.order}, {states} states, "
-            f"{channels} channels)"
-        )
+        sizes = f"{states} states, {channels} channels"
+        return f"DelayModel(delay={self.delay:g} s, order={self.order}, {sizes})"
 
     def __post_init__(self) -> None:
         for value in (self.F, self.G, self.H, self.J):
@@ -89,7 +85,7 @@ def pade_delay(delay: float, order: int, channels: int = 1) -> DelayModel:
     """
     delay = validation.real("delay", delay, low=0.0)
     order = validation.integer("order", order, low=0)
-    channels = validation.integer("channels", channels, low=1)
+    each = np.eye(validation.integer("channels", channels, low=1))
     N = order if delay > 0.0 else 0
     elements = np.sqrt(2.0 * np.arange(1, N + 1) - 1.0)
     ladder = np.eye(N, k=-1) - np.eye(N, k=1)
@@ -97,6 +93,5 @@ def pade_delay(delay: float, order: int, channels: int = 1) -> DelayModel:
     driven = 2.0 * elements[:, None] * np.linalg.inv(ladder)
     F, b, J = driven * elements, driven @ np.eye(N, 1), (-1.0) ** N
     unit = delay or 1.0
-    each = np.eye(channels)
     F, G, H = np.kron(each, F / unit), np.kron(each, b / unit), np.kron(each, -J * b.T)
-    return DelayModel(F=F, G=G, H=H, J=J * each, delay=delay, order=order)
+    return DelayModel(F, G, H, J * each, delay, order)

@@ -1,8 +1,7 @@
 """State-space systems with named signals: the way to python-control's objects and back.
 
-A signal is a vector with a name. Its components are called ``name[0]``, ``name[1]``, ... there, so
-that python-control connects signals of the same name by itself, and finds a whole signal by its
-name and a single component as in ``sys["y[0]", "W[1]"]``.
+A signal is a vector with a name. Its components are called ``name[0]``, ``name[1]``, ... there:
+python-control connects them by name, and finds parts as in ``sys["y[0]", "W[1]"]``.
 """
 
 import re
@@ -24,9 +23,9 @@ Feedthrough = Mapping[tuple[str, str], Matrix]
 def state_space(
     A: Matrix, inputs: Signals, outputs: Signals, feedthrough: Feedthrough
 ) -> "control.StateSpace":
-    r"""Return a python-control object, of :math:`\dot x = Ax + \sum_i B_i u_i` and outputs alike.
+    """Return a python-control object: inputs (n, .) and outputs (., n) are by name.
 
-    Inputs (n, .) and outputs (., n) are by name, feedthrough by (output, input), zero if left out.
+    Feedthrough is by (output, input), zero if left out.
     """
     with extra("control", "to_statespace"):
         import control
@@ -85,9 +84,8 @@ def chosen(name: str, wanted: str | Iterable[str] | None, signals: Signals) -> S
         return signals
     several = isinstance(wanted, Iterable) and not isinstance(wanted, str)
     wanted = list(wanted) if several else [wanted]
-    if name == "inputs" and not wanted:
-        raise ValueError(f"{name} must be among {', '.join(signals)}, got none")
-    for signal in wanted:
-        if not isinstance(signal, str) or signal not in signals:
-            raise ValueError(f"{name} must be among {', '.join(signals)}, got {signal!r}")
+    wrong = [repr(s) for s in wanted if not isinstance(s, str) or s not in signals]
+    if wrong or (name == "inputs" and not wanted):
+        got = wrong[0] if wrong else "none"
+        raise ValueError(f"{name} must be among {', '.join(signals)}, got {got}")
     return {signal: signals[signal] for signal in wanted}

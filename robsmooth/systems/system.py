@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Matrix, set_fields
+from robsmooth._support.validation import Matrix
 from robsmooth.systems import statespace
-from robsmooth.systems.channels import Channel, Nonlinearity, Uncertainty, fitting, members
+from robsmooth.systems.channels import Channel, Nonlinearity, Uncertainty, fitting
 from robsmooth.systems.statespace import Feedthrough, Signals
 
 if TYPE_CHECKING:
@@ -39,20 +39,18 @@ _ASYMMETRY = 1e-12  # of a correlation matrix, and how far below zero its eigenv
 
 @dataclass(frozen=True, eq=False, init=False)
 class UncertainSystem:
-    r"""The uncertain nonlinear system of Section II (the module docstring has its equations).
+    r"""The uncertain nonlinear system of Section II.
 
     Parameters
     ----------
-    A : (n, n) array
-        Drift, 1/s.
+    A : (n, n) array, drift, 1/s
     B1 : (n, q) array
-        Process noise intensity; the entries of `W` are independent standard Wiener processes.
+        Process noise intensity; `W` are independent standard Wiener processes.
     C0 : (m, n) array
         The outputs to estimate, :math:`w = C_0 x`.
     C2 : (l, n) array
         The measurement, :math:`dy = C_2 x\,dt + \dots`
-    D21 : (l, q) array
-        Measurement noise intensity.
+    D21 : (l, q) array, measurement noise intensity
     uncertainties : sequence of `Uncertainty`
         The k channels :math:`(B_{1s}, C_{1,s}, D_{21,s})`.
     nonlinearities : sequence of `Nonlinearity`
@@ -62,6 +60,10 @@ class UncertainSystem:
     ------
     ValueError, TypeError
         For any matrix that is not 2-D, real, finite and of the shape above.
+
+    See Also
+    --------
+    augment : the next step, a model of the delay.
 
     Examples
     --------
@@ -103,12 +105,11 @@ class UncertainSystem:
         for name, value in (("C0", C0), ("C2", C2)):
             if len(value) == 0:
                 raise ValueError(f"{name} must have at least one row, got shape {value.shape}")
-        D21 = validation.matrix("D21", D21, (C2.shape[0], B1.shape[1]))
-        set_fields(self, A=A, B1=B1, C0=C0, C2=C2, D21=D21)
-        sizes = n, C2.shape[0]
-        uncertainties = fitting("uncertainties", uncertainties, Uncertainty, *sizes)
-        nonlinearities = fitting("nonlinearities", nonlinearities, Nonlinearity, *sizes)
-        set_fields(self, uncertainties=uncertainties, nonlinearities=nonlinearities)
+        D21 = validation.matrix("D21", D21, (len(C2), B1.shape[1]))
+        uncertainties = fitting("uncertainties", uncertainties, Uncertainty, n, len(C2))
+        nonlinearities = fitting("nonlinearities", nonlinearities, Nonlinearity, n, len(C2))
+        vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21)
+        vars(self).update(uncertainties=uncertainties, nonlinearities=nonlinearities)
 
     @classmethod
     def from_plant(
@@ -133,7 +134,7 @@ class UncertainSystem:
             dx &= Ax\,dt + BQ^{1/2}(\xi_0\,dt + dW_0), \\
             dy &= Cx\,dt + DQ^{1/2}(\xi_0\,dt + dW_0) + R^{1/2}(\xi_1\,dt + dW_1).
 
-        The two uncertainties are those that Assumption 1 wants: they enter where the noises do.
+        The two uncertainties enter where the noises do, as Assumption 1 wants.
 
         Parameters
         ----------
@@ -147,7 +148,7 @@ class UncertainSystem:
             :math:`C_{1,0}` and :math:`C_{1,1}`: :math:`\xi_0` and :math:`\xi_1` are no larger than
             these times x. Default: zero, no uncertainty.
         uncertainties, nonlinearities : sequences
-            Further channels.
+            Further channels, as in the class.
 
         Returns
         -------
@@ -159,6 +160,10 @@ class UncertainSystem:
             For a plant in discrete time, without a state or of another kind, a noise intensity
             that is no covariance, and whatever the class itself refuses.
 
+        See Also
+        --------
+        from_statespace : for a plant whose signals have names.
+
         Examples
         --------
         >>> import control
@@ -168,10 +173,11 @@ class UncertainSystem:
         array([[0. , 0.1]])
         """
         statespace.check_continuous("plant", plant)
+        n, l = plant.nstates, plant.noutputs  # noqa: E741 - the paper's letter
         process = _noise_factor("process_noise", process_noise, plant.ninputs)
-        measurement = _noise_factor("measurement_noise", measurement_noise, plant.noutputs)
+        measurement = _noise_factor("measurement_noise", measurement_noise, l)
         B, D = plant.B @ process, plant.D @ process
-        no_B, none = np.zeros((plant.nstates, plant.noutputs)), np.zeros((1, plant.nstates))
+        no_B, none = np.zeros((n, l)), np.zeros((1, n))
         C_0 = none if process_uncertainty is None else process_uncertainty
         C_1 = none if measurement_uncertainty is None else measurement_uncertainty
         channels = (Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement))
@@ -181,7 +187,7 @@ class UncertainSystem:
             C0=plant.C if outputs is None else outputs,
             C2=plant.C,
             D21=np.hstack([D, measurement]),
-            uncertainties=(*channels, *members("uncertainties", uncertainties, Uncertainty)),
+            uncertainties=channels + fitting("uncertainties", uncertainties, Uncertainty, n, l),
             nonlinearities=nonlinearities,
         )
 
@@ -211,6 +217,10 @@ class UncertainSystem:
         ValueError, TypeError
             For other signals or feedthrough, and whatever the class itself refuses.
 
+        See Also
+        --------
+        to_statespace, from_plant : the way back, and for a plant that is not so named.
+
         Examples
         --------
         >>> import robsmooth as rs
@@ -233,17 +243,14 @@ class UncertainSystem:
 
         B1, C0, D21 = channel("W", "w")
         mu, nu, D = channel("mu", "nu")
-        constants = validation.array("lipschitz", lipschitz, ndim=1)
-        named = {"lipschitz": constants}
+        g, named = mu.shape[1], {"lipschitz": validation.array("lipschitz", lipschitz, ndim=1)}
         for name, given in (("functions", functions), ("references", references)):
-            named[name] = [None] * len(constants) if given is None else given
+            named[name] = [None] * g if given is None else given
             validation.instance(name, named[name], Sequence)
         for name, given in {"sys's output 'nu'": nu, **named}.items():
-            if len(given) != mu.shape[1]:
-                raise ValueError(
-                    f"{name} must have as many entries as sys's input 'mu', {mu.shape[1]}, "
-                    f"got {len(given)}"
-                )
+            if len(given) != g:
+                wanted = f"as many entries as sys's input 'mu', {g}, got {len(given)}"
+                raise ValueError(f"{name} must have {wanted}")
         return cls(
             A=sys.A,
             B1=B1,
@@ -264,8 +271,8 @@ class UncertainSystem:
     ) -> "control.StateSpace":
         """Return the linear part as a python-control object, with its channels open.
 
-        A signal has the components ``W[0]``, ``W[1]``, ...: python-control's ``interconnect``
-        joins it to that of an estimator by its name, and ``sys["y[0]", "W[1]"]`` is a part.
+        A signal has the components ``W[0]``, ``W[1]``, ...; ``interconnect`` joins it to that of an
+        estimator by its name.
 
         Parameters
         ----------
@@ -278,6 +285,10 @@ class UncertainSystem:
         Returns
         -------
         control.StateSpace
+
+        See Also
+        --------
+        from_statespace : the way back.
 
         Examples
         --------
@@ -376,9 +387,8 @@ class UncertainSystem:
             )
         for c, symbol in xi:
             zeta = symbol.replace("xi", "zeta")
-            lines.append(
-                rf"\lVert{symbol}\rVert &\le \lVert{zeta}\rVert,\quad {zeta} = {of_x(c.C)}"
-            )
+            bound = rf"\lVert{symbol}\rVert &\le \lVert{zeta}\rVert"
+            lines.append(rf"{bound},\quad {zeta} = {of_x(c.C)}")
         return "$$\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}$$"
 
 
@@ -394,12 +404,9 @@ def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
         raise ValueError(f"{name} must be symmetric")
     eigenvalues, vectors = np.linalg.eigh(correlation)
     if eigenvalues.min(initial=0.0) < -_ASYMMETRY:
-        raise ValueError(
-            f"{name} must be nonnegative definite, got one whose correlation matrix has the "
-            f"eigenvalue {eigenvalues.min():.3g}"
-        )
-    root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T
-    return unit[:, None] * root
+        got = f"one whose correlation matrix has the eigenvalue {eigenvalues.min():.3g}"
+        raise ValueError(f"{name} must be nonnegative definite, got {got}")
+    return unit[:, None] * (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T)
 
 
 def _number_of_uncertainties(inputs: Iterable[str], outputs: Iterable[str]) -> int:

@@ -1,7 +1,6 @@
-"""One notebook in a process of its own, watched from outside, and judged by what it left.
+"""One notebook in a process of its own, as several in one hang, judged by its executed copy.
 
-A process a notebook: several through one process have been seen to hang. papermill's word is not
-enough: it takes `sys.exit(0)` in a cell for success, so the executed copy is read instead.
+papermill's word is not enough: it takes `sys.exit(0)` in a cell for success.
 """
 
 import os
@@ -9,12 +8,10 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:  # the extra [notebooks]
     from nbformat import NotebookNode
@@ -24,8 +21,7 @@ _LAST_ERROR = re.compile(r".*^([\w.]*(?:Error|Exception|Exit)\b.*)", re.DOTALL |
 _ADDED_BY_PAPERMILL = {"injected-parameters", "papermill-error-cell-tag"}
 
 
-@dataclass(frozen=True)
-class Failure:
+class Failure(NamedTuple):
     """Why a notebook failed: the cell, numbered from 1 as in its source, and the traceback."""
 
     cell: int | None
@@ -39,12 +35,7 @@ class Execution:
     """A running notebook: poll it until it is finished, then ask for its failure, if any."""
 
     def __init__(
-        self,
-        notebook: Path,
-        executed: Path,
-        parameters: Mapping[str, object],
-        scratch: Path,
-        time_limit: float,
+        self, notebook: Path, executed: Path, parameters: dict, scratch: Path, time_limit: float
     ) -> None:
         """Start; the run may take `time_limit` seconds, and one cell of it half as long."""
         import yaml  # papermill needs it, too
@@ -57,16 +48,13 @@ class Execution:
         command = [sys.executable, "-P", "-m", "papermill", "--no-progress-bar"]
         command += ["--kernel=python3", "--language=python", "--log-level=ERROR"]
         command += [f"--cwd={notebook.parent}", f"--execution-timeout={max(1, time_limit / 2):.0f}"]
-        command += ["--parameters_yaml", yaml.safe_dump(dict(parameters), sort_keys=False)]
+        command += ["--parameters_yaml", yaml.safe_dump(parameters, sort_keys=False)]
+        for path in (notebook, executed):  # papermill would take braces for a template's
+            command.append(str(path).replace("{", "{{").replace("}", "}}"))
+        options = {"stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT}
+        options |= {"env": _environment(scratch), "start_new_session": True}  # Ctrl-C is ours
         with open(self._log, "wb") as log:
-            self._process = subprocess.Popen(
-                [*command, _literal(notebook), _literal(executed)],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                env=_environment(scratch),
-                start_new_session=True,  # Ctrl-C is ours to hand on
-            )
+            self._process = subprocess.Popen(command, stdout=log, **options)
 
     @property
     def seconds(self) -> float:
@@ -97,16 +85,20 @@ class Execution:
 
     def failure(self) -> Failure | None:
         """Why the finished run failed, or None where every cell was run and none failed."""
-        limit = f"the time limit of {self._time_limit:g} s for the notebook was reached"
-        limit = limit if self._timed_out else ""
+        limit = ""
+        if self._timed_out:
+            limit = f"the time limit of {self._time_limit:g} s for the notebook was reached"
         log = self._log.read_text(errors="replace").strip()
         # What papermill itself says of an error in a cell stands in the cell, too.
         found = None if "PapermillExecutionError" in log else _LAST_ERROR.match(log)
         error = found[1] if found else ""
         cells = self._cells()
         for number, cell in cells:
-            traceback = _traceback(cell)
-            if traceback or not _completed(cell):
+            errors = [output for output in cell.outputs if output.output_type == "error"]
+            lines = [line for each in errors for line in each.traceback or [each.ename]]
+            traceback = _ANSI.sub("", "\n".join(lines)).strip()
+            # papermill marks even the cell that its kernel died in as completed: go by the reply
+            if traceback or "shell.execute_reply" not in cell.metadata.get("execution", {}):
                 reason = limit or error or traceback or "the cell was not run to its end"
                 return Failure(number, reason)
         if limit or self._process.returncode or not cells:
@@ -128,22 +120,6 @@ class Execution:
             if cell.cell_type == "code" and cell.source.strip():
                 found.append((number, cell))
         return found
-
-
-def _traceback(cell: "NotebookNode") -> str:
-    errors = [output for output in cell.outputs if output.output_type == "error"]
-    lines = [line for error in errors for line in error.traceback or [error.ename]]
-    return _ANSI.sub("", "\n".join(lines)).strip()
-
-
-def _completed(cell: "NotebookNode") -> bool:
-    # papermill marks even the cell that its kernel died in as completed: go by the kernel's reply.
-    return "shell.execute_reply" in cell.metadata.get("execution", {})
-
-
-def _literal(path: Path) -> str:
-    """`path` with the braces that papermill would take for a template's escaped."""
-    return str(path).replace("{", "{{").replace("}", "}}")
 
 
 def _environment(scratch: Path) -> dict[str, str]:

@@ -2,9 +2,7 @@
 
 The cell tagged `parameters` holds lines such as `lag: float = 3.1e-6  # (0, 1e-3] s, of smoothing`.
 The comment may open with what is allowed: an interval (with `inf`, too), or a set `{one, other}`.
-
-papermill itself only warns of an unknown name and checks no type. Its own reader of this cell is
-not used: it skips a line whose comment holds an equals sign.
+papermill checks neither name nor type, and its reader skips comments that hold an equals sign.
 """
 
 import ast
@@ -14,6 +12,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 TYPES = {"bool": bool, "int": int, "float": float, "str": str}
 # Set by the pipeline, for each run anew, and of no influence on the results. Every notebook has the
@@ -48,8 +47,7 @@ class Interval:
         return f"{left}{self.low:g}, {self.high:g}{right}"
 
 
-@dataclass(frozen=True)
-class Parameter:
+class Parameter(NamedTuple):
     """One line of the parameters cell."""
 
     name: str
@@ -87,11 +85,11 @@ def read(notebook: Path) -> dict[str, Parameter]:
     code = [cell for cell in cells if cell.cell_type == "code"]
     tagged = [cell.source for cell in code if "parameters" in cell.metadata.get("tags", [])]
     if len(tagged) != 1:
-        message = "exactly one code cell must be tagged parameters, not"
-        raise PipelineError(f"{notebook.name}: {message} {len(tagged)}")
-    parameters = {parameter.name: parameter for parameter in _lines(tagged[0], notebook)}
-    for parameter in parameters.values():
-        parameter.check(parameter.default, f"{notebook.name}, default")
+        message = f"exactly one code cell must be tagged parameters, not {len(tagged)}"
+        raise PipelineError(f"{notebook.name}: {message}")
+    parameters = {each.name: each for each in _lines(tagged[0], notebook)}
+    for each in parameters.values():
+        each.check(each.default, f"{notebook.name}, default")
     types = dict.fromkeys(OPTIONAL, "str") | {name: each.type for name, each in parameters.items()}
     for name in SET_BY_PIPELINE:
         if types.get(name) != "str":
@@ -131,10 +129,9 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
                 line = source.splitlines()[statement.end_lineno - 1].encode()
                 comment = line[statement.end_col_offset :].decode().strip().lstrip("# ")
                 try:
-                    parameter = Parameter(name, kind, ast.literal_eval(value), *_allowed(comment))
+                    yield Parameter(name, kind, ast.literal_eval(value), *_allowed(comment))
                 except ValueError as error:
                     raise PipelineError(f"{where}: {name}: {error}") from error
-                yield parameter
             case _:
                 form = f"name: type = value  # comment, with type one of {', '.join(TYPES)}"
                 raise PipelineError(f"{where}: line {statement.lineno} must read {form}")

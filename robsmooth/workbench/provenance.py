@@ -29,6 +29,9 @@ def collect(seed: int | None = None, started: float | None = None, **extra: obje
     for name in PACKAGES:
         with suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
+    # the cores that this process may use
+    cores = len(getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))(0))
+    system = " ".join(filter(None, (platform.system(), platform.machine(), *platform.libc_ver())))
     return {
         **extra,
         "seed": seed,
@@ -37,7 +40,7 @@ def collect(seed: int | None = None, started: float | None = None, **extra: obje
         "revision": revision(),
         "lock_sha256": sha256(ROOT / LOCK) if (ROOT / LOCK).is_file() else None,
         "versions": versions,
-        "machine": _machine(),
+        "machine": {"processor": _processor(), "cores": cores, "platform": system},
     }
 
 
@@ -57,17 +60,6 @@ def revision(root: Path = ROOT) -> dict | None:
             changes = _output(*git, "status", "--porcelain", "--", *SOURCES)
             return {"commit": commit, "dirty": bool(changes)}
     return None
-
-
-def _machine() -> dict:
-    """Processor, cores this process may use, and platform."""
-    usable = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))(0)
-    system = (platform.system(), platform.machine(), *platform.libc_ver())
-    return {
-        "processor": _processor(),
-        "cores": len(usable),
-        "platform": " ".join(part for part in system if part),
-    }
 
 
 def sha256(path: Path) -> str:

@@ -1,12 +1,10 @@
 """Run the notebooks that are not fresh, and publish what those that succeed have written.
 
-Notebooks write to a staging folder. Only what a notebook that ran to its end has left there is
-moved to where results live, file by file, each by a rename; so a failed or interrupted run leaves
-the results of earlier ones as they were. A notebook that keeps checkpoints finds them again when it
-is next run with the same inputs.
+What a notebook that ran to its end has left in its staging folder is moved to where results live,
+each file by a rename; so a run that fails leaves the results of earlier ones as they were. Its
+checkpoints are there again when it is next run with the same inputs.
 
-Freshness is judged by content, not by times: a notebook is fresh when everything it depends on has
-the hash it had, and everything it produced is still there unchanged.
+A notebook is fresh when all it depends on has the hash it had, and all it produced is unchanged.
 """
 
 import hashlib
@@ -26,12 +24,11 @@ from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
 from robsmooth.workbench.execution import Execution, Failure
 from robsmooth.workbench.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineError, unknown
+from robsmooth.workbench.provenance import sha256
 
 PROFILES = ("paper", "quick")
 NEEDED = ("ipykernel", "matplotlib", "nbformat", "papermill", "psutil")  # to run any notebook
 PACKAGE = Path(__file__).resolve().parent.parent
-# What reading a stamp or a provenance raises that is not there, or damaged.
-_DAMAGED = (OSError, ValueError, KeyError, TypeError, AttributeError)
 
 
 @dataclass(frozen=True)
@@ -54,8 +51,8 @@ class Request:
         if self.jobs < 1:
             raise PipelineError(f"jobs must be 1 or more, not {self.jobs}")
         if not self.time_limit > 0:
-            limit = f"not {self.time_limit}"
-            raise PipelineError(f"time_limit must be a positive number of seconds, {limit}")
+            wanted = "time_limit must be a positive number of seconds"
+            raise PipelineError(f"{wanted}, not {self.time_limit}")
 
     @property
     def work(self) -> Path:
@@ -98,15 +95,11 @@ class NotebookResult:
 
 
 def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResult]:
-    """Run each task in a process of its own, all of them even when some fail; results as they come.
-
-    Whatever ends this early ends all that it has started.
-    """
+    """Run all tasks, each in its process; results as they come. An early end ends them all."""
     waiting, running = [], []
     with _alone(run.work):
         for task in tasks:
-            produced = None if run.force else _fresh(task)
-            if produced is None:
+            if run.force or (produced := _fresh(task)) is None:
                 waiting.append(task)
             else:
                 yield NotebookResult(task, "fresh", produced)
@@ -156,16 +149,12 @@ def _task(
     values |= cell.check(parameters, profile.get(name, {}), where)
     values |= cell.check(parameters, own, f"--set for {name}")
     defaults = {key: each.default for key, each in parameters.items()}
+    seed = (defaults | values).get("seed")
+    optional = tuple(each for each in OPTIONAL if each in parameters)
     notebook = run.root / "notebooks" / f"{name}.ipynb"
     key = _key(run, notebook, values)
     return Task(
-        run,
-        name,
-        values,
-        seed=(defaults | values).get("seed"),
-        optional=tuple(each for each in OPTIONAL if each in parameters),
-        key=key,
-        notebook=notebook,
+        *(run, name, values, seed, optional, key, notebook),
         executed=run.work / "notebooks" / notebook.name,
         about=run.results / "figures" / f"{name}.provenance.json",
         staging=run.work / "staging" / name,
@@ -178,10 +167,9 @@ def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
     """Those of `names` that `only` asks for, each by its name, its start, or a part of it."""
     chosen = set()
     for wanted in only:
-        for fits in (str.__eq__, str.startswith, str.__contains__):
-            found = [name for name in names if fits(name, wanted)]
-            if found:
-                break
+        tests = (str.__eq__, str.startswith, str.__contains__)
+        fitting = [[name for name in names if fits(name, wanted)] for fits in tests]
+        found = next(filter(None, fitting), [])
         if not found:
             raise unknown("--only: notebook", wanted, names)
         if len(found) > 1:
@@ -197,12 +185,12 @@ def _profiles(folder: Path) -> dict:
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
     listed = sorted(profiles.get("notebooks", []))
-    there = {path.stem for path in folder.glob("*.ipynb")}
-    for name in sorted({*listed} - there):
-        raise PipelineError(f"notebooks/{name}.ipynb is missing; profiles.toml lists it")
-    numbered = {path.stem for path in folder.glob("[0-9][0-9]_*.ipynb")}  # others may be a user's
-    for name in sorted(numbered - {*listed}):
-        raise PipelineError(f"notebooks/{name}.ipynb is not listed in profiles.toml")
+    for name in listed:
+        if not (folder / f"{name}.ipynb").is_file():
+            raise PipelineError(f"notebooks/{name}.ipynb is missing; profiles.toml lists it")
+    for path in sorted(folder.glob("[0-9][0-9]_*.ipynb")):  # others may be a user's
+        if path.stem not in listed:
+            raise PipelineError(f"notebooks/{path.name} is not listed in profiles.toml")
     for profile in PROFILES:
         for name in profiles.setdefault(profile, {}):
             if name not in listed:
@@ -216,23 +204,27 @@ def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
     inputs = [run.root / "data/published.toml", run.root / provenance.LOCK, notebook]
     named = {str(path.relative_to(PACKAGE.parent)): path for path in sorted(sources)}
     named |= {path.name: path for path in inputs if path.is_file()}
-    digests = {name: provenance.sha256(path) for name, path in named.items()}
+    digests = {name: sha256(path) for name, path in named.items()}
     environment = [platform.python_version(), platform.system(), platform.machine()]
     text = json.dumps([digests, environment, run.profile, values], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def _stored(path: Path) -> tuple[str, dict[str, str]]:
+    """Key and digests of the files of a run, by its stamp or provenance; none if it is damaged."""
+    try:
+        stored = json.loads(path.read_text())
+        return stored.get("key", ""), {**stored["files"]}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return "", {}
+
+
 def _fresh(task: Task) -> tuple[str, ...] | None:
     """Files the notebook produced, if it need not be run again."""
-    try:
-        stamp = json.loads(task.stamp.read_text())
-        same = stamp["key"] == task.key and all(
-            provenance.sha256(task.run.results / file) == digest
-            for file, digest in stamp["files"].items()
-        )
-        return tuple(stamp["files"]) if same else None
-    except _DAMAGED:  # or it was never run
-        return None
+    key, digests = _stored(task.stamp)
+    there = {task.run.results / file: digest for file, digest in digests.items()}
+    same = all(path.is_file() and sha256(path) == there[path] for path in there)
+    return tuple(digests) if key == task.key and same else None
 
 
 def _start(task: Task) -> Execution:
@@ -254,40 +246,24 @@ def _finish(task: Task, execution: Execution) -> NotebookResult:
     seconds, failure = execution.seconds, execution.failure()
     if failure:
         return NotebookResult(task, "failed", (), seconds, failure)
-    produced = {
-        path.relative_to(task.staging).as_posix(): provenance.sha256(path)
-        for folder in ("figures", "data")
-        for path in sorted((task.staging / folder).rglob("*"))
-        if path.is_file()
-    }
+    places = [task.staging / folder for folder in ("figures", "data")]
+    paths = [path for place in places for path in sorted(place.rglob("*")) if path.is_file()]
+    produced = {path.relative_to(task.staging).as_posix(): sha256(path) for path in paths}
     task.stamp.unlink(missing_ok=True)
     for file in produced:
         with files.atomic_path(task.run.results / file) as temporary:
             shutil.move(task.staging / file, temporary)
-    for file in _listed(task.about) - produced.keys():
-        (task.run.results / file).unlink(missing_ok=True)
-    provenance.write(
-        task.run.results / "figures" / task.name,
-        notebook=task.notebook.name,
-        profile=task.run.profile,
-        parameters=task.values,
-        files=produced,
-        seed=task.seed,
-        started=execution.started,
-    )
-    produced[f"figures/{task.about.name}"] = provenance.sha256(task.about)
+    for file in _stored(task.about)[1].keys() - produced.keys():  # it no longer produces it
+        if file.startswith(("figures/", "data/")) and ".." not in file:
+            (task.run.results / file).unlink(missing_ok=True)
+    about = {"notebook": task.notebook.name, "profile": task.run.profile}
+    about |= {"parameters": task.values, "files": produced}
+    place = task.run.results / "figures" / task.name
+    provenance.write(place, **about, seed=task.seed, started=execution.started)
+    produced[f"figures/{task.about.name}"] = sha256(task.about)
     files.write_json(task.stamp, {"key": task.key, "files": produced})
     _clear_checkpoints(task)
     return NotebookResult(task, "done", tuple(produced), seconds)
-
-
-def _listed(about: Path) -> set[str]:
-    """Files that the notebook's last run produced; those it no longer does are removed."""
-    try:
-        listed = [file for file in json.loads(about.read_text())["files"] if ".." not in file]
-        return {file for file in listed if file.startswith(("figures/", "data/"))}
-    except _DAMAGED:
-        return set()
 
 
 def _clear_checkpoints(task: Task, keep: Path | None = None) -> None:

@@ -397,7 +397,7 @@ def test_statistical_linearisation_is_that_of_the_homodyne_loop(name, oscillator
     assert_allclose(slopes, loop.equivalent_slopes(), rtol=1e-10)
     P = loop.covariance(*slopes)
     A = loop.linearised_drift(*slopes)
-    error, later = np.array([1.0, *-loop.filtered]), np.array([0.0, *loop.smoothed])
+    error, later = np.array([1.0, *-loop.readout[0]]), np.array([0.0, *loop.readout[1]])
     assert found.filtered == pytest.approx(error @ P @ error, rel=1e-10)
     smoothed = P[0, 0] - 2 * later @ expm(A * loop.delay) @ P[:, 0] + later @ P @ later
     assert found.smoothed == pytest.approx(smoothed, rel=1e-9)

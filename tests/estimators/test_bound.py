@@ -20,7 +20,7 @@ from robsmooth import (
     homodyne,
     minimize_bound,
 )
-from robsmooth.estimators.bound import VANISHING, Face, _quotients, best_tau
+from robsmooth.estimators.bound import VANISHING, Face, best_tau
 from robsmooth.estimators.bound_function import BoundFunction
 from robsmooth.estimators.conditions import multiplier_level
 from robsmooth.estimators.limit import limiting_smoother
@@ -459,22 +459,6 @@ def test_points_whose_numbers_overflow_are_refused_in_silence(example, capfd, th
             value, gradient = v(point, np.zeros(4))
             assert np.isfinite(value) and np.isfinite(gradient).all()
     assert capfd.readouterr() == ("", "")
-
-
-def test_slopes_of_the_constraint_are_those_of_differences():
-    rng = np.random.default_rng(0)
-    roots, vectors = rng.standard_normal((3, 4, 4)), rng.standard_normal((5, 4))
-    levels = roots @ roots.transpose(0, 2, 1)
-    multipliers, step = np.array([1.0, 0.5, 0.2]), 1e-6
-    quotients, slopes = _quotients(multipliers, levels, vectors)
-    largest = np.linalg.eigvalsh(np.tensordot(multipliers, levels, 1))[-1]
-    assert (quotients <= largest * (1 + 1e-12)).all()
-    for i, direction in enumerate(np.eye(3)):
-        low, high = (
-            _quotients(multipliers + sign * step * direction, levels, vectors)[0]
-            for sign in (-1, 1)
-        )
-        assert_allclose((high - low) / (2 * step), slopes[:, i], atol=1e-7)
 
 
 def test_an_infeasible_problem_is_an_error_that_names_a_condition():

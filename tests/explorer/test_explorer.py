@@ -21,7 +21,7 @@ import robsmooth as rs
 from robsmooth.explorer import Explorer, Settings, describe, experiments, explorer
 from robsmooth.explorer import snapshot as model
 from robsmooth.explorer.panels import NO_DESIGN, PREPARING, Panels
-from robsmooth.explorer.settings import DESIGNS, RANGES
+from robsmooth.explorer.snapshot import DESIGNS, RANGES
 from robsmooth.workbench import parameters
 from tests.helpers import looks
 from tests.helpers.waiting import PATIENCE

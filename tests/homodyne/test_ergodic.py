@@ -19,13 +19,11 @@ from robsmooth import homodyne, statistical_linearisation
 from robsmooth._support.errors import LongStepWarning
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
-from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run
+from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run, splitting
 from robsmooth.homodyne.montecarlo.euler import CHUNK
-from robsmooth.homodyne.montecarlo.kernels import SLIP, TURN
-from robsmooth.homodyne.montecarlo.layout import draws_of_splitting
-from robsmooth.homodyne.montecarlo.noise import BLOCK
+from robsmooth.homodyne.montecarlo.noise import BLOCK, SLIP, TURN
 from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK, time_average
-from robsmooth.homodyne.montecarlo.schemes import control_slopes, splitting_coefficients
+from robsmooth.homodyne.montecarlo.splitting import coefficients_of, control_slopes
 from robsmooth.paper import published
 from tests.helpers.loops import (
     PARAMETERS,
@@ -58,7 +56,7 @@ def test_linear_part_of_a_step_is_exact(estimator, step):
     loop = homodyne_loop(PARAMETERS, estimator)
     slopes = control_slopes(loop)
     drift, B = loop.linearised_drift(*slopes), loop.noise_gains()
-    transition, root, *_, start = splitting_coefficients(loop, step, slopes)
+    transition, root, *_, start = coefficients_of(loop, step, slopes)
     assert_allclose(transition, expm(drift * step), rtol=1e-10, atol=1e-12)
     expected = integrated_noise(drift, B @ B.T, step)
     size = np.sqrt(np.diag(expected))
@@ -74,7 +72,7 @@ def test_linear_part_of_a_step_is_exact(estimator, step):
 def test_noise_of_a_long_step_leaves_the_stationary_covariance(estimator, step):
     loop = homodyne_loop(PARAMETERS, estimator)
     drift, B = loop.linearised_drift(), loop.noise_gains()
-    transition, root, *_ = splitting_coefficients(loop, step, (1.0, 1.0))
+    transition, root, *_ = coefficients_of(loop, step, (1.0, 1.0))
     P = solve_continuous_lyapunov(drift, -B @ B.T)
     size = np.sqrt(np.diag(P))
     expected = P - expm(drift * step) @ P @ expm(drift * step).T
@@ -123,13 +121,13 @@ def plain_splitting(loop, given, draws):
             sample = since // schedule.stride
             if sample >= schedule.lag:
                 delayed, now = phases[sample - schedule.lag], kick(phase, x, 0.5, between)
-                control = phase - loop.filtered @ y[1:]
-                outputs[0] += (phase - loop.filtered @ now) ** 2
-                outputs[1] += (delayed - loop.smoothed @ now) ** 2
+                control = phase - loop.readout[0] @ y[1:]
+                outputs[0] += (phase - loop.readout[0] @ now) ** 2
+                outputs[1] += (delayed - loop.readout[1] @ now) ** 2
                 outputs[2] += control**2
-                outputs[3] += (delayed - loop.smoothed @ y[1:]) ** 2
+                outputs[3] += (delayed - loop.readout[1] @ y[1:]) ** 2
                 outputs[4] += control**4
-                away = phase - loop.oscillator @ now - turns
+                away = phase - loop.readout[2] @ now - turns
                 slipped = np.sign(away) * (np.abs(away) > SLIP)
                 turns += TURN * slipped
                 outputs[5] += np.abs(slipped)
@@ -156,7 +154,7 @@ def plain_splitting(loop, given, draws):
 def test_kernel_agrees_with_the_scheme_as_it_is_written(estimator, options):
     given = simulation(estimator, options=options, duration=6e-6, step=1.55e-7, seed=3)
     loop = homodyne_loop(PARAMETERS, estimator, **options)
-    m = draws_of_splitting(loop.order)
+    m = splitting.draws(loop.order)
     draws = gaussians(3, BLOCK, (2 + given.schedule.steps) * m // 2)
     expected = plain_splitting(loop, given, draws)
     assert_allclose(given.simulate(1, 1)[0], expected, rtol=1e-7, atol=1e-12)

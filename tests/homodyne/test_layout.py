@@ -5,9 +5,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from robsmooth.homodyne.loop import homodyne_loop
-from robsmooth.homodyne.montecarlo import layout
+from robsmooth.homodyne.montecarlo import euler, splitting
 from robsmooth.homodyne.montecarlo.noise import BLOCK
-from robsmooth.homodyne.montecarlo.schemes import euler_coefficients, splitting_coefficients
 from tests.helpers.loops import PARAMETERS, kalman_filter, printed_smoother
 
 each_order = pytest.mark.parametrize(
@@ -18,14 +17,14 @@ each_order = pytest.mark.parametrize(
 @each_order
 def test_coefficients_lie_where_their_indices_say(estimator):
     loop = homodyne_loop(PARAMETERS, estimator)
-    n, m = loop.order, layout.draws_of_splitting(loop.order)
-    splitting = splitting_coefficients(loop, 1e-7, (0.9, 0.8))
-    assert splitting.root.shape == (1 + n, m)
+    n, m = loop.order, splitting.draws(loop.order)
+    of_splitting = splitting.coefficients_of(loop, 1e-7, (0.9, 0.8))
+    assert of_splitting.root.shape == (1 + n, m)
     for coefficients, indices in (
-        (euler_coefficients(loop, 1e-7), layout.euler_indices(n)),
-        (splitting, layout.splitting_indices(n, m)),
+        (euler.coefficients_of(loop, 1e-7), euler.indices(n)),
+        (of_splitting, splitting.indices(n, m)),
     ):
-        flat = layout.flat(coefficients, np.float64)
+        flat = np.concatenate([np.ravel(part) for part in coefficients])
         for part, index in zip(coefficients, indices, strict=True):
             assert_array_equal(flat[index : index + np.size(part)], np.ravel(part))
         assert index + np.size(part) == flat.size
@@ -33,7 +32,7 @@ def test_coefficients_lie_where_their_indices_say(estimator):
 
 @pytest.mark.parametrize("n", [1, 2, 3, 8])
 def test_rows_of_a_state_follow_each_other_and_a_block_wide(n):
-    rows = layout.splitting_rows(n)
+    rows = splitting.rows_of(n)
     counts = {"control": n, "difference": n}
     widths = [BLOCK * counts.get(name, 1) for name in rows._fields[:-1]]
     assert_array_equal(np.diff(rows), widths)

@@ -72,7 +72,7 @@ def linear_errors(loop, sine_slope, copy_slope):
     """The smoothed and filtered errors of the linear loop."""
     A = loop.linearised_drift(sine_slope, copy_slope)
     P = loop.covariance(sine_slope, copy_slope)
-    smoothed, filtered = np.array([0.0, *loop.smoothed]), np.array([1.0, *-loop.filtered])
+    smoothed, filtered = np.array([0.0, *loop.readout[1]]), np.array([1.0, *-loop.readout[0]])
     cross = smoothed @ expm(A * loop.delay) @ P[:, 0]
     return np.array(
         [P[0, 0] - 2 * cross + smoothed @ P @ smoothed, filtered @ P @ filtered],
@@ -221,10 +221,10 @@ def fokker_planck_errors(loop, points=37, width=7.0):
     system[centre], right[centre] = 1.0, 1.0
     density = np.linalg.solve(system, right)
     later = expm_multiply(flow * loop.delay, phi * density)
-    smoothed = loop.smoothed[0] * x
+    smoothed = loop.readout[1, 0] * x
     return [
         density @ (phi**2 + smoothed**2) - 2 * smoothed @ later,
-        density @ (phi - loop.filtered[0] * x) ** 2,
+        density @ (phi - loop.readout[0, 0] * x) ** 2,
     ]
 
 

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 import robsmooth as rs
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo import run
+from robsmooth.homodyne.montecarlo.euler import longest_stable_step
 from robsmooth.homodyne.montecarlo.protocols import (
     PROTOCOLS,
     SILENT_EULER,
     SILENT_SPLITTING,
 )
-from robsmooth.homodyne.montecarlo.schemes import longest_stable_step
 from robsmooth.paper import published
 from tests.helpers.loops import SIGMAS
 

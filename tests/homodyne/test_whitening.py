@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
-from robsmooth.homodyne.whitening import whitened
+from robsmooth.homodyne.moments import whitened
 from robsmooth.paper import published
 
 
@@ -17,8 +17,8 @@ def test_rows_have_the_variances_of_the_linear_loop(shot_noise):
     P = loop.covariance(*loop.equivalent_slopes())
     for row, reader in (
         (white.phase, [1.0, *np.zeros(loop.order)]),
-        (white.filtered, [1.0, *-loop.filtered]),
-        (white.smoothed, [1.0, *-loop.smoothed]),
+        (white.filtered, [1.0, *-loop.readout[0]]),
+        (white.smoothed, [1.0, *-loop.readout[1]]),
     ):
         assert row @ row == pytest.approx(reader @ P @ np.array(reader), rel=1e-9)
     assert white.rounding < 1e-10

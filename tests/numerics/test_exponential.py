@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
-from robsmooth._numerics.exponential import responses
+from robsmooth._numerics.steps import responses
 from tests.helpers.strategies import seeds, stable_matrix
 
 

@@ -16,7 +16,7 @@ from robsmooth.analysis.statistical_linearisation import statistical_linearisati
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
-from robsmooth.homodyne.whitening import slopes_of_lock
+from robsmooth.homodyne.moments import slopes_of_lock
 from robsmooth.paper import published
 from robsmooth.simulation.loop import nonlinear_loop
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from robsmooth import homodyne
-from robsmooth.paper import published, results, statements, tables
+from robsmooth.paper import published, statements, tables
 from robsmooth.paper import verdicts as reproduction
 
 PLANT = published.paper_plant()
-SIMULATION = results.read(published.data_folder())
+SIMULATION = published.read_simulation(published.data_folder())
 SWEPT = {"smoother, as printed": [0.1, 0.08], "NGCF": [0.3, 0.2]}  # at Delta_2 of -1 and 0
 # What the model, the sweep, the simulation or, as texts and what is printed in their place, the
 # paper would have to say for the verdict on each statement to be the other one.
@@ -195,7 +195,7 @@ def test_a_kind_can_be_asked_for_without_simulation_results(tmp_path):
         lambda text: text.replace('"mean_square":', '"mean":', 1),
         lambda text: "[]",
         lambda text: text.replace('"NGCF"', '"NGCG"'),
-        lambda text: json.dumps({"cases": dict.fromkeys(results.NEEDED)}),
+        lambda text: json.dumps({"cases": dict.fromkeys(published.NEEDED)}),
         lambda text: "",
     ],
 )

@@ -21,7 +21,7 @@ import pytest
 
 from robsmooth._support import cluster as cluster_module
 from robsmooth._support import extras
-from robsmooth._support.cluster import alone, connect, in_order, worker_threads, workers
+from robsmooth._support.cluster import connect, in_order, worker_threads, workers
 from tests.helpers.clusters import cluster_of_threads, start_cluster
 from tests.helpers.waiting import PATIENCE, wait_until
 
@@ -503,7 +503,7 @@ def test_loggers_are_set_back(cluster):
 
 def test_a_worker_knows_its_threads_and_computes_alone_where_asked(client):
     def enter(number):
-        with alone(), alone():
+        with cluster_module.ALONE, cluster_module.ALONE:
             inside.append(number)
             time.sleep(0.01)
             assert inside == [number]

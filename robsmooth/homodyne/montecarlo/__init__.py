@@ -27,8 +27,7 @@ Where a loop slips, the ergodic protocol has too few slips: with ten times the p
 their rate is 11% too low with the default step, 15% with 1/4 and 43% with 1/2.
 """
 
-from robsmooth.homodyne.montecarlo.result import LossOfLockWarning, MonteCarloResult
-from robsmooth.homodyne.montecarlo.run import monte_carlo
+from robsmooth.homodyne.montecarlo.run import LossOfLockWarning, MonteCarloResult, monte_carlo
 from robsmooth.simulation.statistics import MeanSquare
 
 __all__ = ["LossOfLockWarning", "MeanSquare", "MonteCarloResult", "monte_carlo"]

@@ -1,6 +1,6 @@
 r"""The compiled loop of the published protocol: Euler-Maruyama, and the errors at the end.
 
-One step of a path, with the `EulerCoefficients` of `robsmooth.homodyne.montecarlo.layout`:
+One step of a path, with the `Coefficients`:
 
 .. math::
 
@@ -14,34 +14,82 @@ compiled once and kept on disk. What is called is inlined by numba: compiled aga
 is linked into, it would lose registers.
 """
 
+from collections import namedtuple
+
 import numpy as np
 from numba import njit, prange
+from numba.extending import register_jitable
 
 from robsmooth._support.kernels import kept
-from robsmooth.homodyne.montecarlo.kernels import TURN, shared_sources, slip
-from robsmooth.homodyne.montecarlo.layout import euler_indices
+from robsmooth.homodyne.loop import Loop
 from robsmooth.homodyne.montecarlo.noise import (
     BLOCK,
     DRAWS,
+    SOURCES,
+    TURN,
     WORDS,
     fill_gaussians,
     fma,
     seed_paths,
     sine,
+    slip,
     with_item,
 )
 
 CHUNK = 32  # steps for which noise is drawn ahead (32 KiB), and between two looks at the lock
 OUTPUTS = 3  # of a path: squared filtered and smoothed error at the end, and cycle slips
 FILTERED, SMOOTHED, SLIPS = range(OUTPUTS)
-SOURCES = shared_sources()
+UNDAMPED = 1e-12  # of a mode's rate: less damping is rounding
+
+
+# Of a step; in a kernel, the indices at which they begin in a flat array of all.
+Coefficients = namedtuple(
+    "Coefficients", "increments reference copy sine_gain copy_gain noise decay diffusion"
+)
+
+
+@register_jitable
+def indices(n):
+    """Return the indices of the coefficients, constants in a kernel."""
+    v = n * n  # where the vectors begin
+    s = v + 4 * n  # and the scalars
+    return Coefficients(0, v, v + n, v + 2 * n, v + 3 * n, s, s + 1, s + 2)
+
+
+def coefficients_of(loop: Loop, step: float) -> Coefficients:
+    """Return the coefficients of a step, in s."""
+    root = np.sqrt(step)
+    coefficients = Coefficients(
+        step * loop.drift,  # (n, n), F
+        loop.reference,  # (n,), r
+        loop.copy,  # (n,), c
+        step * loop.sine_gain,  # (n,), b_s
+        step * loop.copy_gain,  # (n,), b_c
+        noise=loop.sine_noise / root,  # w
+        decay=-step * loop.phase_decay,  # a
+        diffusion=root * loop.phase_diffusion,  # q
+    )
+    # Rounding noise, some of it denormal in single precision: processors are slow with those.
+    tiny = np.finfo(np.float32).tiny
+    return Coefficients(*(np.where(np.abs(part) < tiny, 0.0, part) for part in coefficients))
+
+
+def longest_stable_step(loop: Loop) -> float:
+    r"""Return the step from which on the scheme lets a mode grow that decays, s, or infinity.
+
+    It multiplies a mode of the linearised loop with the eigenvalue :math:`\lambda` by
+    :math:`1 + \lambda h` in a step.
+    """
+    modes = np.linalg.eigvals(loop.linearised_drift())
+    decaying = modes[modes.real < -UNDAMPED * np.abs(modes)]
+    return float((-2.0 * decaying.real / np.abs(decaying) ** 2).min(initial=np.inf))
 
 
 @njit(inline="always")
 def euler_steps(order, coefficients, steps, state, gaussians):
     """Advance a block by `steps` steps with the noise of `fill_gaussians`."""
     n = len(order)
-    at = euler_indices(n)
+    at = indices(n)
     noise = coefficients[at.noise]
     decay, diffusion = coefficients[at.decay], coefficients[at.diffusion]
     for step in range(steps):

@@ -1,4 +1,4 @@
-r"""Gaussian noise for many paths at once, the same for a path whatever else is simulated.
+r"""What the kernels share: cycle slips, sines, and noise for many paths at once.
 
 Each path owns a xoshiro128+ generator [1]_ whose state is a splitmix64 hash of (seed, path index),
 so its noise depends on these two numbers alone. A step takes two of its 32-bit words, :math:`a` and
@@ -27,7 +27,9 @@ References
    of Mathematical Statistics 29 (2), 1958.
 """
 
+import hashlib
 import math
+from pathlib import Path
 
 import numpy as np
 from llvmlite import ir
@@ -38,6 +40,13 @@ BLOCK = 128  # paths side by side: enough independent work to hide the latency o
 WORDS = 4  # 32-bit words of a generator's state
 DRAWS = 2  # Gaussians a step
 GENERATOR = "xoshiro128+ seeded by splitmix64(seed, path), Box-Muller in float32"
+
+TURN = 2 * np.pi
+SLIP = 0.75 * TURN  # this far from the point that it was locked to, a loop is at the next one
+
+# A default argument of each kernel, which has it compiled anew when this module, compiled into it,
+# changes: numba itself looks at the kernel's own file only.
+SOURCES = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -69,7 +78,14 @@ SINE_FLOAT64 = (
 )
 
 
-# --- what numba has no word for -------------------------------------------------------------------
+@njit
+def slip(away):
+    """By how many turns a path has slipped, from how far it is from where it was locked: 0 or +-1.
+
+    A loop is locked where its phase is near the local oscillator's, up to whole turns. The quarter
+    turn beyond the middle keeps a single passage from being counted more than once.
+    """
+    return (1.0 if away > SLIP else 0.0) - (1.0 if away < -SLIP else 0.0)
 
 
 @intrinsic
@@ -146,9 +162,6 @@ def whole_turns(typingctx, x):
     return x(x), codegen
 
 
-# --- polynomials ----------------------------------------------------------------------------------
-
-
 @njit
 def minus_two_log(v):
     """-2 log(v / 2^31) of a float32 v between 1/2 and 2^31, to a relative 3e-7."""
@@ -189,9 +202,6 @@ def cos_quarter(x):
     p = fma(z, p, 0.04166398945404269)
     p = fma(z, p, -0.4999993229301647)
     return fma(z, p, np.float32(1))
-
-
-# --- the generator --------------------------------------------------------------------------------
 
 
 @njit

@@ -11,12 +11,14 @@ long as they are merged in the order of their index.
 """
 
 import math
-from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
 from typing import ClassVar, NamedTuple, Self
 
+import numba
 import numpy as np
 
 from robsmooth._numerics.steps import (
@@ -28,12 +30,11 @@ from robsmooth._numerics.steps import (
 )
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.cluster import alone, worker_threads
+from robsmooth._support.cluster import ALONE, worker_threads
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop
-from robsmooth.homodyne.montecarlo import euler, layout, schemes, splitting
-from robsmooth.homodyne.montecarlo.kernels import threads_of_kernels
+from robsmooth.homodyne.montecarlo import euler, splitting
 from robsmooth.homodyne.montecarlo.noise import BLOCK
 from robsmooth.simulation.statistics import MeanSquare, Tally, control_weights
 
@@ -53,8 +54,19 @@ FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, below which there are no control 
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
 
 
+@contextmanager
+def threads_of_kernels(count: int | None) -> Iterator[None]:
+    """Have kernels use `count` threads, or as many of them as there are; None changes nothing."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(min(count or before, numba.config.NUMBA_NUM_THREADS))
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
+
+
 class Schedule(NamedTuple):
-    """When to sample, in steps: the order of the fields is the kernels' contract.
+    """When to sample, in steps: the order of the fields is the kernel's contract.
 
     The phase is recorded first after `start` steps and then every `stride` steps; the errors are
     sampled `samples` times, first when the recorded phase is `lag` records old.
@@ -82,16 +94,13 @@ def time_average(warm_up: int, steps: int, delay: int, longest_stride: int) -> S
     return Schedule(max(warm_up - delay, 0), stride, delay // stride, steps // stride + 1)
 
 
-def check_duration(duration: float, loop: Loop) -> None:
-    """Refuse a duration that is shorter than the delay."""
-    if duration < loop.delay:
-        delay = f"the smoother's delay, {loop.delay:g} s"
-        raise ValueError(f"duration must be at least {delay}, got {duration:g}")
-
-
 @dataclass(frozen=True, eq=False)
-class Simulation(ABC):
-    """What the paths of any protocol depend on, together with their index."""
+class Simulation:
+    """What the paths of any protocol depend on, together with their index.
+
+    Each protocol has a `default_step`, s, which divides the delay, and a `plan`, which returns the
+    simulation with these runs, seed and precision, and the rest filled in.
+    """
 
     runs: int  # the last block is simulated whole, but only its first paths are returned
     seed: int
@@ -101,7 +110,7 @@ class Simulation(ABC):
     duration: float  # s, in whole steps, without the warm-up
     steps: int  # of a path
     readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase
-    coefficients: layout.EulerCoefficients | layout.SplittingCoefficients
+    coefficients: euler.Coefficients | splitting.Coefficients
     schedule: tuple[int, ...]  # as the kernel takes it
 
     protocol: ClassVar[str]
@@ -110,17 +119,8 @@ class Simulation(ABC):
     default_runs: ClassVar[int]
     silent: ClassVar[float]  # the longest step without a warning, in response times of the loop
     variables: ClassVar[int] = 2  # that are averaged over paths; the last two are the best errors
+    compiled_for: ClassVar[tuple] = ()  # besides the order and the precision
     weights: ClassVar[Matrix | None] = None  # of controls
-
-    @classmethod
-    @abstractmethod
-    def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
-        """Return a simulation with these runs, seed and precision; fill in the rest."""
-
-    @classmethod
-    @abstractmethod
-    def default_step(cls, loop: Loop, duration: float) -> float:
-        """Return the step that is taken where none is given, s; it divides the delay."""
 
     def check_step(self, loop: Loop, stacklevel: int) -> None:
         """Warn where the step is long for the loop; see `warn_of_long_step`."""
@@ -140,11 +140,11 @@ class Simulation(ABC):
         real, n = PRECISIONS[self.precision], self.readout.shape[1]
         states = np.empty((count, self.kernel.state_size(n)), real)
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
-        with alone(), threads_of_kernels(worker_threads()):
+        with ALONE, threads_of_kernels(worker_threads()):
             self.kernel.simulate_blocks(
-                *self.compiled_for(),
+                *self.compiled_for,
                 (real(0),) * n,
-                layout.flat(self.coefficients, real),
+                np.concatenate([np.ravel(part) for part in self.coefficients]).astype(real),
                 self.readout.ravel(),
                 tuple(self.schedule),
                 np.uint64(self.seed),
@@ -153,10 +153,6 @@ class Simulation(ABC):
                 results.reshape(count, -1),
             )
         return results[:, : self.kernel.SLIPS + 1]
-
-    def compiled_for(self) -> tuple:
-        """What else the kernel is compiled for, besides the order and the precision."""
-        return ()
 
     def reduce(self, outputs: Matrix) -> Matrix:
         """Return the variables, (variables, paths), of the outputs without the slips."""
@@ -167,13 +163,7 @@ class Simulation(ABC):
         best = self.variables - 2
         return tally.all.mean_square(best, plain=0), tally.all.mean_square(best + 1, plain=1)
 
-    def settings(self) -> dict:
-        """The protocol and its numbers, as JSON values."""
-        names = ("protocol", "runs", "seed", "precision", "step", "warm_up", "duration")
-        return {name: getattr(self, name) for name in names}
 
-
-@dataclass(frozen=True, eq=False)
 class PaperSimulation(Simulation):
     """The published protocol."""
 
@@ -186,19 +176,18 @@ class PaperSimulation(Simulation):
     @classmethod
     def default_step(cls, loop: Loop, duration: float) -> float:
         """Return the published step, or a shorter one for a faster loop than the paper's."""
-        longest = STABLE_PART * schemes.longest_stable_step(loop)
+        longest = STABLE_PART * euler.longest_stable_step(loop)
         longest = min(PAPER_STEP, SILENT_EULER * loop.response_time(), longest)
         return dividing_step(loop.delay, longest, duration)
 
     @classmethod
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
         """Fill in the published numbers."""
-        duration = duration or PAPER_DURATION
-        check_duration(duration, loop)
+        duration = _at_least_the_delay(duration or PAPER_DURATION, loop)
         default = cls.default_step(loop, duration)
         step = step or default
         delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
-        longest = schemes.longest_stable_step(loop)
+        longest = euler.longest_stable_step(loop)
         if step >= longest:
             raise ValueError(
                 f"step must be below {longest:.4g} s, at which the Euler-Maruyama scheme becomes "
@@ -211,8 +200,8 @@ class PaperSimulation(Simulation):
             warm_up=0.0,
             duration=steps * step,
             steps=steps,
-            readout=loop.readout(),
-            coefficients=schemes.euler_coefficients(loop, step),
+            readout=loop.readout,
+            coefficients=euler.coefficients_of(loop, step),
             schedule=(steps - delay, delay),  # before the delayed phase is recorded, and after
         )
 
@@ -238,7 +227,7 @@ class ErgodicSimulation(Simulation):
     @classmethod
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
         """Fill in numbers by the time constants of the linearised loop, which must be stable."""
-        slopes = schemes.control_slopes(loop)
+        slopes = splitting.control_slopes(loop)
         slowest = loop.rates(*slopes)[0]
         if not slowest > 0:
             raise UnstableLoopError(
@@ -246,8 +235,8 @@ class ErgodicSimulation(Simulation):
                 f"estimator is not stable in it: its slowest mode has the decay rate {slowest:.3g} "
                 "1/s"
             )
-        duration = duration or max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
-        check_duration(duration, loop)
+        default = max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
+        duration = _at_least_the_delay(duration or default, loop)
         step = step or cls.default_step(loop, duration)
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
         stride = int(STEP_OF_TIME_CONSTANT * loop.response_time() / step + MULTIPLE_TOLERANCE)
@@ -259,16 +248,18 @@ class ErgodicSimulation(Simulation):
             warm_up=warm_up * step,
             duration=(schedule.samples - 1) * schedule.stride * step,
             steps=schedule.steps,
-            readout=loop.readout(),
-            coefficients=schemes.splitting_coefficients(loop, step, slopes),
+            readout=loop.readout,
+            coefficients=splitting.coefficients_of(loop, step, slopes),
             schedule=schedule,
-            control=schemes.control_means(loop, slopes),
+            control=splitting.control_means(loop, slopes),
         )
 
+    @property
     def compiled_for(self) -> tuple:
-        """The Gaussians of a step, and whether the copy of the nonlinearity has any effect."""
+        """The Gaussians of a step, and the copy of the nonlinearity where it has any effect."""
         c = self.coefficients
-        return (np.float32(0),) * c.root.shape[1], bool(c.copy.any() and c.copy_gain.any())
+        runs_copy = c.copy.any() and c.copy_gain.any()
+        return (np.float32(0),) * c.root.shape[1], (0,) * int(runs_copy)
 
     @cached_property
     @one_thread
@@ -296,6 +287,13 @@ class ErgodicSimulation(Simulation):
 
 
 PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper": PaperSimulation}
+
+
+def _at_least_the_delay(duration: float, loop: Loop) -> float:
+    if duration < loop.delay:
+        delay = f"the smoother's delay, {loop.delay:g} s"
+        raise ValueError(f"duration must be at least {delay}, got {duration:g}")
+    return duration
 
 
 @one_thread

@@ -6,30 +6,29 @@ nothing but the simulation, so the last bits of the result depend on nothing els
 """
 
 import hashlib
+import math
 import os
 import platform
 import time
 import warnings
-from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from robsmooth._support import cluster, validation
 from robsmooth._support.checkpoint import Journal, open_journal
 from robsmooth._support.kernels import check_compiler
 from robsmooth._support.progress import progress_bar
+from robsmooth._support.tables import Table
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import homodyne_loop, numbers_of
-from robsmooth.homodyne.montecarlo.kernels import threads_of_kernels
 from robsmooth.homodyne.montecarlo.noise import BLOCK, GENERATOR
-from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, Simulation, plan
-from robsmooth.homodyne.montecarlo.result import LossOfLockWarning, MonteCarloResult
+from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, Simulation, plan, threads_of_kernels
 from robsmooth.homodyne.parameters import HomodyneParameters
-from robsmooth.simulation.statistics import Tally
+from robsmooth.simulation.statistics import MeanSquare, Tally
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -39,6 +38,126 @@ BLOCKS_OF_A_GROUP = 256  # at most: bounds the memory
 GROUPS_OF_A_CALL = 20  # on a cluster, at most: a client keeps up with some 100 calls a second
 CALLS_OF_A_THREAD = 8  # on a cluster, at least: its threads then end at about the same time
 CHECKPOINT_EVERY = 2.0  # s
+
+
+class LossOfLockWarning(RuntimeWarning):
+    """Some of the paths slipped: their errors depend on the duration.
+
+    See Also
+    --------
+    MonteCarloResult.in_lock : the errors of the paths that did not.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import robsmooth as rs
+    >>> warnings.simplefilter("ignore", rs.LossOfLockWarning)
+    """
+
+
+@dataclass(frozen=True)
+class MonteCarloResult:
+    """Mean square errors of the filter and the smoother in the nonlinear loop.
+
+    Attributes
+    ----------
+    smoothed, filtered : MeanSquare
+        Over all paths, rad^2; with the error of whole turns of a path that has slipped.
+    smoothed_in_lock, filtered_in_lock : MeanSquare
+        The same over the paths that never slipped, without control variates.
+    slips, slipped_paths : int
+        How many times a path has gone over to the next point, a turn away, where the loop locks;
+        and how many paths have.
+    runs, path_steps : int
+        Independent paths, and the steps of all of them, the warm-up included.
+    wall_time : float, s, with the compilation, where there was one
+    protocol, seed, precision : str, int, str
+        As asked for.
+    duration, warm_up, step : float
+        Of a path, in whole steps; before sampling began; of the scheme; s.
+    provenance : dict, everything else that the numbers depend on, in a JSON form
+
+    See Also
+    --------
+    monte_carlo, stationary_errors : makes it; the errors in lock without sampling.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> result = rs.monte_carlo(rs.homodyne.PAPER, kalman, runs=64)
+    >>> low, high = result.filtered.interval(0.95)
+    >>> low < result.filtered.mean_square < high
+    True
+    """
+
+    smoothed: MeanSquare
+    filtered: MeanSquare
+    smoothed_in_lock: MeanSquare
+    filtered_in_lock: MeanSquare
+    slips: int
+    slipped_paths: int
+    runs: int
+    path_steps: int
+    wall_time: float
+    protocol: str
+    duration: float
+    warm_up: float
+    step: float
+    seed: int
+    precision: str
+    provenance: dict[str, Any] = field(repr=False)
+
+    def in_lock(self) -> tuple[MeanSquare, MeanSquare]:
+        """Return the filtered and the smoothed error of the paths that never slipped.
+
+        Where none slipped, these are the errors over all paths, with control variates.
+        """
+        if self.slips:
+            return self.filtered_in_lock, self.smoothed_in_lock
+        return self.filtered, self.smoothed
+
+    @property
+    def slip_rate(self) -> float:
+        """Cycle slips a second of a path, 1/s."""
+        return self.slips / (self.path_steps * self.step)
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields as a dict that the json module writes; a number that is none becomes None."""
+        result = dict(vars(self))
+        for name, value in result.items():
+            if isinstance(value, MeanSquare):
+                numbers = vars(value).items()
+                result[name] = {key: x if math.isfinite(x) else None for key, x in numbers}
+        return result
+
+    def __repr__(self) -> str:
+        errors = f"smoothed {self.smoothed} rad^2, filtered {self.filtered} rad^2"
+        lock = f"smoothed {self.smoothed_in_lock}, filtered {self.filtered_in_lock}"
+        slips = f"{self._slips}, without which {lock}" if self.slips else self._slips
+        return f"MonteCarloResult({errors}, {slips}; {self._setting})"
+
+    def _repr_html_(self) -> str:
+        errors = {"smoothed": self.smoothed, "filtered": self.filtered}
+        if self.slips:
+            errors["smoothed, paths in lock"] = self.smoothed_in_lock
+            errors["filtered, paths in lock"] = self.filtered_in_lock
+        rows = [(name, error._repr_latex_()) for name, error in errors.items()]
+        caption = f"The nonlinear loop, {self._slips}; {self._setting}."
+        return Table(("estimate", "mean square error (rad²)"), rows, caption).html()
+
+    @property
+    def _slips(self) -> str:
+        paths = f"{self.slips} slips in {self.slipped_paths} of {self.runs} paths"
+        return paths if self.slips else "no slips"
+
+    @property
+    def _setting(self) -> str:
+        return (
+            f"{self.protocol}: {self.runs} runs of {self.duration:.4g} s, step {self.step:.4g} s, "
+            f"seed {self.seed}, {self.precision}; {self.path_steps:.3g} path-steps in "
+            f"{self.wall_time:.2g} s"
+        )
 
 
 def monte_carlo(
@@ -86,18 +205,15 @@ def monte_carlo(
     step : float, optional
         s; must divide the smoother's delay into whole steps. Default: the largest such step that is
         at most 0.01 us ("paper") or a fifth of the loop's response time ("ergodic").
-    seed : int
-        At least 0 and below 2^64.
+    seed : int, at least 0 and below 2^64
     precision : {"mixed", "single"}
         Of the state: double or single. Noise is always drawn in single precision.
     client : distributed.Client, optional
         A Dask cluster to compute on, see `robsmooth.workbench.connect`. Default: this machine.
     checkpoint : path, optional
         A file to which progress is saved every few seconds, and from which the same call resumes.
-    progress : bool
-        Show a progress bar.
-    oscillator : {"filtered", "smoothed"}
-        The estimate that the local oscillator's phase u follows.
+    progress : bool, show a progress bar
+    oscillator : {"filtered", "smoothed"}, the estimate that the local oscillator's phase u follows
     copy : bool
         Whether the estimator runs its copy of the nonlinearity; without, its input is zero.
     nonlinearity : {"difference", "literal"}
@@ -157,9 +273,11 @@ def monte_carlo(
         "copy": bool(copy),
         "shot_noise": float(shot_noise),
         "estimator_sha256": _estimator_digest(smoother),
+        "scheme": simulation.scheme,
     }
-    settings, scheme = simulation.settings(), {"scheme": simulation.scheme}
-    identity = {**settings, **scheme, **inputs, "software": cluster.software()}
+    names = ("protocol", "runs", "seed", "precision", "step", "warm_up", "duration")
+    settings = {name: getattr(simulation, name) for name in names}
+    identity = {**settings, **inputs, "software": cluster.software()}
     with threads_of_kernels(threads), open_journal(checkpoint, identity) as journal:
         tally = _tally(simulation, journal, client, progress, inputs["parameters"])
 
@@ -171,8 +289,7 @@ def monte_carlo(
             stacklevel=2,
         )
     filtered, smoothed = simulation.estimate(tally)
-    versions = {"python": platform.python_version(), "numpy": np.__version__}
-    versions["numba"] = numba.__version__
+    python, versions = platform.python_version(), {m.__name__: m.__version__ for m in (np, numba)}
     return MonteCarloResult(
         smoothed=smoothed,
         filtered=filtered,
@@ -183,7 +300,7 @@ def monte_carlo(
         path_steps=simulation.runs * simulation.steps,
         wall_time=time.perf_counter() - started,
         **settings,
-        provenance={**inputs, **scheme, "generator": GENERATOR, "versions": versions},
+        provenance={**inputs, "generator": GENERATOR, "versions": {"python": python, **versions}},
     )
 
 
@@ -208,13 +325,13 @@ def _estimator_digest(smoother) -> str:
     return digest.hexdigest()
 
 
-# --- carrying it out ------------------------------------------------------------------------------
-
-
 def _tally(
     simulation: Simulation, journal: Journal | None, client, progress: bool, parameters: dict
 ) -> Tally:
-    """Simulate the blocks that the journal does not have, wherever, and merge them in order."""
+    """Simulate the blocks that the journal does not have, wherever, and merge them in order.
+
+    A call is for some blocks, (the first, how many), of whole groups.
+    """
     tally, first = Tally(simulation.variables), 0
     if journal is not None and journal.last is not None:
         tally, first = Tally.from_state(journal.last["tally"]), journal.last["blocks"]
@@ -222,7 +339,13 @@ def _tally(
         _ = simulation.weights  # computed here, for all machines
     group = min(max(STEPS_OF_A_GROUP // (BLOCK * simulation.steps), 1), BLOCKS_OF_A_GROUP)
     simulate = partial(_tallies, simulation, group, parameters)
-    calls = _calls(simulation, group, first, client)
+    if client is None:
+        groups = numba.get_num_threads()
+    else:
+        groups = simulation.blocks // (group * CALLS_OF_A_THREAD * cluster.workers(client))
+        groups = min(max(groups, 1), GROUPS_OF_A_CALL)
+    size, end = groups * group, simulation.blocks
+    calls = ((start, min(size, end - start)) for start in range(first, end, size))
     saved = time.perf_counter()
     # what was done before counts for the progress, but not for the rate
     extent = {"total": simulation.runs, "initial": tally.all.count, "unit": "path"}
@@ -230,25 +353,13 @@ def _tally(
         for tallies in cluster.in_order(simulate, calls, client):
             for each in tallies:
                 tally.merge(each)
-            first = min(first + len(tallies) * group, simulation.blocks)
+            first = min(first + size, end)
             bar.update(tally.all.count - bar.n)
-            due = time.perf_counter() - saved > CHECKPOINT_EVERY or first == simulation.blocks
+            due = time.perf_counter() - saved > CHECKPOINT_EVERY or first == end
             if journal is not None and due:
                 journal.append({"blocks": first, "tally": tally.state()})
                 saved = time.perf_counter()
     return tally
-
-
-def _calls(simulation: Simulation, group: int, first: int, client) -> Iterator[tuple[int, int]]:
-    """Calls for the blocks from `first` on: (first block, number of blocks), of whole groups."""
-    if client is None:
-        groups = numba.get_num_threads()
-    else:
-        threads = cluster.workers(client)
-        groups = simulation.blocks // (group * CALLS_OF_A_THREAD * threads)
-        groups = min(max(groups, 1), GROUPS_OF_A_CALL)
-    for start in range(first, simulation.blocks, groups * group):
-        yield start, min(groups * group, simulation.blocks - start)
 
 
 def _tallies(
@@ -263,20 +374,14 @@ def _tallies(
             path = (start + offset) * BLOCK
             values = np.hstack(list(results[offset : offset + group]))
             values = values[:, : simulation.runs - path]
-            _check_finite(values, path, simulation, parameters)
+            wrong = np.flatnonzero(~np.isfinite(values).all(axis=0))
+            if wrong.size:
+                given = ", ".join(f"{name}={value:g}" for name, value in parameters.items())
+                raise RuntimeError(
+                    f"path {path + wrong[0]} of seed {simulation.seed} overflowed, with {given}: "
+                    f"the step, {simulation.step:g} s, is too long for this loop, or the estimator "
+                    "is unstable in it"
+                )
             tallies.append(Tally(simulation.variables))
             tallies[-1].add(simulation.reduce(values[:-1]), values[-1])
     return tallies
-
-
-def _check_finite(
-    values: NDArray[np.float64], path: int, simulation: Simulation, parameters: dict
-) -> None:
-    wrong = np.flatnonzero(~np.isfinite(values).all(axis=0))
-    if wrong.size:
-        given = ", ".join(f"{name}={value:g}" for name, value in parameters.items())
-        raise RuntimeError(
-            f"path {path + wrong[0]} of seed {simulation.seed} overflowed, with {given}: "
-            f"the step, {simulation.step:g} s, is too long for this loop, or the estimator is "
-            "unstable in it"
-        )

@@ -29,20 +29,30 @@ state of a block is :math:`\varphi`, the estimator's part of y, and :math:`d = \
 starts at zero and has no noise of its own.
 """
 
+from collections import namedtuple
+
 import numpy as np
 from numba import njit, prange
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+from scipy.linalg import expm
 
+from robsmooth._numerics.lyapunov import noise_root, square_root
+from robsmooth._numerics.steps import responses
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.kernels import kept
-from robsmooth.homodyne.montecarlo.kernels import TURN, shared_sources, slip
-from robsmooth.homodyne.montecarlo.layout import splitting_indices, splitting_rows
+from robsmooth.homodyne.loop import Loop
 from robsmooth.homodyne.montecarlo.noise import (
     BLOCK,
     DRAWS,
+    SOURCES,
+    TURN,
     WORDS,
     fill_gaussians,
     fma,
     seed_paths,
     sine,
+    slip,
     whole_turns,
     with_item,
 )
@@ -53,57 +63,132 @@ FILTERED, SMOOTHED, CONTROL_FILTERED, CONTROL_SMOOTHED, CONTROL_FOURTH, SLIPS, T
     OUTPUTS
 )
 ERRORS, CONTROLS = slice(FILTERED, CONTROL_FILTERED), slice(CONTROL_FILTERED, SLIPS)
-SOURCES = shared_sources()
+
+
+# Of a step with m Gaussians; in a kernel, the indices at which they begin in a flat array of all.
+Coefficients = namedtuple(
+    "Coefficients",
+    "transition root sine_gain copy_gain reference copy sine_response copy_response push "
+    "slopes curvatures quarter_turn start",
+)
+# Where the rows of BLOCK numbers begin in a block's state: n for y, n for d. The kick has terms of
+# first and second order along h b_s and h b_c; `delayed` is the phase a delay ago; turns are T.
+Rows = namedtuple(
+    "Rows",
+    "phase control difference sine_first sine_second copy_first copy_second delayed turns end",
+)
+
+
+@register_jitable
+def indices(n, m):
+    """Return the indices of the coefficients, constants in a kernel."""
+    root = (1 + n) * (1 + n)
+    v = root + (1 + n) * m  # where the vectors begin
+    s = v + 7 * n  # and the scalars
+    vectors = (v, v + n, v + 2 * n, v + 3 * n, v + 4 * n, v + 5 * n, v + 6 * n)
+    return Coefficients(0, root, *vectors, s, s + 2, s + 6, s + 7)
+
+
+@register_jitable
+def rows_of(n):
+    """Return the indices of the rows, constants in a kernel."""
+    b, kick = BLOCK, (1 + 2 * n) * BLOCK
+    last = (kick + 3 * b, kick + 4 * b, kick + 5 * b, kick + 6 * b)
+    return Rows(0, b, (1 + n) * b, kick, kick + b, kick + 2 * b, *last)
+
+
+def draws(n: int) -> int:
+    """Return m: Gaussians a step, one for each state, in pairs."""
+    return DRAWS * -(-(1 + n) // DRAWS)
+
+
+def coefficients_of(loop: Loop, step: float, slopes: tuple[float, float]) -> Coefficients:
+    """Return the coefficients of a step, in s, the control with these slopes."""
+    drift = loop.linearised_drift(*slopes)
+    transition, push, _ = responses(drift, -slopes[0] * loop.gains()[:, :1], step)
+    noise = noise_root(drift, loop.noise_gains(), step)
+    root = np.zeros((1 + loop.order, draws(loop.order)))
+    # Not the triangular root itself: with that, a seed would have other paths.
+    root[:, : 1 + loop.order] = square_root(noise @ noise.T)
+    gains = step * loop.gains()[1:].T
+    curvatures = np.vstack([loop.reference, loop.copy]) @ gains.T
+    return Coefficients(
+        transition,  # (1 + n, 1 + n), Phi
+        root,  # (1 + n, m), of the covariance of eta
+        *gains,  # (n,) each, h b_s and h b_c
+        loop.reference,  # (n,), r
+        loop.copy,  # (n,), c
+        *(gains @ transition[1:, 1:].T),  # (n,) each, the gains after the transition
+        push[1:],  # (n,), of the exact step by T
+        slopes,  # rho_s, rho_c
+        curvatures,  # r h b_s, r h b_c, c h b_s, c h b_c
+        quarter_turn=np.pi / 2,
+        start=square_root(loop.covariance(*slopes)),  # the control is stationary
+    )
+
+
+def control_slopes(loop: Loop) -> tuple[float, float]:
+    """Slopes of the sines in the control: those of statistical linearisation, where it has any.
+
+    The control's means are exact for any slopes. These make it the nearest to the loop.
+    """
+    try:
+        return loop.equivalent_slopes()
+    except UnstableLoopError:
+        return 1.0, 1.0
+
+
+def control_means(loop: Loop, slopes: tuple[float, float]) -> NDArray[np.float64]:
+    """Means, rad^2 and rad^4, of the control's squared errors and fourth power of the filtered."""
+    P = loop.covariance(*slopes)
+    filtered = np.concatenate([[1.0], -loop.readout[0]])
+    smoothed = np.concatenate([[0.0], -loop.readout[1]])
+    # covariance of now and the phase a delay ago
+    cross = (expm(loop.linearised_drift(*slopes) * loop.delay) @ P)[:, 0]
+    square = float(filtered @ P @ filtered)
+    lagged = float(P[0, 0] + 2 * smoothed @ cross + smoothed @ P @ smoothed)
+    return np.array([square, lagged, 3 * square**2])  # it is Gaussian
 
 
 @njit
-def find_kick(pair, copies, order, coefficients, state):
+def find_kick(pair, copy, order, coefficients, state):
     """Write the kick's terms of first and of second order along h b_s, and along h b_c."""
     n = len(order)
-    row, at = splitting_rows(n), splitting_indices(n, len(pair))
-    sine_slope, copy_slope = coefficients[at.sine_slope], coefficients[at.copy_slope]
-    r_s, r_c = coefficients[at.reference_of_sine], coefficients[at.reference_of_copy]
-    c_s, c_c = coefficients[at.copy_of_sine], coefficients[at.copy_of_copy]
+    row, at = rows_of(n), indices(n, len(pair))
+    sine_slope, copy_slope = coefficients[at.slopes], coefficients[at.slopes + 1]
+    r_s, r_c = coefficients[at.curvatures], coefficients[at.curvatures + 1]
+    c_s, c_c = coefficients[at.curvatures + 2], coefficients[at.curvatures + 3]
     quarter_turn = coefficients[at.quarter_turn]
-    if copies:
-        for path in range(BLOCK):
-            e = state[row.phase + path]
-            v = e - e
-            for j in range(n):
-                k = j * BLOCK + path
-                x = state[row.control + k] + state[row.difference + k]
-                e = fma(-coefficients[at.reference + j], x, e)
+    for path in range(BLOCK):
+        e = state[row.phase + path]
+        v = e - e
+        for j in range(n):
+            k = j * BLOCK + path
+            x = state[row.control + k] + state[row.difference + k]
+            e = fma(-coefficients[at.reference + j], x, e)
+            if len(copy) > 0:
                 v = fma(coefficients[at.copy + j], x, v)
-            # Half of the kick ends a step, with that T; half starts the next, with a new one.
-            turns = whole_turns(e)
-            s = fma(-sine_slope, fma(turns + state[row.turns + path], -0.5, e), sine(e))
-            state[row.turns + path] = turns
+        # Half of the kick ends a step, with that T; half starts the next, with a new one.
+        turns = whole_turns(e)
+        s = fma(-sine_slope, fma(turns + state[row.turns + path], -0.5, e), sine(e))
+        state[row.turns + path] = turns
+        state[row.sine_first + path] = s
+        bend = sine_slope - sine(e + quarter_turn)
+        if len(copy) > 0:
             q = fma(-copy_slope, v, sine(v))
-            state[row.sine_first + path] = s
             state[row.copy_first + path] = q
-            bend = sine_slope - sine(e + quarter_turn)
             state[row.sine_second + path] = bend * fma(r_s, s, r_c * q)
             bend = sine(v + quarter_turn) - copy_slope
             state[row.copy_second + path] = bend * fma(c_s, s, c_c * q)
-    else:  # the same without q
-        for path in range(BLOCK):
-            e = state[row.phase + path]
-            for j in range(n):
-                k = j * BLOCK + path
-                x = state[row.control + k] + state[row.difference + k]
-                e = fma(-coefficients[at.reference + j], x, e)
-            turns = whole_turns(e)
-            s = fma(-sine_slope, fma(turns + state[row.turns + path], -0.5, e), sine(e))
-            state[row.turns + path] = turns
-            state[row.sine_first + path] = s
-            state[row.sine_second + path] = (sine_slope - sine(e + quarter_turn)) * (r_s * s)
+        else:
+            state[row.sine_second + path] = bend * (r_s * s)
 
 
 @njit
-def split_step(pair, copies, order, coefficients, gaussians, state):
+def split_step(pair, copy, order, coefficients, gaussians, state):
     """Advance a block by the kick that was found, and by the exact step after it."""
     n, m = len(order), len(pair)
-    row, at = splitting_rows(n), splitting_indices(n, m)
+    row, at = rows_of(n), indices(n, m)
     for path in range(BLOCK):
         phase = state[row.phase + path]
         kick_s = fma(state[row.sine_second + path], 0.5, state[row.sine_first + path])
@@ -120,7 +205,7 @@ def split_step(pair, copies, order, coefficients, gaussians, state):
             of_y = coefficients[of_state] * phase
             of_d = coefficients[at.push + i] * state[row.turns + path]
             of_d = fma(coefficients[at.sine_response + i], kick_s, of_d)
-            if copies:
+            if len(copy) > 0:
                 of_d = fma(coefficients[at.copy_response + i], kick_c, of_d)
             for j in range(m):
                 of_y = fma(coefficients[of_noise + j], g[j], of_y)
@@ -136,13 +221,13 @@ def split_step(pair, copies, order, coefficients, gaussians, state):
 
 
 @njit
-def collect(pair, copies, order, coefficients, readout, state, result):
+def collect(pair, copy, order, coefficients, readout, state, result):
     """Add the errors of a block and of its control after half a kick; note cycle slips.
 
     The filtered error is taken against the phase, the smoothed one against the phase a delay ago.
     """
     n = len(order)
-    row, at = splitting_rows(n), splitting_indices(n, len(pair))
+    row, at = rows_of(n), indices(n, len(pair))
     for path in range(BLOCK):
         kick_s = 0.5 * state[row.sine_first + path] + 0.125 * state[row.sine_second + path]
         kick_c = 0.5 * state[row.copy_first + path] + 0.125 * state[row.copy_second + path]
@@ -157,7 +242,7 @@ def collect(pair, copies, order, coefficients, readout, state, result):
                 coefficients[at.sine_gain + j],
                 np.float64(state[row.difference + j * BLOCK + path]),
             )
-            if copies:
+            if len(copy) > 0:
                 d = fma(kick_c, coefficients[at.copy_gain + j], d)
             control_filtered = fma(-readout[j], y, control_filtered)
             control_smoothed = fma(-readout[n + j], y, control_smoothed)
@@ -179,12 +264,12 @@ def collect(pair, copies, order, coefficients, readout, state, result):
 
 @njit
 def simulate_block(
-    pair, copies, order, coefficients, readout, schedule, seed, first_path, state, result
+    pair, copy, order, coefficients, readout, schedule, seed, first_path, state, result
 ):
     """Simulate paths `first_path` to `first_path + BLOCK - 1`, from a stationary start."""
     start, stride, lag, samples = schedule
     n, m = len(order), len(pair)
-    row, at = splitting_rows(n), splitting_indices(n, m)
+    row, at = rows_of(n), indices(n, m)
     generator = np.empty(WORDS * BLOCK, np.uint32)
     gaussians = np.empty(CHUNK * m * BLOCK, np.float32)
     history = np.zeros((lag + 1, BLOCK), state.dtype)  # the phase at the last samples, a ring
@@ -206,40 +291,40 @@ def simulate_block(
         fill_gaussians(generator, CHUNK * (m // DRAWS), gaussians)
         # The last sample is taken at the start of a step, which is then made for nothing.
         for step in range(min(CHUNK, 1 + last - chunk * CHUNK)):
-            find_kick(pair, copies, order, coefficients, state)
+            find_kick(pair, copy, order, coefficients, state)
             if left == 0:
                 record, delayed = history[sample % (lag + 1)], history[(sample + 1) % (lag + 1)]
                 for path in range(BLOCK):
                     record[path] = state[row.phase + path]
                     state[row.delayed + path] = delayed[path]
                 if sample >= lag:
-                    collect(pair, copies, order, coefficients, readout, state, result)
+                    collect(pair, copy, order, coefficients, readout, state, result)
                 sample += 1
                 left = stride
             left -= 1
             draws_of_step = gaussians[step * m * BLOCK :]
-            split_step(pair, copies, order, coefficients, draws_of_step, state)
+            split_step(pair, copy, order, coefficients, draws_of_step, state)
     for i in range(SLIPS * BLOCK):
         result[i] /= samples
 
 
 def state_size(n: int) -> int:
     """Return the size of the state of a block."""
-    return splitting_rows(n).end
+    return rows_of(n).end
 
 
 @kept(parallel=True, nogil=True)
 def simulate_blocks(
-    pair, copies, order, coefficients, readout, schedule, seed, first, states, results, code=SOURCES
+    pair, copy, order, coefficients, readout, schedule, seed, first, states, results, code=SOURCES
 ):
     """Simulate consecutive blocks, as `euler.simulate_blocks` does, with a `Schedule`.
 
-    Of `pair`, only the length counts: the Gaussians of a step. Without `copies`, there is no second
-    sine.
+    Of `pair` and `copy`, only the lengths count: the Gaussians of a step, and the sines besides the
+    first, one or none.
     """
     for block in prange(results.shape[0]):
         path = np.uint64(first + block) * np.uint64(BLOCK)
         state, result = states[block], results[block]
         simulate_block(
-            pair, copies, order, coefficients, readout, schedule, seed, path, state, result
+            pair, copy, order, coefficients, readout, schedule, seed, path, state, result
         )

@@ -16,10 +16,7 @@ from robsmooth.simulation.statistics import SamplePaths
 
 
 def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float], limit: float) -> Figure:
-    """Draw the errors of estimators in rows, at the slopes `at` and at worst.
-
-    Estimators beyond the limit of the axis, in rad^2, are said to be so.
-    """
+    """Draw the errors of estimators in rows; those beyond the limit (rad^2) are said to be."""
     figure, axes = plt.subplots(figsize=(3.4, 1.1 + 0.36 * len(compared)))
     legend = {}
     for row, case in zip(style.label_rows(axes, compared), compared.values(), strict=True):
@@ -39,10 +36,7 @@ def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float], limi
 
 
 def worst_spectra(found: WorstDynamicCase, slope: tuple[int, int]) -> Figure:
-    """Draw the error's spectrum without uncertainty and at worst, and the phase of one slope.
-
-    It is the worst's, in this row and column of Delta.
-    """
+    """Draw the error's spectra, and the phase of the worst slope in a row and column of Delta."""
     shares = found.frequencies * found.spectra / np.pi  # of the error, per logarithm of frequency
     shown = shares[2] > 0.1 * shares[2].max()
     omega = found.frequencies[shown]
@@ -61,10 +55,7 @@ def worst_spectra(found: WorstDynamicCase, slope: tuple[int, int]) -> Figure:
 
 
 def lag_and_order(sweeps: Mapping[str, LagSweep], lag: float) -> Figure:
-    """Draw smoothed errors against the lag for each order, without uncertainty and at worst.
-
-    The sweeps are those of the named designs, all for the same orders; `lag` (s) is marked.
-    """
+    """Draw smoothed errors of designs against the lag, for each order; `lag` (s) is marked."""
     options = {"squeeze": False, "sharex": True, "sharey": "col"}
     figure, panels = plt.subplots(len(sweeps), 2, figsize=(3.4, 1.4 + 1.4 * len(sweeps)), **options)
     for (left, right), (name, sweep) in zip(panels, sweeps.items(), strict=True):
@@ -91,14 +82,8 @@ def lag_and_order(sweeps: Mapping[str, LagSweep], lag: float) -> Figure:
     return style.with_legend(figure, handles=handles, labels=labels)
 
 
-# --- a system of one's own ----------------------------------------------------------------------
-
-
 def sample_path(paths: SamplePaths, unit: str, scale: float, quantity: str) -> Figure:
-    """Draw the first output, `quantity`, of the first path, and its estimates at their times.
-
-    The time axis is in a unit of which a second has `scale`.
-    """
+    """Draw the first output of the first path, and its estimates; a second has `scale` units."""
     figure, axes = plt.subplots(figsize=(3.4, 2.4))
     time = scale * paths.time
     axes.plot(time, paths.w[0, :, 0], label="true", **style.TRUTH)

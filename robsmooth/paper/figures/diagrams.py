@@ -103,22 +103,21 @@ def homodyne_loop() -> None:
 
 def _beam_splitter() -> elements.Element:
     """Return a cube with its mirror."""
-    return _with(dsp.Square(), Segment([(0, -0.5), (1, 0.5)]))
+    cube = dsp.Square()
+    cube.segments.append(Segment([(0, -0.5), (1, 0.5)]))
+    return cube
 
 
 def _mirror() -> elements.Element:
     """Return a mirror, in the middle of its line."""
-    return _with(elements.Element(), Segment([(-0.35, 0), (0.35, 0)], lw=1.5))
+    mirror = elements.Element()
+    mirror.segments.append(Segment([(-0.35, 0), (0.35, 0)], lw=1.5))
+    return mirror
 
 
 def _detector() -> elements.Element:
     """Return a photodetector: light comes to its flat side, current leaves at the round one."""
-    arc = SegmentArc((0, 0), 0.8, 0.8, theta1=-90, theta2=90)
-    detector = _with(elements.Element(), arc, Segment([(0, -0.4), (0, 0.4)]))
+    arc, detector = SegmentArc((0, 0), 0.8, 0.8, theta1=-90, theta2=90), elements.Element()
+    detector.segments += [arc, Segment([(0, -0.4), (0, 0.4)])]
     detector.anchors["out"] = detector.elmparams["drop"] = (0.4, 0)
     return detector
-
-
-def _with(element: elements.Element, *segments: Segment | SegmentArc) -> elements.Element:
-    element.segments.extend(segments)
-    return element

@@ -1,17 +1,13 @@
-"""Maps: numbers on a grid as shades, and hatched where there are none.
-
-A point of the grid stands for what is nearer to it than to the next ones. What is beyond the grid
-is not shown: there nothing was computed.
-"""
+"""Maps: numbers on a grid as shades, and hatched where there are none."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
@@ -35,13 +31,11 @@ _INFIMUM = style.LOOSE | {"marker": "o", "color": "C1", "markeredgecolor": "w", 
 def shade(
     axes: Axes, x: Array, y: Array, values: Array, levels: Sequence[float], missing: str
 ) -> ContourSet:
-    """Shade (M, N) values over (N,) x and (M,) y, and hatch around those that are not a number.
+    """Shade (M, N) values over (N,) x and (M,) y from the least values of the shades.
 
-    Levels are the least values of the shades; there is one for all above the last. `missing` says
-    what there is not where there is no value: a patch of the axes has this label if it is anywhere.
-    Returned is what a colour bar needs.
+    What is not a number is hatched, with the label `missing`.
     """
-    norm = mpl.colors.BoundaryNorm(levels, 256, extend="max")
+    norm = BoundaryNorm(levels, 256, extend="max")
     shading = axes.contourf(x, y, _spread(values), levels, norm=norm, extend="max")
     hatch(axes, x, y, np.isnan(values) - 0.5, missing, zorder=1.5)  # on what is spread
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
@@ -50,26 +44,19 @@ def shade(
 
 
 def hatch(axes: Axes, x: Array, y: Array, excess: Array, label: str, **look: Any) -> None:
-    """Hatch where (M, N) numbers for (N,) x and (M,) y are above zero; they are interpolated.
-
-    The label is for a legend; the look of the patch, where not given, is that of what has no value.
-    """
+    """Hatch where (M, N) numbers for (N,) x and (M,) y are above zero; they are interpolated."""
     most = np.nanmax(excess, initial=0.0)
-    if most <= 0.0:
-        return
-    region = axes.contourf(x, y, _spread(excess), [0.0, 2.0 * most])
-    (path,) = region.get_paths()
-    region.remove()
-    axes.add_patch(PathPatch(path, label=label, **style.NOWHERE | look))
+    if most > 0.0:
+        region = axes.contourf(x, y, _spread(excess), [0.0, 2.0 * most])
+        (path,) = region.get_paths()
+        region.remove()
+        axes.add_patch(PathPatch(path, label=label, **style.NOWHERE | look))
 
 
 def _spread(values: Array) -> Array:
     """Return values on a grid, and beside them, where there is none, the nearest one."""
     distance, nearest = distance_transform_edt(np.isnan(values), return_indices=True)
     return np.where(distance < 2.0, values[tuple(nearest)], np.nan)
-
-
-# --- the bound V of the example, over tau and the multipliers ---------------------------------
 
 
 def bound_landscape(best: RobustSmoother) -> Figure:
@@ -91,11 +78,7 @@ def bound_landscape(best: RobustSmoother) -> Figure:
 
 
 def two_landscapes(designs: Mapping[str, RobustSmoother], points: int = 25) -> Figure:
-    """Draw the example's bound over tau and lambda_3 = lambda_4, a map for each cost.
-
-    The designs are those with the least bounds, by the titles of the maps; each map has a number
-    of points along each axis.
-    """
+    """Draw the example's bound over tau and lambda_3 = lambda_4, a map for each best design."""
     figure, panels = plt.subplots(1, len(designs), figsize=(3.4, 2.6), sharey=True)
     vanishing = np.geomspace(1e-6, 1e-2, points)
     best_taus = [best.limit.tau for best in designs.values()]
@@ -117,10 +100,7 @@ def two_landscapes(designs: Mapping[str, RobustSmoother], points: int = 25) -> F
 def all_designs(
     parameters: HomodyneParameters, limit: RobustSmoother, printed: tuple[float, float]
 ) -> Figure:
-    """Draw the bound of the example with the filtered cost over p and tau, all else at its best.
-
-    Two points are marked: the limit where the infimum is, and p and tau of the printed design.
-    """
+    """Draw the bound for the filtered cost over p and tau; the printed ones are marked."""
     p, tau = np.linspace(0.2, 0.55, 281), 1e-6 * np.geomspace(0.4, 10.0, 200)
     values = scalar_bound(parameters, p[None, :], tau[:, None])
     values[np.isinf(values)] = np.nan
@@ -146,14 +126,10 @@ def _bounds(best: RobustSmoother, taus: Sequence[float], vanishing: Sequence[flo
     return bounds
 
 
-# --- where smoothing pays -----------------------------------------------------------------------
-
-
 def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     """Draw what smoothing saves of the filtered error, over lag and noise, and for each order.
 
-    Both errors of a ratio are of one loop: those of the designs of the loop with its sine, those of
-    the optimal estimators of the linear one. `gamma` is one of the study's; `lag` (s) is marked.
+    Both errors of a ratio are of one loop: with its sine for designs, linear for the optimum.
     """
     i = study.gammas.index(gamma)
     ratio = study.ratio[i]

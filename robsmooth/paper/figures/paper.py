@@ -15,15 +15,12 @@ from robsmooth.systems.delay import pade_delay
 
 
 def sector(parameters: HomodyneParameters, variance: float) -> Figure:
-    """Draw Fig. 3: the sine of the phase error in its sector, and the density of the error below.
-
-    The density is Gaussian, with the stationary variance given, in rad^2.
-    """
+    """Draw Fig. 3: the sine in its sector, and the Gaussian density of an error with a variance."""
     figure, (top, bottom) = style.stacked(4.2, (3, 1))
     error = np.linspace(-np.pi, np.pi, 721)
     upper, lower, wide = parameters.beta, parameters.lower_slope, parameters.sector_slope
-    band = {"color": "C0", "alpha": 0.2, "linewidth": 0}
-    band["label"] = rf"design's sector $[{lower:g},\,{upper:g}]$"
+    label = rf"design's sector $[{lower:g},\,{upper:g}]$"
+    band = {"color": "C0", "alpha": 0.2, "linewidth": 0, "label": label}
     top.fill_between(error, lower * error, upper * error, **band)
     top.plot(error, np.sin(error), color="C1", linestyle="-", label=r"$\sin\mu_1$")
     top.plot(error, upper * error, label=rf"tangent, $\beta={upper:g}$", **style.DOTTED)
@@ -67,11 +64,11 @@ def delta_sweep(
 def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure:
     """Draw how far Pade models of a delay (s) are off, and mark the filter's bandwidth (rad/s)."""
     omega = np.geomspace(bandwidth / 10, bandwidth * 100, 400)
-    exact = np.exp(-1j * omega * delay)[:, None, None]
-    errors = {order: np.abs(pade_delay(delay, order).response(omega) - exact) for order in orders}
+    exact = np.exp(-1j * omega * delay)
+    models = {order: pade_delay(delay, order).response(omega)[:, 0, 0] for order in orders}
     figure, axes = plt.subplots()
     axes.set(xscale="log", yscale="log")
-    style.plot_curves(axes, omega, {order: error[:, 0, 0] for order, error in errors.items()})
+    style.plot_curves(axes, omega, {order: np.abs(of - exact) for order, of in models.items()})
     axes.axvline(bandwidth, label="bandwidth", **style.DOTTED)
     axes.set(xlabel=r"angular frequency $\omega$ (rad/s)", ylim=(1e-12, 4.0))
     axes.set(ylabel=r"$|H(i\omega) - e^{-i\omega\delta}|$")
@@ -81,14 +78,9 @@ def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure
 
 
 def mean_squares(
-    cases: Sequence[str],
-    results: Mapping[str, Sequence[MeanSquare]],
-    printed: Mapping[str, float],
+    cases: Sequence[str], results: Mapping[str, list[MeanSquare]], printed: Mapping[str, float]
 ) -> Figure:
-    """Draw simulated errors with their intervals, a row for each case, and the printed as lines.
-
-    The results have the mean squares in every case of each quantity, e.g. "NGCF, filtered".
-    """
+    """Draw each quantity's simulated errors, a row for each case, and the printed as lines."""
     figure, axes = plt.subplots(figsize=(3.4, 0.9 + 0.36 * len(cases)))
     heights = style.label_rows(axes, cases, width=18)
     looks = style.styles([label.split(",")[0] for label in results], markers=True)

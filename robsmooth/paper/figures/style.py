@@ -27,20 +27,15 @@ FORMATS = {
 
 _MARKERS = "os^Dvp"
 # What is drawn in several figures looks the same in all of them: its place in the style's cycle.
-_CYCLE_POSITIONS: dict[str | int, int] = {
-    "filtered": 0,
-    "NGCF": 0,  # solid blue and broken red, as the paper has them
-    "smoothed": 1,
-    "smoother": 1,
-    "robust smoother": 1,
-    "smoother, as printed": 1,
-    "classical smoother": 2,
-    "Kalman-Bucy filter": 3,
-    "cost: smoothed": 4,
-    "cost: filtered": 5,
-    "smoother, corrected": 5,  # the same design
-    **{1: 0, 2: 1, 4: 2, 8: 3, 3: 4},  # orders of the model of a delay
-}
+_ALIKE: tuple[tuple[str | int, ...], ...] = (  # a number is the order of a delay's model
+    ("filtered", "NGCF", 1),  # solid blue, and broken red, as the paper has them
+    ("smoothed", "smoother", "robust smoother", "smoother, as printed", 2),
+    ("classical smoother", 4),
+    ("Kalman-Bucy filter", 8),
+    ("cost: smoothed", 3),
+    ("cost: filtered", "smoother, corrected"),  # the same design
+)
+_CYCLE_POSITIONS = {name: position for position, names in enumerate(_ALIKE) for name in names}
 
 # The truth under its estimates, or an ideal: a band, pale enough not to be taken for one of them.
 TRUTH = {"color": "0.78", "linestyle": "-", "linewidth": 2.5}
@@ -59,13 +54,10 @@ def use_style() -> None:
 def styles(names: Iterable[str | int], markers: bool = False) -> list[dict[str, Any]]:
     """Return the colour and dashes, and if asked the marker, of each estimator, estimate or order.
 
-    Those that are in several figures look the same in all of them; others get what is left of the
-    cycle.
+    Names without a place in the cycle get what is left of it.
     """
-    cycle = [
-        style | {"color": mpl.colors.to_hex(style["color"])}
-        for style in mpl.rcParams["axes.prop_cycle"]
-    ]
+    properties = mpl.rcParams["axes.prop_cycle"]
+    cycle = [style | {"color": mpl.colors.to_hex(style["color"])} for style in properties]
     if markers:
         cycle = [style | {"marker": mark} for style, mark in zip(cycle, _MARKERS, strict=False)]
     positions = [_CYCLE_POSITIONS.get(name) for name in names]
@@ -103,9 +95,7 @@ def plot_curves(axes: Axes, x: ArrayLike, curves: Mapping[str | int, ArrayLike])
         axes.plot(x, curves[name], label=label, **style)
 
 
-def plot_intervals(
-    axes: Axes, values: Sequence[MeanSquare], heights: ArrayLike, **look: Any
-) -> None:
+def plot_intervals(axes: Axes, values: list[MeanSquare], heights: ArrayLike, **look: Any) -> None:
     """Plot mean squares with their 95% intervals, each at its height."""
     means = [value.mean_square for value in values]
     reach = [1.96 * value.standard_error for value in values]
