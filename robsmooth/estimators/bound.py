@@ -48,17 +48,15 @@ _SAME = 1e-9  # bounds that differ by less, relatively
 _REFUSED = 1e3  # more than the logarithm of any bound
 _ROUNDING = 1e-9  # a level of the constraint that is smaller, relatively, is rounding
 _OPTIONS = {"ftol": 1e-14, "maxiter": 100}  # of SLSQP
-_PASSES = 10
-_TIGHT = 1e-11  # what a pass may leave of the constraint's violation, and of log V
+_PASSES = 10  # of it, each from where the one before has stopped
+_TIGHT = 1e-11  # a pass that takes less off log V is the last
 
 # Where no start is feasible, designs for less uncertainty are continued to all of it.
 _FRACTIONS = 2.0 ** -np.arange(1.0, 12.0)  # of the uncertainty, to start with
 _LEAST_GROWTH = 1e-3  # of the fraction
 _CONTINUED = 2  # how many of the designs
 
-Found = tuple[
-    float, "RestrictedBound", np.ndarray
-]  # log V, and the problem and the point that have it
+Found = tuple[float, "RestrictedBound", np.ndarray]  # log V, and the problem and point that have it
 
 
 @one_thread
@@ -237,11 +235,11 @@ class RestrictedBound:
             result[:, own] = -np.exp(point[own]) * change
             return result
 
+        how = {"method": "SLSQP", "options": _OPTIONS, "jac": True, "bounds": self.box.T}
+        how["constraints"] = {"type": "ineq", "fun": slack, "jac": slopes}
         lowest, best = self.objective(point)[0], point
         for _ in range(_PASSES):  # SLSQP stops at the kinks of the eigenvalues, and goes on anew
-            constraint = {"type": "ineq", "fun": slack, "jac": slopes}
-            how = {"method": "SLSQP", "options": _OPTIONS, "jac": True, "bounds": self.box.T}
-            found = minimize(self.objective, point, constraints=constraint, **how)
+            found = minimize(self.objective, point, **how)
             point = np.clip(found.x, *self.box)
             largest = 1.0 - slack(point).min()
             if largest > 0.0:  # the step onto the constraint
