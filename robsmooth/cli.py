@@ -111,25 +111,25 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     add = _command(commands, "figures", figures, "run the notebooks that are not fresh")
-    words = "scale of the run (default: %(default)s); quick writes to build/quick"
-    add("--profile", choices=PROFILES, default=Request.profile, help=words)
-    words = "notebooks to run, each by its name or a part that fits one only (default: all)"
-    add("--only", metavar="NAME[,NAME]", type=_names, default=Request.only, help=words)
-    words = "give a parameter a value of your own; the results go to build/custom"
-    add("--set", metavar="NAME=VALUE", type=_setting, action="append", default=[], help=words)
+    text = "scale of the run (default: %(default)s); quick writes to build/quick"
+    add("--profile", choices=PROFILES, default=Request.profile, help=text)
+    text = "notebooks to run, each by its name or a part that fits one only (default: all)"
+    add("--only", metavar="NAME[,NAME]", type=_names, default=Request.only, help=text)
+    text = "give a parameter a value of your own; the results go to build/custom"
+    add("--set", metavar="NAME=VALUE", type=_setting, action="append", default=[], help=text)
     add("--jobs", type=int, default=Request.jobs, help="notebooks at a time (default: %(default)s)")
-    words = "for a notebook; a cell may take half as long (default: %(default)g)"
-    add("--time-limit", metavar="SECONDS", type=float, default=Request.time_limit, help=words)
+    text = "for a notebook; a cell may take half as long (default: %(default)g)"
+    add("--time-limit", metavar="SECONDS", type=float, default=Request.time_limit, help=text)
     add("--force", action="store_true", help="run the fresh ones, too")
-    words = "compute on the cluster of the Dask scheduler at tcp://host:port"
-    add("--dask", metavar="ADDRESS", default=Request.dask, help=words)
+    text = "compute on the cluster of the Dask scheduler at tcp://host:port"
+    add("--dask", metavar="ADDRESS", default=Request.dask, help=text)
     add("--build", metavar="FOLDER", type=_folder, help="folder to work in (default: build)")
 
     _command(commands, "verdicts", verdicts, "every printed number with its verdict")
 
     add = _command(commands, "report", site, "build the offline site from what `figures` has left")
-    words = "whose results (default: %(default)s)"
-    add("--profile", choices=PROFILES, default=Request.profile, help=words)
+    text = "whose results (default: %(default)s)"
+    add("--profile", choices=PROFILES, default=Request.profile, help=text)
     add("--build", metavar="FOLDER", type=_folder, help="folder that the run worked in")
 
     add = _command(commands, "bench", bench, "measure the speed of the simulation")
@@ -139,8 +139,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _command(commands, name: str, function: Callable, words: str) -> Callable:
-    command = commands.add_parser(name, help=words)
+def _command(commands, name: str, function: Callable, text: str) -> Callable:
+    command = commands.add_parser(name, help=text)
     command.set_defaults(command=function)
     return command.add_argument
 
@@ -177,9 +177,9 @@ def _project(needed: bool = True) -> Path | None:
 
 
 def _line(result: NotebookResult) -> str:
-    words = {"failed": f"FAILED after {result.seconds:.1f} s", "fresh": "fresh"}
-    words["done"] = f"done in {result.seconds:.1f} s, {len(result.files)} files"
-    return f"{result.task.name}: {words[result.status]}"
+    text = {"failed": f"FAILED after {result.seconds:.1f} s", "fresh": "fresh"}
+    text["done"] = f"done in {result.seconds:.1f} s, {len(result.files)} files"
+    return f"{result.task.name}: {text[result.status]}"
 
 
 def _summary(failed: Sequence[NotebookResult], count: int) -> str:

@@ -82,10 +82,9 @@ def check_certainty(what: str, P: Matrix, error: Matrix) -> None:
     variances, errors = np.linalg.diagonal(P), np.abs(np.linalg.diagonal(error))
     lost = ~(errors <= ERROR_TOLERANCE * variances)
     if lost.any():
-        raise ArithmeticError(
-            f"{what} is lost in rounding: a variance of {variances[lost][0]:.2g} has an estimated "
-            f"error of {errors[lost][0]:.2g}"
-        )
+        variance, error = variances[lost][0], errors[lost][0]
+        found = f"a variance of {variance:.2g} has an estimated error of {error:.2g}"
+        raise ArithmeticError(f"{what} is lost in rounding: {found}")
 
 
 def square_root(P: Matrix) -> Matrix:

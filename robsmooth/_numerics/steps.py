@@ -28,13 +28,12 @@ def warn_of_long_step(
     """Warn where a step (s) is more than `longest` response times (s); `fine` is one to suggest."""
     ratio = step / response_time
     if ratio > longest * (1 + MULTIPLE_TOLERANCE):
-        warnings.warn(
+        message = (
             f"the step, {step:.4g} s, is {ratio:.3g} times the loop's response time, "
             f"{response_time:.4g} s: above {longest:g} times, the results depend on the step; "
-            f"{fine:.8g} s is fine",
-            LongStepWarning,
-            stacklevel=stacklevel + 1,
+            f"{fine:.8g} s is fine"
         )
+        warnings.warn(message, LongStepWarning, stacklevel=stacklevel + 1)
 
 
 def dividing_step(delay: float, longest: float, duration: float) -> float:

@@ -55,10 +55,9 @@ def open_journal(
             database = stack.enter_context(files.exclusive_lock(path))
             journal = Journal(path, database, dict(identity))
         except BlockingIOError:
-            raise CheckpointError(
-                f"the checkpoint {path} is in use by another run: wait until that ends, or give "
-                "another path"
-            ) from None
+            advice = "wait until that ends, or give another path"
+            message = f"the checkpoint {path} is in use by another run: {advice}"
+            raise CheckpointError(message) from None
         except (OSError, sqlite3.Error, UnicodeDecodeError) as error:  # the last: of damaged SQL
             if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_NOTADB:
                 raise CheckpointError(NOT_ONE.format(path)) from None
@@ -97,8 +96,7 @@ class Journal:
 
     def records(self) -> Iterator[dict]:
         """Yield the records that were there on opening, in order, each read as it is asked for."""
-        for number in range(1, self._found + 1):
-            yield self._read(number)
+        yield from map(self._read, range(1, self._found + 1))
 
     def append(self, record: Mapping[str, object]) -> None:
         """Add a record of JSON values; it is on the disk on return, or an OSError says why not."""

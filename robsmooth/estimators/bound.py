@@ -6,11 +6,11 @@ sought:
 
 - :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`: the least bound lies on the boundary of the
   constraint, and the step onto it is exact.
-- Some multipliers are zero there, on a *face*. Where :math:`M(\lambda)` is singular, the least
-  bound is an infimum that no design attains: the search is for the limit
-  (`robsmooth.estimators.limit`), and its answer is a design next to it. So it is in the paper's
-  example, for both costs, at :math:`\lambda = (1, \tfrac12, 0, 0)`. Known faces are tried, and then
-  those of the multipliers that are small where a search ends.
+- Some multipliers are zero there. Where that makes :math:`M(\lambda)` singular, the least bound is
+  an infimum that no design attains: the search is for the limit (`robsmooth.estimators.limit`), and
+  its answer is a design next to it. So it is in the paper's example, for both costs, at
+  :math:`\lambda = (1, \tfrac12, 0, 0)`. Known zeros are tried, and then those multipliers that are
+  small where a search ends.
 - V has more than one local minimum, so that there are several starts. Where none is feasible, the
   uncertainty is made small until one is, and brought back along the way.
 """
@@ -48,15 +48,15 @@ _SAME = 1e-9  # bounds that differ by less, relatively
 _REFUSED = 1e3  # more than the logarithm of any bound
 _ROUNDING = 1e-9  # a level of the constraint that is smaller, relatively, is rounding
 _OPTIONS = {"ftol": 1e-14, "maxiter": 100}  # of SLSQP
-_PASSES = 10
-_TIGHT = 1e-11  # what a pass may leave of the constraint's violation, and of log V
+_PASSES = 10  # of it, each from where the one before has stopped
+_TIGHT = 1e-11  # a pass that takes less off log V is the last
 
 # Where no start is feasible, designs for less uncertainty are continued to all of it.
 _FRACTIONS = 2.0 ** -np.arange(1.0, 12.0)  # of the uncertainty, to start with
 _LEAST_GROWTH = 1e-3  # of the fraction
 _CONTINUED = 2  # how many of the designs
 
-Found = tuple[float, "Face", np.ndarray]  # log V, and the face and the point that have it
+Found = tuple[float, "RestrictedBound", np.ndarray]  # log V, and the problem and point that have it
 
 
 @one_thread
@@ -100,22 +100,22 @@ def minimize_bound(
     starts = validation.integer("starts", starts, low=1)
     seed = validation.integer("seed", seed, low=0)
     check_stable(plant)
-    faces = []
-    for zero in _known_faces(plant):
+    problems = []
+    for zero in _known_zeros(plant):
         with suppress(InfeasibleDesignError):  # it has no design whatever tau is
-            faces.append(Face.of(plant, cost, zero))
-    found = _descents(faces, starts, seed) or [_by_less_uncertainty(faces, starts, seed)]
-    _, face, point = _reduced(min(found, key=itemgetter(0)), plant, cost)
-    tau, multipliers, rates = face.arguments(point)
+            problems.append(RestrictedBound.of(plant, cost, zero))
+    found = _descents(problems, starts, seed) or [_by_less_uncertainty(problems, starts, seed)]
+    _, problem, point = _reduced(min(found, key=itemgetter(0)), plant, cost)
+    tau, multipliers, rates = problem.arguments(point)
     if not rates.any():
         rates = 1.0 * singular(plant, multipliers)
     # scaling lambda up to the constraint, and tau down with it, lowers V by that factor
     level = multiplier_level(plant, multipliers)
-    tau, multipliers = tau * face.v.time * level, multipliers / level
+    tau, multipliers = tau * problem.v.time * level, multipliers / level
     limit = limiting_smoother(plant, tau, multipliers, cost, rates=rates)
     if not rates.any():  # M(lambda) is positive: it is a design like others
         return limit
-    return replace(_design_beside(limit, rates), bound_infimum=limit.bound, limit=limit)
+    return replace(_design_near(limit, rates), bound_infimum=limit.bound, limit=limit)
 
 
 @one_thread
@@ -148,7 +148,7 @@ def _best_tau(v: BoundFunction, multipliers: np.ndarray, guess: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Face:
+class RestrictedBound:
     """The bound where some multipliers are zero, as a function of a point.
 
     That holds the logarithms of tau, the positive multipliers, and the rates that matter of others.
@@ -163,8 +163,8 @@ class Face:
     box: np.ndarray  # (2, length of a point)
 
     @classmethod
-    def of(cls, plant: AugmentedSystem, cost: str, zero: np.ndarray) -> "Face":
-        """Return the face where the multipliers are zero that `zero` marks."""
+    def of(cls, plant: AugmentedSystem, cost: str, zero: np.ndarray) -> "RestrictedBound":
+        """Return the bound where the multipliers are zero that `zero` marks."""
         v, k, g = BoundFunction.of(plant, cost, ~zero), plant.system.k, plant.system.g
         levels = plant.J.T @ np.array(plant.M_i) @ plant.J
         sizes = np.linalg.norm(levels, 2, axis=(1, 2))
@@ -184,7 +184,7 @@ class Face:
         high = [tau * _ANY_TAU, *largest[~zero], *np.ones(vanishing.sum())]
         return cls(v, ~zero, vanishing, idle, levels, natural, np.log([low, high]))
 
-    def scaled(self, size: float) -> "Face":
+    def scaled(self, size: float) -> "RestrictedBound":
         """Return the same for uncertainty whose outputs are `size` times as large."""
         return replace(self, v=self.v.scaled(size))
 
@@ -235,11 +235,11 @@ class Face:
             result[:, own] = -np.exp(point[own]) * change
             return result
 
+        how = {"method": "SLSQP", "options": _OPTIONS, "jac": True, "bounds": self.box.T}
+        how["constraints"] = {"type": "ineq", "fun": slack, "jac": slopes}
         lowest, best = self.objective(point)[0], point
         for _ in range(_PASSES):  # SLSQP stops at the kinks of the eigenvalues, and goes on anew
-            constraint = {"type": "ineq", "fun": slack, "jac": slopes}
-            how = {"method": "SLSQP", "options": _OPTIONS, "jac": True, "bounds": self.box.T}
-            found = minimize(self.objective, point, constraints=constraint, **how)
+            found = minimize(self.objective, point, **how)
             point = np.clip(found.x, *self.box)
             largest = 1.0 - slack(point).min()
             if largest > 0.0:  # the step onto the constraint
@@ -278,7 +278,7 @@ class Face:
         return np.concatenate([small[:k], difference, own, copy & ~difference])
 
 
-def _known_faces(plant: AugmentedSystem) -> Iterator[np.ndarray]:
+def _known_zeros(plant: AugmentedSystem) -> Iterator[np.ndarray]:
     """Yield zeros to try: none; a channel is ignored; all copies are trusted, or of no use."""
     k, g = plant.system.k, plant.system.g
     yield np.zeros(k + 3 * g, dtype=bool)
@@ -289,26 +289,26 @@ def _known_faces(plant: AugmentedSystem) -> Iterator[np.ndarray]:
         yield np.repeat([False, True, False], [k, g, 2 * g])
 
 
-def _descents(faces: list[Face], starts: int, seed: int) -> list[Found]:
-    """Return local minima: several from the first face, one from each other."""
-    rng, counts = np.random.default_rng(seed), [starts] + [1] * len(faces)
-    points = [(face, face.starts(count, rng)) for face, count in zip(faces, counts, strict=False)]
-    minima = [(face, face.minimum(start)) for face, found in points for start in found]
-    return [(value, face, end) for face, (value, end) in minima]
+def _descents(problems: list[RestrictedBound], starts: int, seed: int) -> list[Found]:
+    """Return local minima: several from the first problem, one from each other."""
+    rng, counts = np.random.default_rng(seed), [starts] + [1] * len(problems)
+    points = [(p, p.starts(count, rng)) for p, count in zip(problems, counts, strict=False)]
+    minima = [(problem, problem.minimum(start)) for problem, found in points for start in found]
+    return [(value, problem, end) for problem, (value, end) in minima]
 
 
 def _reduced(best: Found, plant: AugmentedSystem, cost: str) -> Found:
     """Return the minimum with multipliers that are small at this one at zero, if it is as low."""
     tried = [~best[1].positive]
     for threshold in _SMALL:
-        value, face, point = best
-        zero = face.small(point, threshold)
+        value, problem, point = best
+        zero = problem.small(point, threshold)
         if any((zero == other).all() for other in tried):
             continue
         tried.append(zero)
         with suppress(InfeasibleDesignError):
-            reduced = Face.of(plant, cost, zero)
-            tau, multipliers, rates = face.arguments(point)
+            reduced = RestrictedBound.of(plant, cost, zero)
+            tau, multipliers, rates = problem.arguments(point)
             start = reduced.point(tau, multipliers, np.maximum(multipliers, rates))
             lower, end = reduced.minimum(start)
             if lower < value + _SAME:
@@ -316,18 +316,20 @@ def _reduced(best: Found, plant: AugmentedSystem, cost: str) -> Found:
     return best
 
 
-def _by_less_uncertainty(faces: list[Face], starts: int, seed: int) -> Found:
+def _by_less_uncertainty(problems: list[RestrictedBound], starts: int, seed: int) -> Found:
     """Return a feasible point, reached from designs for a smaller uncertainty, or say how small."""
-    reached, face, point = 0.0, faces[0], faces[0].box.mean(axis=0)
+    reached, problem, point = 0.0, problems[0], problems[0].box.mean(axis=0)
     for size in _FRACTIONS:
-        found = _descents([face.scaled(size) for face in faces], starts, seed)
+        found = _descents([problem.scaled(size) for problem in problems], starts, seed)
         if found:
             lowest = sorted(found, key=itemgetter(0))[:_CONTINUED]
-            grown = [_grown(face.scaled(1.0 / size), size, point) for _, face, point in lowest]
-            reached, face, point = max(grown, key=itemgetter(0))
+            continued = [
+                _continued(problem.scaled(1.0 / size), size, point) for _, problem, point in lowest
+            ]
+            reached, problem, point = max(continued, key=itemgetter(0))
             break
     try:
-        return face.log_bound(point)[0], face, point
+        return problem.log_bound(point)[0], problem, point
     except InfeasibleDesignError as error:
         raise InfeasibleDesignError(
             error.condition,
@@ -337,20 +339,22 @@ def _by_less_uncertainty(faces: list[Face], starts: int, seed: int) -> Found:
         ) from None
 
 
-def _grown(face: Face, size: float, point: np.ndarray) -> tuple[float, Face, np.ndarray]:
+def _continued(
+    problem: RestrictedBound, size: float, point: np.ndarray
+) -> tuple[float, RestrictedBound, np.ndarray]:
     """Return the largest size of the uncertainty that a path of designs reaches, and its end."""
     growth = 2.0
     while size < 1.0 and growth > 1.0 + _LEAST_GROWTH:
         larger = min(1.0, growth * size)
-        here = face.scaled(larger)
+        here = problem.scaled(larger)
         if here.objective(point)[0] < _REFUSED:
             size, point = larger, here.minimum(point)[1]
         else:
             growth = math.sqrt(growth)
-    return size, face, point
+    return size, problem, point
 
 
-def _design_beside(limit: RobustSmoother, rates: np.ndarray) -> RobustSmoother:
+def _design_near(limit: RobustSmoother, rates: np.ndarray) -> RobustSmoother:
     """Return a design next to a limit."""
     plant, design = limit.plant, limit
     v = BoundFunction.of(plant, limit.cost, limit.multipliers + rates > 0.0)

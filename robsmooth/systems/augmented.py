@@ -238,11 +238,9 @@ class AugmentedSystem:
             r"$\bar D_{21}$": self.D21_bar,
         }
         rows = [(name, f"${notation.matrix(value)}$") for name, value in matrices.items()]
-        caption = (
-            f"Augmented system: {self.n} states, of which {self.n - self.system.n} model the delay "
-            f"of ${notation.number(self.delay)}$ s with order {self.order}."
-        )
-        return table_of_values(rows, caption).html()
+        model = f"model the delay of ${notation.number(self.delay)}$ s with order {self.order}"
+        caption = f"{self.n} states, of which {self.n - self.system.n} {model}."
+        return table_of_values(rows, f"Augmented system: {caption}").html()
 
 
 def augment(

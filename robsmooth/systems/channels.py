@@ -136,10 +136,9 @@ class Nonlinearity:
 
     def _repr_latex_(self) -> str:
         B, C, D = map(notation.matrix, (self.B, self.C, self.D))
-        return (
-            rf"$$\bar B_1 = {B},\quad \bar C_1 = {C},\quad \bar D_{{21}} = {D},\quad "
-            rf"\beta = {notation.number(self.lipschitz)}$$"
-        )
+        beta = notation.number(self.lipschitz)
+        channel = rf"\bar B_1 = {B},\quad \bar C_1 = {C},\quad \bar D_{{21}} = {D}"
+        return rf"$${channel},\quad \beta = {beta}$$"
 
 
 Channel = Uncertainty | Nonlinearity

@@ -20,7 +20,7 @@ from robsmooth import (
     homodyne,
     minimize_bound,
 )
-from robsmooth.estimators.bound import VANISHING, Face, best_tau
+from robsmooth.estimators.bound import VANISHING, RestrictedBound, best_tau
 from robsmooth.estimators.bound_function import BoundFunction
 from robsmooth.estimators.conditions import multiplier_level
 from robsmooth.estimators.limit import limiting_smoother
@@ -397,18 +397,18 @@ def test_a_measurement_too_uncertain_to_use_is_an_infimum_as_its_multiplier_vani
 def test_feasible_points_are_found_by_way_of_a_smaller_uncertainty(monkeypatch):
     plant = augment(two_channels(0.9, 0.9), 0.0, 0)
     best = minimize_bound(plant)
-    monkeypatch.setattr(Face, "starts", lambda *_: [])
+    monkeypatch.setattr(RestrictedBound, "starts", lambda *_: [])
     with pytest.raises(InfeasibleDesignError, match=r"with which one was is 0 \("):
         minimize_bound(plant)
     monkeypatch.undo()
-    starts, sizes = Face.starts, []
+    starts, sizes = RestrictedBound.starts, []
 
     def few(face, count, rng):
         # nothing is found for the whole uncertainty
         sizes.append(np.linalg.norm(face.v.problem.C1))
         return starts(face, count, rng) if sizes[-1] < 0.9 * max(sizes) else []
 
-    monkeypatch.setattr(Face, "starts", few)
+    monkeypatch.setattr(RestrictedBound, "starts", few)
     assert minimize_bound(plant).bound == pytest.approx(best.bound, rel=1e-9)
     assert min(sizes) < 0.9 * max(sizes)
 

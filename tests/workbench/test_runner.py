@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import nbformat
@@ -391,7 +392,10 @@ def test_the_time_limit_ends_the_kernel_and_what_it_started(project, monkeypatch
 def test_an_interrupt_ends_everything_and_says_what_is_kept(project):
     project.add("hanging_cell")
     command = [sys.executable, "-m", "robsmooth.cli", "figures"]
-    process = subprocess.Popen(command, cwd=project.root, stderr=subprocess.PIPE, text=True)
+    # what a shell runs in the background ignores the signal, and so would what these tests start
+    heeded = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    streams = {"stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, cwd=project.root, preexec_fn=heeded, **streams)
     wait_until(lambda: len(pids(project)) == 2)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=PATIENCE)

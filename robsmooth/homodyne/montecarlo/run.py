@@ -266,15 +266,9 @@ def monte_carlo(
     simulation.check_step(loop, stacklevel=2)
     validation.boolean("progress", progress)
     _check_threads(threads, client)
-    inputs = {
-        "parameters": numbers_of(parameters),
-        "delay": loop.delay,
-        **options,
-        "copy": bool(copy),
-        "shot_noise": float(shot_noise),
-        "estimator_sha256": _estimator_digest(smoother),
-        "scheme": simulation.scheme,
-    }
+    inputs = {"parameters": numbers_of(parameters), "delay": loop.delay, **options}
+    inputs |= {"copy": bool(copy), "shot_noise": float(shot_noise)}
+    inputs |= {"estimator_sha256": _estimator_digest(smoother), "scheme": simulation.scheme}
     names = ("protocol", "runs", "seed", "precision", "step", "warm_up", "duration")
     settings = {name: getattr(simulation, name) for name in names}
     identity = {**settings, **inputs, "software": cluster.software()}
