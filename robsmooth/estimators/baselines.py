@@ -128,7 +128,7 @@ def linear_robust_filter(
     validation.instance("system", system, UncertainSystem)
     sectors = tuple(Uncertainty(c.B, c.lipschitz * c.C, c.D) for c in system.nonlinearities)
     linear = replace(system, uncertainties=(*system.uncertainties, *sectors), nonlinearities=())
-    design = minimize_bound(augment(linear, delay, order))
+    design = minimize_bound(augment(linear, delay, order), "filtered")
     plant = augment(system, delay, order)
     return _estimator(plant, design.A_c, design.B_c, design.C_c), design
 

@@ -61,14 +61,14 @@ Found = tuple[float, "RestrictedBound", np.ndarray]  # log V, and the problem an
 
 @one_thread
 def minimize_bound(
-    plant: AugmentedSystem, cost: str = "filtered", *, starts: int = 4, seed: int = 0
+    plant: AugmentedSystem, cost: str | None = None, *, starts: int = 4, seed: int = 0
 ) -> RobustSmoother:
     r"""Design the smoother with the least bound V over :math:`\tau` and :math:`\lambda`.
 
     Parameters
     ----------
     plant, cost
-        As in `design_smoother`.
+        As in `design_smoother`; by default the smoothed error's where the plant has a delay.
     starts, seed : int
         Number of starting points, the best of a random sample over decades, and its seed.
 
@@ -96,7 +96,9 @@ def minimize_bound(
     >>> round(smoother.mean_square_bound, 4), round(smoother.bound_infimum, 5)
     (0.1399, 0.06994)
     """
-    check_plant(plant, cost)
+    check_plant(plant, "filtered" if cost is None else cost)
+    if cost is None:
+        cost = "smoothed" if plant.delay > 0.0 else "filtered"
     starts = validation.integer("starts", starts, low=1)
     seed = validation.integer("seed", seed, low=0)
     check_stable(plant)

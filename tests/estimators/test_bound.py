@@ -228,10 +228,10 @@ def test_no_random_design_of_the_example_is_below_the_infimum(example, best):
 
 
 def test_search_is_reproducible_and_does_not_depend_on_its_seed(example, best):
-    again = minimize_bound(example)
+    again = minimize_bound(example, "filtered")
     assert again.bound == best.bound
     assert_array_equal(again.multipliers, best.multipliers)
-    other = minimize_bound(example, seed=5)
+    other = minimize_bound(example, "filtered", seed=5)
     assert other.bound_infimum == pytest.approx(best.bound_infimum, rel=1e-10)
 
 
@@ -277,7 +277,7 @@ def test_an_attained_minimum_has_no_infimum_and_is_that_of_a_grid(c):
 def test_no_random_design_is_better_than_the_minimum(plant, seed):
     rng = np.random.default_rng(seed)
     try:
-        best = minimize_bound(plant, starts=1)
+        best = minimize_bound(plant, "filtered", starts=1)
     except InfeasibleDesignError:
         return
     assert multiplier_level(plant, best.multipliers) <= 1 + 1e-9
@@ -373,7 +373,7 @@ def test_where_the_measurement_is_worth_nothing_the_least_bound_ignores_it():
 def test_multipliers_that_are_zero_at_an_attained_minimum_are_zero():
     # The copy is of no use to this system: the least bound is that of a filter without one.
     plant = augment(random_system(np.random.default_rng(14), g=1, size=0.03), 0.5, 1)
-    best = minimize_bound(plant)
+    best = minimize_bound(plant, "filtered")
     assert best.bound_infimum is None is best.limit
     assert best.multipliers[2] == 0.0
     assert (best.multipliers[[0, 1, 3, 4]] > 1e-3).all()
@@ -439,7 +439,8 @@ def test_a_design_is_found_whatever_the_units_of_the_states(units, capfd):
         uncertainties=[Uncertainty(B, np.zeros((1, 3)), D21)],
     )
     other = in_units(system, x=np.array(units)[:, None], w=1.0, y=1.0, zeta=1.0)
-    assert minimize_bound(augment(other, 0.3, 3)).bound == pytest.approx(0.0226948403613, rel=1e-8)
+    best = minimize_bound(augment(other, 0.3, 3), "filtered")
+    assert best.bound == pytest.approx(0.0226948403613, rel=1e-8)
     assert capfd.readouterr() == ("", "")
 
 
@@ -459,6 +460,11 @@ def test_points_whose_numbers_overflow_are_refused_in_silence(example, capfd, th
             value, gradient = v(point, np.zeros(4))
             assert np.isfinite(value) and np.isfinite(gradient).all()
     assert capfd.readouterr() == ("", "")
+
+
+def test_the_default_cost_is_that_of_the_error_asked_for(example):
+    assert minimize_bound(example, starts=1).cost == "smoothed"
+    assert minimize_bound(augment(example.system, 0.0, 0), starts=1).cost == "filtered"
 
 
 def test_an_infeasible_problem_is_an_error_that_names_a_condition():

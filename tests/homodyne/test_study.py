@@ -71,7 +71,7 @@ def test_search_of_a_column_serves_every_lag_and_order(found):
     np.testing.assert_allclose(
         bounds, np.broadcast_to(bounds[:, :, :1, :1], bounds.shape), rtol=1e-6
     )
-    whole = rs.minimize_bound(rs.augment(PAPER.uncertain_system(), 3.1e-6, 2))
+    whole = rs.minimize_bound(rs.augment(PAPER.uncertain_system(), 3.1e-6, 2), "filtered")
     assert bounds[0, 1, 0, 0] == pytest.approx(whole.mean_square_bound, rel=1e-4)
 
 
