@@ -4,6 +4,10 @@ from robsmooth import homodyne as homodyne
 from robsmooth._support.errors import InfeasibleDesignError as InfeasibleDesignError
 from robsmooth._support.errors import LongStepWarning as LongStepWarning
 from robsmooth._support.errors import UnstableLoopError as UnstableLoopError
+from robsmooth.analysis.choice import Choice as Choice
+from robsmooth.analysis.choice import Judgement as Judgement
+from robsmooth.analysis.choice import best_smoother as best_smoother
+from robsmooth.analysis.choice import judge as judge
 from robsmooth.analysis.constraints import AnalysisBound as AnalysisBound
 from robsmooth.analysis.constraints import analysis_bound as analysis_bound
 from robsmooth.analysis.covariance import delta_sweep as delta_sweep

@@ -14,7 +14,6 @@ from robsmooth.analysis.constraints import analysis_bound
 from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
-from robsmooth.estimators.constant import constant_minimax_smoother
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.minimax import OUTPUTS, minimax_smoother
 from robsmooth.systems.augmented import AugmentedSystem
@@ -248,9 +247,7 @@ def _designs(
     classical = baselines.fixed_lag_smoother, plant.system, plant.delay, plant.order
     designs = {
         _CLASSICAL: partial(*classical, copies=plant.system.g > 0),
-        "tuned": partial(baselines.tuned_fixed_lag_smoother, plant, against, output),
         "minimax": partial(minimax_smoother, plant, output),
-        "constant minimax": partial(constant_minimax_smoother, plant, output),
     }
     for cost in OUTPUTS if plant.delay > 0.0 else OUTPUTS[1:]:
         designs[_PAPER + cost] = partial(minimize_bound, plant, cost)
