@@ -1,7 +1,7 @@
 r"""The least bound: minimisation of V over tau and lambda.
 
-SciPy's SLSQP minimises :math:`\log V`, with the gradient of `robsmooth.estimators.bound_function`,
-under the constraint :math:`J'M(\lambda)J \le I`. What is known of the minimiser says where it is
+SciPy's SLSQP minimises :math:`\log V`, whose slopes are differences, under the constraint
+:math:`J'M(\lambda)J \le I`. What is known of the minimiser says where it is
 sought:
 
 - :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`: the least bound lies on the boundary of the
@@ -23,7 +23,7 @@ from operator import itemgetter
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq, minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
@@ -45,6 +45,7 @@ _TAUS = 10.0 ** np.arange(-1.0, 7.0)  # relative to the natural one
 _LEAST, _LARGEST = 1e-12, 1e8  # a multiplier, relative to its natural size; if no noise bounds it
 _SMALL = (1e-1, 1e-3, 1e-6)  # multipliers that may be zero, relative to their natural size
 _SAME = 1e-9  # bounds that differ by less, relatively
+_STEP = 1e-6  # of the differences, in logarithms
 _REFUSED = 1e3  # more than the logarithm of any bound
 _ROUNDING = 1e-9  # a level of the constraint that is smaller, relatively, is rounding
 _OPTIONS = {"ftol": 1e-14, "maxiter": 100}  # of SLSQP
@@ -124,8 +125,8 @@ def minimize_bound(
 def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float:
     """Return the tau, s (unit of w)^2, with the least bound at multipliers, or in their limit.
 
-    The bound falls with tau, from the least one that has a design, and then grows: its slope has
-    one zero. Where no tau has a design, the design at this one says why.
+    The bound falls with tau, from the least one that has a design, and then grows. Where no tau has
+    a design, the design at this one says why.
     """
     multipliers = np.asarray(multipliers, dtype=float)
     v = BoundFunction.of(plant, cost, multipliers > 0.0)
@@ -136,17 +137,14 @@ def _best_tau(v: BoundFunction, multipliers: np.ndarray, guess: float) -> float:
     """Return the same in the unit of `v`, from a guess."""
     rates = 1.0 * (multipliers == 0.0)
 
-    def slope(log_tau: float) -> float:
-        theta = math.exp(log_tau) * multipliers
-        try:
-            return 1.0 + float(v(theta, rates)[1][0] @ theta)
-        except InfeasibleDesignError:  # tau is too small
-            return -1.0
+    def log_bound(log_tau: float) -> float:
+        with suppress(InfeasibleDesignError):
+            return log_tau + v(math.exp(log_tau) * multipliers, rates)
+        return _REFUSED - log_tau  # tau is too small
 
-    low, high = np.log([guess / _ANY_TAU, guess * _ANY_TAU])
-    if slope(low) > 0.0 or slope(high) < 0.0:
-        return math.exp(low if slope(low) > 0.0 else high)
-    return math.exp(brentq(slope, low, high, xtol=_TAU_TOLERANCE))
+    ends = np.log([guess / _ANY_TAU, guess * _ANY_TAU])
+    options = {"xatol": _TAU_TOLERANCE}
+    return math.exp(minimize_scalar(log_bound, bounds=ends, options=options).x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,20 +202,24 @@ class RestrictedBound:
         rates[self.vanishing] = fast / (fast.sum() or 1.0)
         return values[0], multipliers, rates
 
-    def log_bound(self, point: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return log V and its gradient."""
+    def log_bound(self, point: np.ndarray) -> float:
+        """Return log V."""
         tau, multipliers, rates = self.arguments(point)
-        value, gradient = self.v(tau * multipliers, rates)
-        in_theta, in_rates = gradient * (tau * multipliers, rates)
-        slopes = (1.0 + in_theta.sum(), *in_theta[self.positive], *in_rates[self.vanishing])
-        return point[0] + value, np.array(slopes)
+        return point[0] + self.v(tau * multipliers, rates)
 
-    def objective(self, point: np.ndarray) -> tuple[float, np.ndarray]:
+    def objective(self, point: np.ndarray) -> float:
         """Return the same, or more than any bound where there is no design."""
-        try:
+        with suppress(InfeasibleDesignError):
             return self.log_bound(point)
-        except InfeasibleDesignError:
-            return _REFUSED, np.zeros_like(point)
+        return _REFUSED
+
+    def gradient(self, point: np.ndarray) -> np.ndarray:
+        """Return the slopes of the objective, zero next to points without a design."""
+        beside = [np.clip(point + step, *self.box) for step in _STEP * np.eye(len(point))]
+        before = [np.clip(point - step, *self.box) for step in _STEP * np.eye(len(point))]
+        rise = np.array([[self.objective(p) for p in points] for points in (before, beside)])
+        run = np.array([(b - a).sum() for a, b in zip(before, beside, strict=True)])
+        return np.where(rise.max(axis=0) < _REFUSED, np.diff(rise, axis=0)[0] / run, 0.0)
 
     def level(self, multipliers: np.ndarray) -> Matrix:
         """Return J'M(lambda)J."""
@@ -237,9 +239,9 @@ class RestrictedBound:
             result[:, own] = -np.exp(point[own]) * change
             return result
 
-        how = {"method": "SLSQP", "options": _OPTIONS, "jac": True, "bounds": self.box.T}
+        how = {"method": "SLSQP", "options": _OPTIONS, "jac": self.gradient, "bounds": self.box.T}
         how["constraints"] = {"type": "ineq", "fun": slack, "jac": slopes}
-        lowest, best = self.objective(point)[0], point
+        lowest, best = self.objective(point), point
         for _ in range(_PASSES):  # SLSQP stops at the kinks of the eigenvalues, and goes on anew
             found = minimize(self.objective, point, **how)
             point = np.clip(found.x, *self.box)
@@ -247,7 +249,7 @@ class RestrictedBound:
             if largest > 0.0:  # the step onto the constraint
                 point[0] += math.log(largest)
                 point[own] -= math.log(largest)
-            before, value = lowest, self.objective(point)[0]
+            before, value = lowest, self.objective(point)
             if value < lowest:
                 lowest, best = value, point.copy()
             if before - lowest < _TIGHT:
@@ -264,7 +266,7 @@ class RestrictedBound:
             natural, lowest = self.v.natural_tau(multipliers), _REFUSED
             for tau in natural * _TAUS:
                 point = self.point(tau, multipliers, self.vanishing * 1.0)
-                value = self.objective(point)[0]
+                value = self.objective(point)
                 if value > lowest:
                     break
                 lowest, best = value, point
@@ -331,7 +333,7 @@ def _by_less_uncertainty(problems: list[RestrictedBound], starts: int, seed: int
             reached, problem, point = max(continued, key=itemgetter(0))
             break
     try:
-        return problem.log_bound(point)[0], problem, point
+        return problem.log_bound(point), problem, point
     except InfeasibleDesignError as error:
         raise InfeasibleDesignError(
             error.condition,
@@ -349,7 +351,7 @@ def _continued(
     while size < 1.0 and growth > 1.0 + _LEAST_GROWTH:
         larger = min(1.0, growth * size)
         here = problem.scaled(larger)
-        if here.objective(point)[0] < _REFUSED:
+        if here.objective(point) < _REFUSED:
             size, point = larger, here.minimum(point)[1]
         else:
             growth = math.sqrt(growth)

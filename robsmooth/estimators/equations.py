@@ -85,7 +85,6 @@ class Weights(NamedTuple):
 
     a: np.ndarray  # (g,) the shares of the copies' outputs ...
     b: np.ndarray  # (g,) ... and of their arguments
-    rest: np.ndarray  # (g,) 1 - b
     Y: np.ndarray  # (k + g,) lambda_s, then e
     X: np.ndarray  # (k + g,) lambda_s, then f
     rates: np.ndarray  # (k + g,) how fast those of the X equation grow as a limit is left
@@ -98,13 +97,7 @@ class Weights(NamedTuple):
         pair = np.where(d[0] + c[0] > 0.0, (d[0], c[0]), (d[1], c[1]))
         a, b, rest = _share((d[0], *pair), (o[0], *pair[::-1]))
         X, fast = np.hstack([both[:, :k], rest**2 * d + o + b**2 * c])
-        return cls(a, b, rest, np.concatenate([multipliers[:k], d[0] + o[0]]), X, fast)
-
-    def gradient(self, on_Y: np.ndarray, on_X: np.ndarray) -> np.ndarray:
-        """Return the derivatives in the multipliers of what has these in the weights, (k + 3g,)."""
-        k = len(on_Y) - len(self.a)
-        e, f = on_Y[k:], on_X[k:]
-        return np.concatenate([on_Y[:k] + on_X[:k], e + self.rest**2 * f, e + f, self.b**2 * f])
+        return cls(a, b, np.concatenate([multipliers[:k], d[0] + o[0]]), X, fast)
 
 
 def _share(parts: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> np.ndarray:

@@ -457,8 +457,7 @@ def test_points_whose_numbers_overflow_are_refused_in_silence(example, capfd, th
         with np.errstate(over="ignore"):
             point = np.minimum(theta * scale, 1e300)
         with suppress(InfeasibleDesignError):
-            value, gradient = v(point, np.zeros(4))
-            assert np.isfinite(value) and np.isfinite(gradient).all()
+            assert np.isfinite(v(point, np.zeros(4)))
     assert capfd.readouterr() == ("", "")
 
 
