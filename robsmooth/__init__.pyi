@@ -21,11 +21,15 @@ from robsmooth.analysis.statistical_linearisation import (
     statistical_linearisation as statistical_linearisation,
 )
 from robsmooth.analysis.worst_case import WorstCase as WorstCase
-from robsmooth.analysis.worst_case import WorstDynamicCase as WorstDynamicCase
 from robsmooth.analysis.worst_case import worst_case as worst_case
-from robsmooth.analysis.worst_case import worst_dynamic_case as worst_dynamic_case
 from robsmooth.estimators import baselines as baselines
 from robsmooth.estimators.bound import minimize_bound as minimize_bound
+from robsmooth.estimators.constant_minimax import (
+    ConstantMinimaxSmoother as ConstantMinimaxSmoother,
+)
+from robsmooth.estimators.constant_minimax import (
+    constant_minimax_smoother as constant_minimax_smoother,
+)
 from robsmooth.estimators.discrete import DiscreteSmoother as DiscreteSmoother
 from robsmooth.estimators.estimator import Estimator as Estimator
 from robsmooth.estimators.limit import limiting_smoother as limiting_smoother

@@ -14,8 +14,10 @@ from robsmooth.analysis.constraints import analysis_bound
 from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
+from robsmooth.estimators.conditions import COSTS
+from robsmooth.estimators.constant_minimax import constant_minimax_smoother
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.minimax import OUTPUTS, minimax_smoother
+from robsmooth.estimators.minimax import minimax_smoother
 from robsmooth.systems.augmented import AugmentedSystem
 
 _ERRORS = {"admissible": "certified", "constant": "worst_constant"}
@@ -79,7 +81,7 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     0.0899
     """
     validation.instance("estimator", estimator, Estimator)
-    validation.choice("output", output, OUTPUTS)
+    validation.choice("output", output, COSTS)
     constant = worst_case(estimator, output, loop="real")
     certified = analysis_bound(estimator, output, loop="real").mean_square
     return Judgement(constant.nominal, constant.mean_square, certified)
@@ -220,7 +222,7 @@ def best_smoother(
         "plant", plant, AugmentedSystem, "; augment(system, delay, order) makes one"
     )
     validation.choice("against", against, tuple(_ERRORS))
-    validation.choice("output", output, OUTPUTS)
+    validation.choice("output", output, COSTS)
     validation.boolean("progress", progress)
     candidates, failures = {}, {}
     designs = _designs(plant, against, output).items()
@@ -247,8 +249,10 @@ def _designs(
     classical = baselines.fixed_lag_smoother, plant.system, plant.delay, plant.order
     designs = {
         _CLASSICAL: partial(*classical, copies=plant.system.g > 0),
+        "tuned": partial(baselines.tuned_fixed_lag_smoother, plant, against, output),
         "minimax": partial(minimax_smoother, plant, output),
+        "constant minimax": partial(constant_minimax_smoother, plant, output),
     }
-    for cost in OUTPUTS if plant.delay > 0.0 else OUTPUTS[1:]:
+    for cost in COSTS if plant.delay > 0.0 else COSTS[:1]:
         designs[_PAPER + cost] = partial(minimize_bound, plant, cost)
     return designs

@@ -1,23 +1,26 @@
 """The estimators that the paper compares with or builds on, and the least nominal errors."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
 
-from robsmooth._numerics.lyapunov import ERROR_TOLERANCE, check_certainty, covariances, square_root
-from robsmooth._numerics.riccati import RiccatiError, solve_riccati
+from robsmooth._numerics.lyapunov import ERROR_TOLERANCE, covariances, square_root
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.kalman import kalman_gain, with_copies
 from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.systems.augmented import AugmentedSystem, augment, check_noise
-from robsmooth.systems.channels import Uncertainty
-from robsmooth.systems.delay import DelayModel, pade_delay
+from robsmooth.estimators.tuned import tuned_fixed_lag_smoother as tuned_fixed_lag_smoother
+from robsmooth.systems.augmented import augment
+from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import UncertainSystem
+
+_CORNERS = 4  # of the set of uncertainties, with their opposites, where a search starts
 
 
 def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
@@ -41,7 +44,7 @@ def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
 
     See Also
     --------
-    fixed_lag_smoother, ngcf, linear_robust_filter : with a delay; robust.
+    fixed_lag_smoother, ngcf : with a delay; robust.
 
     Examples
     --------
@@ -87,50 +90,9 @@ def fixed_lag_smoother(
     Estimator(3 states, delay=3.1e-06 s, order=2, 1 measurements, 1 outputs, 1 copies)
     """
     plant = augment(system, delay, order)
-    _, gain = _kalman(system, plant.delay_model)
+    _, gain = kalman_gain(system, plant.delay_model)
     A_c = plant.A_p - gain @ plant.C2_tilde[: system.l]
-    return _estimator(plant, A_c, gain, plant.C_p0, copies)
-
-
-def linear_robust_filter(
-    system: UncertainSystem, delay: float = 0.0, order: int = 0
-) -> tuple[Estimator, RobustSmoother]:
-    """Return the robust filter (or smoother) that runs no copy of the nonlinearities.
-
-    Each nonlinearity becomes an uncertainty, bounded by its Lipschitz constant; the design is then
-    that of `minimize_bound`, which says what it raises.
-
-    Parameters
-    ----------
-    system, delay, order
-        As in `fixed_lag_smoother`; no delay by default.
-
-    Returns
-    -------
-    estimator : Estimator
-        On the plant of `system`, so that it can be compared with the others.
-    design : RobustSmoother
-        The same on the plant with the nonlinearities as uncertainties, with its bound.
-
-    See Also
-    --------
-    ngcf : the same with copies.
-
-    Examples
-    --------
-    >>> from dataclasses import replace
-    >>> import robsmooth as rs
-    >>> system = replace(rs.homodyne.PAPER, gamma=0.05).uncertain_system()
-    >>> estimator, design = rs.baselines.linear_robust_filter(system)
-    >>> round(design.mean_square_bound, 3), round(rs.baselines.ngcf(system).mean_square_bound, 3)
-    (0.291, 0.127)
-    """
-    validation.instance("system", system, UncertainSystem)
-    sectors = tuple(Uncertainty(c.B, c.lipschitz * c.C, c.D) for c in system.nonlinearities)
-    linear = replace(system, uncertainties=(*system.uncertainties, *sectors), nonlinearities=())
-    design = minimize_bound(augment(linear, delay, order), "filtered")
-    plant = augment(system, delay, order)
-    return _estimator(plant, design.A_c, design.B_c, design.C_c), design
+    return with_copies(plant, A_c, gain, plant.C_p0, copies)
 
 
 def ngcf(system: UncertainSystem) -> RobustSmoother:
@@ -146,7 +108,7 @@ def ngcf(system: UncertainSystem) -> RobustSmoother:
 
     See Also
     --------
-    minimize_bound, linear_robust_filter : with a delay; without copies.
+    minimize_bound : with a delay.
 
     References
     ----------
@@ -203,7 +165,7 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     two_sided = np.ndim(delay) == 0 and delay == np.inf
     if not two_sided:
         delay = validation.real("delay", delay, low=0.0)
-    P, gain = _kalman(system, pade_delay(0.0, 0, system.m))
+    P, gain = kalman_gain(system, pade_delay(0.0, 0, system.m))
     A_f = system.A - gain @ system.C2
     noise = np.linalg.cholesky(system.D21 @ system.D21.T)
     rate = solve_triangular(noise, system.C2, lower=True).T  # a root of C2' R^-1 C2
@@ -245,44 +207,51 @@ def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
     return optimal_fixed_lag_error(system, np.inf)
 
 
-def _kalman(system: UncertainSystem, model: DelayModel) -> tuple[Matrix, Matrix]:
-    """Return covariance and gain of the Kalman-Bucy filter of a system with a delay model behind.
+@one_thread
+def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
+    """Return the largest mean square error, over constant uncertainties, of estimators told them.
 
-    The covariance is that of the errors of x and of the model's state with the error of x. Of the
-    Riccati solution only the gain is used: a covariance that follows from the gain cannot be
-    negative, and its own error is that of the gain squared (Kleinman's step, in Joseph's form). As
-    no measurement sees the model, nor does the model feed back, it needs no equation of its own.
+    It is the largest that a search finds of `optimal_fixed_lag_error` for the system that an
+    uncertainty makes. No estimator's worst constant error is lower, as none knows more.
+
+    Parameters
+    ----------
+    system, delay
+        As in `optimal_fixed_lag_error`, and what it raises, too.
+
+    Returns
+    -------
+    float, in the squared unit of w
+
+    See Also
+    --------
+    optimal_fixed_lag_error, constant_minimax_smoother : one system; an estimator that is not told.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> round(rs.baselines.worst_optimal_error(rs.homodyne.PAPER.uncertain_system(), 3.1e-6), 5)
+    0.08358
     """
-    A, B, C, D = system.A, system.B1, system.C2, system.D21
-    check_noise("The Kalman-Bucy filter's condition D21 D21' > 0", D)
-    R, cross = cho_factor(D @ D.T), B @ D.T
-    uncorrelated = B - cross @ cho_solve(R, D)
-    try:
-        P = solve_riccati(
-            (A - cross @ cho_solve(R, C)).T, uncorrelated @ uncorrelated.T, C.T @ cho_solve(R, C)
-        ).X
-    except RiccatiError as error:
-        condition = "The Kalman-Bucy filter's Riccati equation"
-        raise InfeasibleDesignError(condition, str(error)) from None
-    gain = cho_solve(R, C @ P + cross.T).T
-    states = len(model.F)
-    drift = np.block([[A - gain @ C, np.zeros((system.n, states))], [model.G @ system.C0, model.F]])
-    noise = np.vstack([B - gain @ D, np.zeros((states, system.q))])
-    found, x = covariances(drift, noise), slice(system.n)
-    check_certainty("the filter's error", found.stationary[x, x], found.error[x, x])
-    P = found.stationary[:, x]
-    cross = np.vstack([cross, np.zeros((states, system.l))])
-    return P, cho_solve(R, (P @ C.T + cross).T).T
+    validation.instance("system", system, UncertainSystem)
+    channels = [(c, 1.0) for c in system.uncertainties if c.C.any()]
+    channels += [(c, c.lipschitz) for c in system.nonlinearities]
+    shapes = [(c.B.shape[1], len(c.C)) for c, _ in channels]
+    sizes = [rows * columns for rows, columns in shapes]
 
+    def gain(entries: np.ndarray) -> float:
+        A, C2, ends = system.A, system.C2, np.cumsum(sizes)[:-1]
+        for (c, size), part, shape in zip(channels, np.split(entries, ends), shapes, strict=True):
+            U, scales, V = np.linalg.svd(part.reshape(shape), full_matrices=False)
+            argument = size * (U * np.minimum(scales, 1.0)) @ V @ c.C
+            A, C2 = A + c.B @ argument, C2 + c.D @ argument
+        known = replace(system, A=A, C2=C2)
+        return -math.log(np.trace(optimal_fixed_lag_error(known, delay)))
 
-def _estimator(
-    plant: AugmentedSystem, A_c: Matrix, gain: Matrix, C_w: Matrix, copies: bool = False
-) -> Estimator:
-    """Return an estimator of w = C_w x that runs the nonlinearities at its estimate, or not."""
-    B, C, D = plant.system.stacked(plant.system.nonlinearities)
-    states = plant.n - plant.system.n
-    into, arguments = np.pad(B, ((0, states), (0, 0))) - gain @ D, np.pad(C, ((0, 0), (0, states)))
-    if not copies:
-        into, arguments = np.zeros_like(into), np.zeros_like(arguments)
-    B_c, C_c = np.hstack([gain, into]), np.vstack([C_w, arguments])
-    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_w)
+    corners = np.random.default_rng(0).choice((-1.0, 1.0), (_CORNERS, sum(sizes)))
+    starts = np.vstack([np.zeros(sum(sizes)), np.unique(np.vstack([corners, -corners]), axis=0)])
+    if not channels:
+        return math.exp(-gain(starts[0]))
+    box = [(-1.0, 1.0)] * sum(sizes)
+    least = min(minimize(gain, start, method="L-BFGS-B", bounds=box).fun for start in starts)
+    return math.exp(-least)

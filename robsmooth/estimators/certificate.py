@@ -17,7 +17,7 @@ the feedback :math:`\tilde\xi = M^{-1}B_\xi'PX`.
 import math
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError, null_space, solve_continuous_lyapunov
@@ -26,7 +26,8 @@ from scipy.optimize import minimize
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
-from robsmooth.estimators.loop import OpenLoop
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import OpenLoop, open_loop
 from robsmooth.systems.augmented import AugmentedSystem
 
 _LEAST_START = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
@@ -126,6 +127,17 @@ class ConstraintProblem:
         """Return what the worst input leaves of its constraints, relative to the error."""
         found = self.at(theta)
         return float(theta @ np.maximum(found.slack, 0.0)) / found.mean_square
+
+
+def problem_of(estimator: Estimator, kept: np.ndarray | None = None) -> ConstraintProblem:
+    """Return the loop with the error of w-hat against the delay model's output."""
+    plant, none = estimator.plant, np.zeros_like(estimator.C_a)
+    loop = replace(
+        open_loop(estimator, "filtered", "real"),
+        truth=np.hstack([plant.C_a, none]),
+        estimate=np.hstack([np.zeros_like(plant.C_a), estimator.C_a]),
+    )
+    return ConstraintProblem(loop, plant, kept)
 
 
 def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:

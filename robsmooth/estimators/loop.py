@@ -53,23 +53,18 @@ class OpenLoop:
     delay: float  # s
     blocks: tuple[Block, ...]  # those blocks of Delta that have an effect
 
-    def assemble(self, values: Sequence[np.ndarray], batch: tuple[int, ...]) -> np.ndarray:
-        """Return Delta, (*batch, r + 2g, h + 2g), from its blocks, each (*batch, rows, columns)."""
-        kind = np.result_type(float, *values)
-        Delta = np.zeros((*batch, self.inputs.shape[1], len(self.outputs)), kind)
-        for block, value in zip(self.blocks, values, strict=True):
+    def assemble(self, blocks: Sequence[Matrix]) -> Matrix:
+        """Return Delta, (r + 2g, h + 2g), from its blocks."""
+        Delta = np.zeros((self.inputs.shape[1], len(self.outputs)))
+        for block, value in zip(self.blocks, blocks, strict=True):
             for rows, columns in block.places:
-                Delta[..., rows, columns] = block.gain * value
+                Delta[rows, columns] = block.gain * value
         return Delta
 
-    def disassemble(self, Delta: np.ndarray) -> list[np.ndarray]:
-        """Return the blocks of Delta, relative to their gain."""
-        return [Delta[..., *block.places[0]] / block.gain for block in self.blocks]
-
-    def in_blocks(self, gradient: np.ndarray) -> list[np.ndarray]:
+    def in_blocks(self, gradient: Matrix) -> list[Matrix]:
         """Return the gradients with respect to the blocks from that with respect to Delta."""
         return [
-            block.gain * sum(gradient[..., rows, columns] for rows, columns in block.places)
+            block.gain * sum(gradient[rows, columns] for rows, columns in block.places)
             for block in self.blocks
         ]
 

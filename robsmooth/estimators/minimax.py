@@ -9,36 +9,29 @@ least near by. Either way the answer has the certificate of `robsmooth.estimator
 import math
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, block_diag, null_space, orth
+from scipy.linalg import LinAlgError
 
-from robsmooth._numerics.lyapunov import covariances
 from robsmooth._numerics.riccati import RiccatiError
-from robsmooth._support import notation, validation
+from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import frozen
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.estimators.bound import minimize_bound
-from robsmooth.estimators.certificate import ConstraintProblem, largest_fraction, least_certificate
-from robsmooth.estimators.conditions import check_stable
+from robsmooth.estimators.certificate import largest_fraction, least_certificate, problem_of
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import matrices, open_loop
 from robsmooth.estimators.programme import NoSolution, copies_are_known, least_certified
-from robsmooth.estimators.units import Units
-from robsmooth.systems.augmented import AugmentedSystem, check_noise
-from robsmooth.systems.delay import pade_delay
+from robsmooth.estimators.units import Natural, in_plant_states
+from robsmooth.systems.augmented import AugmentedSystem
 
-OUTPUTS = ("smoothed", "filtered")
 LARGEST = 20  # states of a plant for the programme: it takes about 10 s there, and 0.1 s for 6
 CONDITION = "A finite guarantee"
 _PROGRAMME, _DESCENT = "semidefinite programme", "descent"
-_LEAST_SEEN = 1e-4  # of an estimate's size, relative to the largest
-_ROUNDING = 1e-9  # of a row, relative to others
 _ROUNDS = 3  # of descent, each from coordinates balanced anew
 
 
@@ -143,43 +136,24 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     >>> round(rs.minimax_smoother(plant).certified, 4)
     0.0887
     """
-    hint = "; augment(system, delay, order) makes one"
-    validation.instance("plant", plant, AugmentedSystem, hint)
-    validation.choice("output", output, OUTPUTS)
-    check_noise("A measurement's noise", plant.system.D21)
-    check_stable(plant)
-    units = Units.of(plant.system)
-    natural = units.plant(plant)
-    if output == "filtered":  # which does not see the delay model
-        natural = AugmentedSystem(natural.system, pade_delay(0.0, 0, plant.system.m), plant.J_21)
+    natural = Natural.of(plant, output)
     route, found = _PROGRAMME, None
-    if natural.n <= LARGEST and copies_are_known(natural):
+    if natural.plant.n <= LARGEST and copies_are_known(natural.plant):
         with suppress(NoSolution, RiccatiError, LinAlgError):
-            estimator, theta = least_certified(natural, natural.C_a)
+            estimator, theta = least_certified(natural.plant, natural.plant.C_a)
             positive = theta > 0.0
-            found = _problem(estimator, positive).at(theta[positive]).mean_square
+            found = problem_of(estimator, positive).at(theta[positive]).mean_square
     if found is None:
         route = _DESCENT
-        estimator, theta, found = _by_descent(natural)
-    estimator = _of_plant(estimator, units.plant(plant), output)
+        estimator, theta, found = _by_descent(natural.plant)
+    units = natural.units
     return MinimaxSmoother(
-        **units.restored(estimator, plant),
+        **natural.restored(in_plant_states(estimator)),
         certified=units.w**2 * found,
         multipliers=units.w**2 * units.time * theta,
         cost=output,
         route=route,
     )
-
-
-def _problem(estimator: Estimator, kept: np.ndarray | None = None) -> ConstraintProblem:
-    """Return the loop with the error of w-hat against the delay model's output."""
-    plant, none = estimator.plant, np.zeros_like(estimator.C_a)
-    loop = replace(
-        open_loop(estimator, "filtered", "real"),
-        truth=np.hstack([plant.C_a, none]),
-        estimate=np.hstack([np.zeros_like(plant.C_a), estimator.C_a]),
-    )
-    return ConstraintProblem(loop, plant, kept)
 
 
 def _by_descent(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray, float]:
@@ -192,7 +166,7 @@ def _by_descent(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray, float]:
     """
     fraction, best = 0.0, None
     for candidate in _candidates(plant):
-        problem = _problem(candidate)
+        problem = problem_of(candidate)
         reached, theta = largest_fraction(problem)
         fraction = max(fraction, reached)
         if reached == 1.0:
@@ -218,7 +192,7 @@ def _by_descent(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray, float]:
 
 def _objective(estimator: Estimator, logarithms: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the logarithm of the certified error, and its gradient."""
-    problem, theta = _problem(estimator), np.exp(logarithms)
+    problem, theta = problem_of(estimator), np.exp(logarithms)
     certificate = problem.at(theta[problem.active])
     in_theta = np.zeros_like(theta)
     in_theta[problem.active] = certificate.slack * theta[problem.active]
@@ -246,54 +220,3 @@ def _of_w_hat(estimator: Estimator) -> Estimator:
     matrices = {name: getattr(estimator, name) for name in ("A_c", "B_c", "C_a")}
     C_c = np.vstack([estimator.C_a, arguments])
     return Estimator(plant=estimator.plant, C_c=C_c, C_f=estimator.C_a, **matrices)
-
-
-def _of_plant(estimator: Estimator, plant: AugmentedSystem, output: str) -> Estimator:
-    """Return the estimator of a plant whose first n states estimate those of the plant.
-
-    A filter is followed by the delay model, so that there is something to smooth with.
-    """
-    n, m, model, delayed = (
-        estimator.plant.n,
-        plant.system.m,
-        plant.delay_model,
-        output == "filtered",
-    )
-    to_plant = _to_plant_states(estimator)
-    back, C_c = np.linalg.inv(to_plant), estimator.C_c
-    parts = {"A_c": estimator.A_c, "B_c": estimator.B_c, "C_c": C_c}
-    if delayed:
-        at = np.r_[:n, len(back) : len(back) + len(model.F), n : len(back)]  # the model's after n
-        A_c = np.block(
-            [[estimator.A_c, np.zeros((len(back), len(model.F)))], [model.G @ C_c[:m], model.F]]
-        )
-        B_c = np.pad(estimator.B_c, ((0, len(model.F)), (0, 0)))
-        parts = {"A_c": A_c, "B_c": B_c, "C_c": np.pad(C_c, ((0, 0), (0, len(model.F))))}
-        to_plant, back = (block_diag(T, np.eye(len(model.F)))[at] for T in (to_plant, back.T))
-        back = back.T
-    A_c, C_c = to_plant @ parts["A_c"] @ back, parts["C_c"] @ back
-    none = np.zeros((m, len(A_c) - plant.n))
-    reads = {"C_a": C_c[:m], "C_f": np.hstack([plant.C_p0, none])}
-    if delayed:
-        reads = {"C_f": C_c[:m], "C_a": np.hstack([plant.C_a, none])}
-    return Estimator(plant=plant, A_c=A_c, B_c=to_plant @ parts["B_c"], C_c=C_c, **reads)
-
-
-def _to_plant_states(estimator: Estimator) -> Matrix:
-    """Return coordinates in which C_2 and C_p0 times the first n states are nominal estimates.
-
-    They are those of the measurement to come and of w. The other directions are of no account, and
-    make the coordinates as well conditioned as can be. What the copies' outputs do to the plant's
-    state, in the states behind the first n, is a part of them.
-    """
-    plant, n = estimator.plant, estimator.plant.n
-    A, B, _, _ = matrices(estimator, "real")
-    covariance, own = covariances(A, B).stationary, slice(n, 2 * n)
-    estimate = np.linalg.lstsq(covariance[own, own], covariance[own, :n], rcond=None)[0].T
-    rows = orth(np.vstack([plant.C2_tilde[: plant.system.l], plant.C_p0]).T, rcond=_ROUNDING).T
-    U, sizes, V = np.linalg.svd(rows @ estimate, full_matrices=False)
-    size = sizes.max(initial=0.0) or 1.0
-    known = U * np.maximum(sizes, _LEAST_SEEN * size) @ V
-    to_plant = rows.T @ known + size * null_space(rows) @ null_space(known).T
-    more = len(A) - 2 * n
-    return np.block([[to_plant, np.eye(n, more)], [np.zeros((more, n)), np.eye(more)]])

@@ -8,18 +8,25 @@ keeps its form with :math:`W = \sqrt T W'` and :math:`\xi = \xi'/\sqrt T`. A des
 natural units and then brought back, so that it does not depend on the units of its problem.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import null_space, orth
 
 from robsmooth._numerics.lyapunov import covariances
+from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
+from robsmooth.estimators.conditions import COSTS, check_stable
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.estimators.loop import matrices
+from robsmooth.systems.augmented import AugmentedSystem, check_noise
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import UncertainSystem
+
+_LEAST_SEEN = 1e-4  # of an estimate's size, relative to the largest
+_ROUNDING = 1e-9  # of a row, relative to others
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,3 +97,83 @@ class Units:
             "C_a": self.w * estimator.C_a / x,
             "C_f": self.w * estimator.C_f / x,
         }
+
+
+@dataclass(frozen=True, eq=False)
+class Natural:
+    """A design problem in natural units, in which a filter has no delay model."""
+
+    units: Units
+    plant: AugmentedSystem  # in these units
+    original: AugmentedSystem
+    output: str  # "smoothed" or "filtered"
+
+    @classmethod
+    def of(cls, plant: AugmentedSystem, output: str) -> "Natural":
+        """Return the problem of a plant; an InfeasibleDesignError says what it must be."""
+        hint = "; augment(system, delay, order) makes one"
+        validation.instance("plant", plant, AugmentedSystem, hint)
+        validation.choice("output", output, COSTS)
+        check_noise("A measurement's noise", plant.system.D21)
+        check_stable(plant)
+        units = Units.of(plant.system)
+        natural = units.plant(plant)
+        if output == "filtered":  # which does not see the delay model
+            model = pade_delay(0.0, 0, plant.system.m)
+            natural = AugmentedSystem(natural.system, model, plant.J_21)
+        return cls(units, natural, plant, output)
+
+    def restored(self, estimator: Estimator) -> dict[str, Any]:
+        """Return the fields of an estimator of the original plant, in its units.
+
+        Its first n states estimate the plant's. A filter is followed by the delay model, so that
+        there is something to smooth with.
+        """
+        plant, m = self.units.plant(self.original), self.original.system.m
+        model, n = plant.delay_model, estimator.plant.n
+        A_c, B_c, C_c, C_a = (getattr(estimator, name) for name in ("A_c", "B_c", "C_c", "C_a"))
+        none = np.zeros((m, len(A_c) - n))
+        C_f = np.hstack([plant.C_p0, none])
+        if self.output == "filtered":
+            own, delayed = len(A_c), len(model.F)
+            A_c = np.block([[A_c, np.zeros((own, delayed))], [model.G @ C_a, model.F]])
+            B_c, C_c = np.pad(B_c, ((0, delayed), (0, 0))), np.pad(C_c, ((0, 0), (0, delayed)))
+            order = np.r_[:n, own : own + delayed, n:own]
+            A_c, B_c, C_c = A_c[np.ix_(order, order)], B_c[order], C_c[:, order]
+            C_a, C_f = np.hstack([plant.C_a, none]), C_c[:m]
+        estimator = Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=C_a, C_f=C_f)
+        return self.units.restored(estimator, self.original)
+
+
+def in_plant_states(estimator: Estimator) -> Estimator:
+    """Return the same estimator with states of which the first n estimate those of the plant."""
+    T = _to_plant_states(estimator)
+    back = np.linalg.inv(T)
+    return replace(
+        estimator,
+        A_c=T @ estimator.A_c @ back,
+        B_c=T @ estimator.B_c,
+        C_c=estimator.C_c @ back,
+        C_a=estimator.C_a @ back,
+        C_f=estimator.C_f @ back,
+    )
+
+
+def _to_plant_states(estimator: Estimator) -> Matrix:
+    """Return coordinates in which C_2 and C_p0 times the first n states are nominal estimates.
+
+    They are those of the measurement to come and of w. The other directions are of no account, and
+    make the coordinates as well conditioned as can be. What the copies' outputs do to the plant's
+    state, in the states behind the first n, is a part of them.
+    """
+    plant, n = estimator.plant, estimator.plant.n
+    A, B, _, _ = matrices(estimator, "real")
+    covariance, own = covariances(A, B).stationary, slice(n, 2 * n)
+    estimate = np.linalg.lstsq(covariance[own, own], covariance[own, :n], rcond=None)[0].T
+    rows = orth(np.vstack([plant.C2_tilde[: plant.system.l], plant.C_p0]).T, rcond=_ROUNDING).T
+    U, sizes, V = np.linalg.svd(rows @ estimate, full_matrices=False)
+    size = sizes.max(initial=0.0) or 1.0
+    known = U * np.maximum(sizes, _LEAST_SEEN * size) @ V
+    to_plant = rows.T @ known + size * null_space(rows) @ null_space(known).T
+    more = len(A) - 2 * n
+    return np.block([[to_plant, np.eye(n, more)], [np.zeros((more, n)), np.eye(more)]])

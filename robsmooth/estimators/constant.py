@@ -1,0 +1,114 @@
+"""The mean square error under a constant uncertainty, its slopes, and the largest of all.
+
+Admissible here are blocks of norm at most one for the uncertainties, and for each nonlinearity a
+slope within its Lipschitz constant, the same for its copy. A projected gradient search, from
+several starts, finds the worst of them.
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
+
+from robsmooth._support.validation import Matrix
+from robsmooth.estimators.descent import Slopes
+from robsmooth.estimators.loop import OpenLoop
+
+_MARGINAL = 1e-12  # a loop whose slowest mode decays by less, relative to the fastest, is unstable
+_ITERATIONS = 200
+_LONGEST_STEP, _SHORTEST_STEP = 1e3, 1e-9  # relative to the unit ball
+_CHANGE = 1e-13  # a step whose gain or loss is less, relatively, changes nothing
+_STEPS_WITHOUT_GAIN = 3  # in a row: then the search is over
+
+
+def mean_square(loop: OpenLoop, Delta: Matrix) -> float:
+    """Return the mean square error; infinity where the loop is not stable."""
+    return _moments(loop, Delta)[0]
+
+
+def slopes(loop: OpenLoop, Delta: Matrix) -> tuple[float, Slopes]:
+    """Return the mean square error of a stable loop, and its slopes in the loop's matrices."""
+    value, A, P, through, after = _moments(loop, Delta)
+    truth, estimate, delay = loop.truth, loop.estimate, loop.delay
+    mixed = truth.T @ after
+    weight = truth.T @ truth + estimate.T @ estimate - mixed - mixed.T
+    S = solve_continuous_lyapunov(A.T, -weight)
+    drift = 2.0 * S @ P
+    if delay > 0.0:
+        mixed = estimate.T @ truth @ P
+        drift -= 2.0 * delay * expm_frechet(delay * A.T, mixed, compute_expm=False)
+    return value, Slopes(
+        A=drift,
+        B=2.0 * S @ loop.B,
+        inputs=drift @ (Delta @ loop.outputs).T,
+        outputs=(loop.inputs @ Delta).T @ drift,
+        estimate=2.0 * (estimate @ P - truth @ P @ through.T),
+    )
+
+
+def worst_delta(loop: OpenLoop, starts: int, seed: int) -> tuple[float, Matrix]:
+    """Return the largest mean square error that a search finds, and the Delta that has it."""
+    found = (_ascent(loop, blocks) for blocks in _starts(loop, starts, seed))
+    largest, worst = -math.inf, None
+    for value, blocks in found:
+        if value > largest:
+            largest, worst = value, blocks
+        if math.isinf(value):
+            break
+    return largest, loop.assemble(worst)
+
+
+def _moments(loop: OpenLoop, Delta: Matrix) -> tuple[float, Matrix, Matrix, Matrix, Matrix]:
+    """Return the error, A, the covariance of X, what X becomes in a delay, and the estimate's."""
+    A = loop.A + loop.inputs @ Delta @ loop.outputs
+    poles = np.linalg.eigvals(A)
+    if not poles.real.max() < -_MARGINAL * np.abs(poles).max():
+        return math.inf, A, A, A, A
+    P = solve_continuous_lyapunov(A, -loop.B @ loop.B.T)
+    through = expm(loop.delay * A)
+    after = loop.estimate @ through  # the mean of the estimate to come, given the state now
+    cross = np.trace(after @ P @ loop.truth.T)
+    squares = (np.trace(rows @ P @ rows.T) for rows in (loop.truth, loop.estimate))
+    return float(sum(squares) - 2.0 * cross), A, P, through, after
+
+
+def _starts(loop: OpenLoop, count: int, seed: int) -> Iterator[list[Matrix]]:
+    """Yield zero, then random corners and their negatives, at most `count` and all of few."""
+    rng = np.random.default_rng(seed)
+    yield [np.zeros(block.shape) for block in loop.blocks]
+    entries = sum(block.shape[0] * block.shape[1] for block in loop.blocks)
+    for _ in range((min(count, 2**entries) + 1) // 2):
+        drawn = [np.linalg.svd(rng.standard_normal(b.shape), False) for b in loop.blocks]
+        corner = [U @ V for U, _, V in drawn]
+        yield corner
+        yield [-block for block in corner]
+
+
+def _ascent(loop: OpenLoop, blocks: list[Matrix]) -> tuple[float, list[Matrix]]:
+    """Return what a projected gradient search reaches, and where; it ends at infinity."""
+    value, step, without_gain = mean_square(loop, loop.assemble(blocks)), 1.0, 0
+    moved = True
+    for _ in range(_ITERATIONS if blocks else 0):
+        if math.isinf(value) or step < _SHORTEST_STEP or without_gain == _STEPS_WITHOUT_GAIN:
+            break
+        if moved:
+            drift = slopes(loop, loop.assemble(blocks))[1].A
+            gradients = loop.in_blocks(loop.inputs.T @ drift @ loop.outputs.T)
+        pairs = zip(blocks, gradients, strict=True)
+        trial = [_projected(block, step, gradient) for block, gradient in pairs]
+        found = mean_square(loop, loop.assemble(trial))
+        moved = found >= (1.0 - _CHANGE) * value
+        if not moved:
+            step /= 4.0
+            continue
+        without_gain = 0 if found > (1.0 + _CHANGE) * value else without_gain + 1
+        value, blocks, step = found, trial, min(3.0 * step, _LONGEST_STEP)
+    return value, blocks
+
+
+def _projected(block: Matrix, step: float, gradient: Matrix) -> Matrix:
+    """Step along the gradient, and cut singular values at one."""
+    size = np.linalg.norm(gradient) or 1.0
+    U, scales, V = np.linalg.svd(block + step * gradient / size, full_matrices=False)
+    return U * np.minimum(scales, 1.0) @ V

@@ -1,0 +1,178 @@
+r"""The estimator whose largest error over all constant uncertainties is the least.
+
+Quadratic constraints allow uncertainty that varies in time. For a parameter that is constant and
+not known they are too rich, and a design against them gives too much away. Here the largest error
+over a finite set of :math:`\Delta` is minimised over all matrices of the estimator; the worst
+:math:`\Delta` of the result joins the set, until it is in it. The maximum of errors :math:`J_i` is
+made smooth as :math:`\tfrac1s\log\tfrac1N\sum_i J_i^s`, with a sharpness s that grows.
+"""
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robsmooth._support import notation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.validation import frozen
+from robsmooth.estimators.baselines import fixed_lag_smoother
+from robsmooth.estimators.constant import mean_square, slopes, worst_delta
+from robsmooth.estimators.descent import descend
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import open_loop
+from robsmooth.estimators.minimax import minimax_smoother
+from robsmooth.estimators.tuned import tuned_fixed_lag_smoother
+from robsmooth.estimators.units import Natural, in_plant_states
+from robsmooth.systems.augmented import AugmentedSystem
+
+_SHARPNESS = (1e1, 1e2, 1e3, 1e4)
+_ROUNDS = 8
+_CLOSED = 1e-4  # relative: the worst Delta is in the set where no other is worse by more
+_STARTS = 16  # of the search for the worst Delta
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ConstantMinimaxSmoother(Estimator):
+    """An estimator with the least largest error over constant uncertainties.
+
+    Attributes
+    ----------
+    worst_constant : float
+        The largest mean square error under a constant admissible uncertainty that was found, in the
+        squared unit of w, against the truly delayed w.
+    Deltas : (N, r + 2g, h + 2g) array
+        The uncertainties that the design is for: the worst are among them.
+    cost : {"smoothed", "filtered"}
+        Which error it is.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> rs.constant_minimax_smoother(plant)
+    ConstantMinimaxSmoother(worst_constant=0.083642, cost='smoothed', delay=3.1e-06 s, order=2)
+    """
+
+    worst_constant: float
+    Deltas: NDArray[np.float64]
+    cost: str
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        frozen(self.Deltas)
+
+    def __repr__(self) -> str:
+        return (
+            f"ConstantMinimaxSmoother(worst_constant={self.worst_constant:.5g}, "
+            f"cost={self.cost!r}, delay={self.plant.delay:g} s, order={self.plant.order})"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [(f"worst constant {self.cost} error, (unit of $w$)²", self.worst_constant)]
+        for i, Delta in enumerate(self.Deltas[1:], start=1):
+            rows.append((rf"$\Delta$ {i} of those it is for", f"${notation.matrix(Delta)}$"))
+        return self._sheet("Minimax smoother against constant uncertainty", rows)
+
+
+@one_thread
+def constant_minimax_smoother(
+    plant: AugmentedSystem, output: str = "smoothed"
+) -> ConstantMinimaxSmoother:
+    """Design the estimator whose largest error under constant uncertainties is the least.
+
+    The search is a descent, from the best of the classical, the tuned and the minimax smoother: the
+    result is the least nearby, and never worse than these.
+
+    Parameters
+    ----------
+    plant, output
+        As in `minimax_smoother`.
+
+    Returns
+    -------
+    ConstantMinimaxSmoother
+
+    Raises
+    ------
+    InfeasibleDesignError
+        Where every candidate's error has no limit for some constant uncertainty; where the plant is
+        not stable, or a measurement has no noise.
+    ValueError, TypeError
+        For an argument that is not as described.
+
+    See Also
+    --------
+    minimax_smoother, worst_case : against uncertainty that varies; the worst constant one.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> round(rs.constant_minimax_smoother(plant).worst_constant, 4)
+    0.0836
+    """
+    natural = Natural.of(plant, output)
+    start = min(_candidates(natural.plant), key=lambda candidate: _worst(candidate)[0])
+    if math.isinf(_worst(start)[0]):
+        raise InfeasibleDesignError(
+            "A finite error under constant uncertainty",
+            "some constant uncertainty destabilises the plant, so that its error has no limit; "
+            "less uncertainty (smaller outputs C or Lipschitz constants) may help",
+        )
+    value, estimator, Deltas = _designed(start)
+    return ConstantMinimaxSmoother(
+        **natural.restored(in_plant_states(estimator)),
+        worst_constant=natural.units.w**2 * value,
+        Deltas=Deltas,
+        cost=output,
+    )
+
+
+def _candidates(plant: AugmentedSystem) -> list[Estimator]:
+    """Return the estimators of which the best is where the descent starts."""
+    found = [fixed_lag_smoother(plant.system, plant.delay, plant.order, plant.system.g > 0)]
+    found.append(tuned_fixed_lag_smoother(plant))
+    with suppress(InfeasibleDesignError, RuntimeError):
+        found.append(minimax_smoother(plant))
+    return found
+
+
+def _worst(estimator: Estimator) -> tuple[float, np.ndarray]:
+    return worst_delta(open_loop(estimator, "smoothed", "real"), _STARTS, seed=0)
+
+
+def _designed(estimator: Estimator) -> tuple[float, Estimator, np.ndarray]:
+    """Return the least largest error from a start, the estimator and the set of Delta."""
+    value, Delta = _worst(estimator)
+    Deltas, best = [np.zeros_like(Delta), Delta], (value, estimator)
+    for _ in range(_ROUNDS):
+        for sharpness in _SHARPNESS:
+            estimator = _descended(estimator, Deltas, sharpness)
+        loop = open_loop(estimator, "smoothed", "real")
+        inner = max(mean_square(loop, each) for each in Deltas)
+        value, Delta = _worst(estimator)
+        if value < best[0]:
+            best = value, estimator
+        if value <= (1.0 + _CLOSED) * inner:
+            break
+        Deltas.append(Delta)
+    return *best, np.array(Deltas)
+
+
+def _descended(estimator: Estimator, Deltas: list[np.ndarray], sharpness: float) -> Estimator:
+    """Return an estimator with a lower smooth maximum of the errors."""
+
+    def objective(trial: Estimator, _: np.ndarray) -> tuple[float, np.ndarray]:
+        loop = open_loop(trial, "smoothed", "real")
+        if not all(math.isfinite(mean_square(loop, Delta)) for Delta in Deltas):
+            raise ArithmeticError("it is not stable")
+        values, gradients = zip(*(slopes(loop, Delta) for Delta in Deltas), strict=True)
+        powers = np.exp(sharpness * np.log(np.array(values) / max(values)))
+        shares = powers / powers.sum() / values
+        value = math.log(max(values)) + math.log(powers.mean()) / sharpness
+        return value, shares @ [each.of_estimator(trial) for each in gradients]
+
+    return descend(estimator, objective)[0]

@@ -1,0 +1,196 @@
+r"""The classical smoother, tuned for the worst case: the strongest opponent of a robust design.
+
+The nominal system that it is made for is tuned, as an engineer would: the intensities of the
+measurement's noises, noise that enters as each uncertainty does, and the nominal values of those
+that are one number. The slope of a nonlinearity counts for the gain only: its copy is run as it is.
+"""
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from operator import itemgetter
+
+import numpy as np
+from scipy.linalg import LinAlgError
+from scipy.optimize import minimize
+
+from robsmooth._numerics.lyapunov import covariances
+from robsmooth._support import validation
+from robsmooth._support.blas import one_thread
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth.estimators.certificate import largest_fraction, least_certificate, problem_of
+from robsmooth.estimators.constant import mean_square, worst_delta
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.kalman import kalman_gain, with_copies
+from robsmooth.estimators.loop import open_loop
+from robsmooth.estimators.units import Natural
+from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.system import UncertainSystem
+
+AGAINST = ("constant", "admissible")
+_ROUNDS = 5
+_CLOSED = 1e-3  # a round that gains less, relatively, is the last
+_REFUSED = 1e2  # more than the logarithm of any error in natural units
+_LITTLE_NOISE = -6.0  # through an uncertainty's channel, at the start: a logarithm
+_SHIFTS = (0.0, 3.5, 7.0)  # of the measurement noises' logarithms, where searches start
+_STARTS = 8  # of the search for the worst Delta
+_LOGARITHMS = (-15.0, 15.0)
+_STEP = 0.1  # of the box, at first
+_OPTIONS = {"maxfev": 300, "xatol": 1e-2, "fatol": 1e-5}
+
+Error = Callable[[Estimator], float]
+
+
+@one_thread
+def tuned_fixed_lag_smoother(
+    plant: AugmentedSystem, against: str = "constant", output: str = "smoothed"
+) -> Estimator:
+    """Return the classical fixed-lag smoother whose nominal system is tuned for the worst case.
+
+    Tuned are the intensities of the measurement's noises, noise that enters as each uncertainty
+    does, and the nominal values of uncertainties that are one number. The result is never worse
+    than the classical smoother.
+
+    Parameters
+    ----------
+    plant : AugmentedSystem
+        Made by `augment`, with a stable A.
+    against : {"constant", "admissible"}
+        Which error is to be least: the worst constant or the certified worst one, the latter
+        against the output of the delay model.
+    output : {"smoothed", "filtered"}
+        Which estimate is wanted.
+
+    Returns
+    -------
+    Estimator
+
+    Raises
+    ------
+    InfeasibleDesignError
+        Where A is not stable, or a measurement has no noise.
+    ValueError, TypeError
+        For an argument that is not as described.
+
+    See Also
+    --------
+    fixed_lag_smoother, constant_minimax_smoother : not tuned; with all matrices free.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> tuned = rs.baselines.tuned_fixed_lag_smoother(plant)
+    >>> round(rs.worst_case(tuned, loop="real").mean_square, 4)
+    0.0837
+    """
+    validation.choice("against", against, AGAINST)
+    natural = Natural.of(plant, output)
+    constant = against == "constant"
+    attack = _worst_constant if constant else _certified
+    family = _Family(natural.plant)
+    found = [(*attack(family(start)), start) for start in family.starts]
+    best, newest, point = min(found, key=itemgetter(0))
+    # many uncertainties together are the worst case, but one set of multipliers is a certificate
+    attacks = [error for _, error, _ in found] if constant else [newest]
+
+    def objective(trial: np.ndarray) -> float:
+        with suppress(ArithmeticError, LinAlgError, InfeasibleDesignError):
+            estimator = family(trial)
+            return min(math.log(max(error(estimator) for error in attacks)), _REFUSED)
+        return _REFUSED
+
+    trial = point
+    for _ in range(_ROUNDS):
+        before, trial = best, _minimum(objective, trial, family.box)
+        expected = math.exp(objective(trial))
+        value, error = attack(family(trial))
+        attacks = [*attacks, error] if constant else [error]
+        if value < best:
+            best, point = value, trial
+        if abs(value / expected - 1.0) < _CLOSED and best > (1.0 - _CLOSED) * before:
+            break
+    return Estimator(**natural.restored(family(point)))
+
+
+def _minimum(objective: Callable, start: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Return a local minimum, by the method of Nelder and Mead."""
+    steps = np.where(start > box.mean(axis=1), -_STEP, _STEP) * (box[:, 1] - box[:, 0])
+    simplex = np.vstack([start, start + np.diag(steps)])
+    options = {**_OPTIONS, "initial_simplex": simplex}
+    return minimize(objective, start, method="Nelder-Mead", bounds=box, options=options).x
+
+
+def _worst_constant(estimator: Estimator) -> tuple[float, Error]:
+    """Return the worst constant error, and the error under the uncertainty that has it."""
+    value, Delta = worst_delta(open_loop(estimator, "smoothed", "real"), _STARTS, seed=0)
+    return value, lambda trial: mean_square(open_loop(trial, "smoothed", "real"), Delta)
+
+
+def _certified(estimator: Estimator) -> tuple[float, Error]:
+    """Return the certified error, and the bound with its multipliers; infinity without one."""
+    problem = problem_of(estimator)
+    fraction, theta = largest_fraction(problem)
+    if fraction < 1.0:
+        return math.inf, lambda trial: math.inf
+    theta = least_certificate(problem, theta)
+
+    def error(trial: Estimator) -> float:
+        with suppress(ArithmeticError):
+            return problem_of(trial).at(theta).mean_square
+        return math.inf
+
+    return error(estimator), error
+
+
+class _Family:
+    """The classical smoothers of a plant in natural units, for other nominal systems.
+
+    A point holds the logarithms of factors on the measurement's noises, and of intensities of
+    noise through the uncertainties, and the nominal slopes.
+    """
+
+    def __init__(self, plant: AugmentedSystem) -> None:
+        self.plant, system = plant, plant.system
+        self.uncertain = [u for u in system.uncertainties if u.C.any()]
+        covariance = covariances(system.A, system.B1).stationary
+        self.sizes = [np.sqrt(np.trace(u.C @ covariance @ u.C.T)) for u in self.uncertain]
+        single = [(u, 1.0) for u in self.uncertain if u.B.shape[1] == len(u.C) == 1]
+        self.single = single + [(c, c.lipschitz) for c in system.nonlinearities]
+        rest = [_LITTLE_NOISE] * len(self.uncertain) + [0.0] * len(self.single)
+        self.starts = [np.array([shift] * system.l + rest) for shift in _SHIFTS]
+        intensities = system.l + len(self.uncertain)
+        self.box = np.array([_LOGARITHMS] * intensities + [(-1.0, 1.0)] * len(self.single))
+
+    def __call__(self, point: np.ndarray) -> Estimator:
+        """Return the smoother at a point."""
+        plant, system = self.plant, self.plant.system
+        factors, noises, slopes = np.split(point, np.cumsum([system.l, len(self.uncertain)]))
+        A, C2 = plant.A_p.copy(), plant.C2_tilde[: system.l].copy()
+        own = slice(system.n)
+        designed_A, designed_C2 = system.A, system.C2
+        for (channel, size), slope in zip(self.single, slopes, strict=True):
+            argument = size * slope * channel.C
+            designed_A, designed_C2 = (
+                designed_A + channel.B @ argument,
+                designed_C2 + channel.D @ argument,
+            )
+            if channel in self.uncertain:
+                A[own, own] += channel.B @ argument
+                C2[:, own] += channel.D @ argument
+        levels = [np.exp(log / 2) * size for log, size in zip(noises, self.sizes, strict=True)]
+        channels = list(zip(levels, self.uncertain, strict=True))
+        designed = UncertainSystem(
+            A=designed_A,
+            B1=np.hstack([system.B1, *(level * u.B for level, u in channels)]),
+            C0=system.C0,
+            C2=designed_C2,
+            D21=np.hstack(
+                [
+                    np.exp(factors / 2)[:, None] * system.D21,
+                    *(level * u.D for level, u in channels),
+                ]
+            ),
+        )
+        _, gain = kalman_gain(designed, plant.delay_model)
+        return with_copies(plant, A - gain @ C2, gain, plant.C_p0, copies=system.g > 0)
