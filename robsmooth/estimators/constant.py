@@ -28,8 +28,10 @@ def mean_square(loop: OpenLoop, Delta: Matrix) -> float:
 
 
 def slopes(loop: OpenLoop, Delta: Matrix) -> tuple[float, Slopes]:
-    """Return the mean square error of a stable loop, and its slopes in the loop's matrices."""
+    """Return the error and its slopes; an ArithmeticError says that the loop is not stable."""
     value, A, P, through, after = _moments(loop, Delta)
+    if math.isinf(value):
+        raise ArithmeticError("the loop is not stable")
     truth, estimate, delay = loop.truth, loop.estimate, loop.delay
     mixed = truth.T @ after
     weight = truth.T @ truth + estimate.T @ estimate - mixed - mixed.T
