@@ -28,6 +28,7 @@ from tests.helpers.strategies import (
     random_system,
     seeds,
 )
+from tests.helpers.systems import DRIVE, GAIN, cancelling, in_other_units
 
 
 @pytest.fixture(scope="module")
@@ -201,3 +202,15 @@ def test_what_is_not_understood_is_refused(example):
         worst_case(example, starts=0)
     with pytest.raises(ValueError, match="seed must be an integer of at least 0"):
         worst_case(example, seed=-1)
+
+
+@pytest.mark.parametrize("time", [1e-9, 1e9])
+def test_worst_case_does_not_depend_on_the_units_of_states_and_measurements(time):
+    system = cancelling(DRIVE, GAIN)
+    other = in_other_units(system, time, [1e6, 1e-5], [1e4])
+    here, there = (
+        worst_case(baselines.fixed_lag_smoother(s, delay, 2), loop="real")
+        for s, delay in ((system, 1.0), (other, 1.0 / time))
+    )
+    assert_allclose(there.mean_square, here.mean_square, rtol=1e-6)
+    assert_allclose(there.Delta, here.Delta, atol=1e-6)

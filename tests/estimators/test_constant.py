@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import minimize
 
 import robsmooth as rs
 from robsmooth.estimators import constant
@@ -224,18 +225,17 @@ def test_floor_of_the_example_is_the_exact_optimum_at_the_edge_of_its_sector():
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, np.inf])
-def test_floor_is_the_largest_of_a_grid(delay):
+def test_floor_is_the_largest_near_the_largest_of_a_grid(delay):
     system = cancelling(DRIVE, GAIN)
-    found, centre = rs.baselines.worst_optimal_error(system, delay), (0.0, 0.0)
-    for width in (1.0, 0.2, 0.04):  # each grid about the largest of the one before
-        sides = [np.clip(c + width * np.linspace(-1.0, 1.0, 11), -1.0, 1.0) for c in centre]
-        grid = {
-            slopes: rs.baselines.optimal_fixed_lag_error(with_slopes(system, slopes), delay).trace()
-            for slopes in product(*sides)
-        }
-        centre = max(grid, key=grid.__getitem__)
-        assert grid[centre] <= found * (1.0 + 1e-9)
-    assert_allclose(grid[centre], found, rtol=1e-3)
+
+    def error(slopes):
+        return rs.baselines.optimal_fixed_lag_error(with_slopes(system, slopes), delay).trace()
+
+    largest = max(product(np.linspace(-1.0, 1.0, 11), repeat=2), key=error)
+    near = minimize(
+        lambda slopes: -error(slopes), largest, method="Nelder-Mead", bounds=[(-1.0, 1.0)] * 2
+    )
+    assert_allclose(rs.baselines.worst_optimal_error(system, delay), -near.fun, rtol=1e-5)
 
 
 def test_floor_of_a_block_is_that_of_the_worst_of_many():
@@ -251,8 +251,8 @@ def test_floor_of_a_block_is_that_of_the_worst_of_many():
         assert error <= found * (1.0 + 1e-6)
 
 
-@settings(max_examples=8, deadline=None)
-@given(seeds, st.floats(0.05, 0.9), st.floats(0.05, 2.0), st.integers(0, 2))
+@settings(max_examples=4, deadline=None)
+@given(seeds, st.floats(0.05, 0.9), st.floats(0.05, 2.0), st.integers(0, 1))
 def test_no_estimator_is_below_the_floor(seed, size, delay, order):
     rng = np.random.default_rng(seed)
     rate = rs.Uncertainty(B=[[1], [0]], C=[[size, 0]], D=[[0]])
