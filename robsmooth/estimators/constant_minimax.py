@@ -139,7 +139,7 @@ def _candidates(plant: AugmentedSystem) -> list[Estimator]:
     kinds = {False: None, plant.system.g > 0: None}
     found = [fixed_lag_smoother(plant.system, plant.delay, plant.order, kind) for kind in kinds]
     found.append(tuned_fixed_lag_smoother(plant))
-    with suppress(InfeasibleDesignError, RuntimeError):
+    with suppress(InfeasibleDesignError):
         found.append(minimax_smoother(plant))
     return found
 

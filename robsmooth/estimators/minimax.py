@@ -20,9 +20,10 @@ from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import frozen
-from robsmooth.estimators.baselines import fixed_lag_smoother
+from robsmooth.estimators.baselines import fixed_lag_smoother, tuned_fixed_lag_smoother
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.certificate import largest_fraction, least_certificate, problem_of
+from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.programme import NoSolution, copies_are_known, least_certified
@@ -114,8 +115,6 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     InfeasibleDesignError
         Where no estimator has a finite guarantee; it says with which fraction of the uncertainty
         one has. Where the plant is not stable, or a measurement has no noise.
-    RuntimeError
-        Where the solver fails on a problem that has a solution.
     ValueError, TypeError
         For an argument that is not as described.
 
@@ -201,14 +200,15 @@ def _objective(estimator: Estimator, logarithms: np.ndarray) -> tuple[float, np.
 
 
 def _candidates(plant: AugmentedSystem) -> Iterator[Estimator]:
-    """Yield classical smoothers, those that the paper's theory gives, and the estimate zero."""
+    """Yield classical smoothers, tuned too, those of the paper's theory, and the estimate zero."""
     n, m, g = plant.n, plant.system.m, plant.system.g
     with suppress(InfeasibleDesignError):
         for copies in {False, g > 0}:
             yield _of_w_hat(fixed_lag_smoother(plant.system, plant.delay, plant.order, copies))
-    for cost in ("smoothed", "filtered"):
+        yield _of_w_hat(tuned_fixed_lag_smoother(plant, "admissible"))
+    for cost in COSTS:
         with suppress(InfeasibleDesignError):
-            yield _of_w_hat(minimize_bound(plant, cost))
+            yield _of_w_hat(minimize_bound(plant, cost, starts=1))
     zeros = {"B_c": np.zeros((n, plant.system.l + g)), "C_c": np.zeros((m + g, n))}
     none = np.zeros((m, n))
     yield Estimator(plant=plant, A_c=-np.eye(n), C_a=none, C_f=none, **zeros)
