@@ -36,7 +36,7 @@ from robsmooth.systems.delay import pade_delay
 OUTPUTS = ("smoothed", "filtered")
 LARGEST = 20  # states of a plant for the programme: it takes about 10 s there, and 0.1 s for 6
 CONDITION = "A finite guarantee"
-_PROGRAMME, _DESCENT = "semidefinite programme", "descent"
+ROUTES = ("semidefinite programme", "descent")
 _LEAST_SEEN = 1e-4  # of an estimate's size, relative to the largest
 _ROUNDING = 1e-9  # of a row, relative to others
 _ROUNDS = 3  # of descent, each from coordinates balanced anew
@@ -152,14 +152,14 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     natural = units.plant(plant)
     if output == "filtered":  # which does not see the delay model
         natural = AugmentedSystem(natural.system, pade_delay(0.0, 0, plant.system.m), plant.J_21)
-    route, found = _PROGRAMME, None
+    route, found = ROUTES[0], None
     if natural.n <= LARGEST and copies_are_known(natural):
         with suppress(NoSolution, RiccatiError, LinAlgError):
             estimator, theta = least_certified(natural, natural.C_a)
             positive = theta > 0.0
             found = _problem(estimator, positive).at(theta[positive]).mean_square
     if found is None:
-        route = _DESCENT
+        route = ROUTES[1]
         estimator, theta, found = _by_descent(natural)
     estimator = _of_plant(estimator, units.plant(plant), output)
     return MinimaxSmoother(
@@ -169,6 +169,14 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
         cost=output,
         route=route,
     )
+
+
+def certified_error(smoother: MinimaxSmoother) -> float:
+    """Return the error that the smoother's multipliers certify, in the squared unit of w."""
+    theta = smoother.multipliers
+    loop = open_loop(smoother, "guaranteed", "real")
+    problem = ConstraintProblem(loop, smoother.plant, theta > 0.0)
+    return problem.at(theta[problem.active]).mean_square
 
 
 def _problem(estimator: Estimator, kept: np.ndarray | None = None) -> ConstraintProblem:
