@@ -22,17 +22,23 @@ from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import frozen
 from robsmooth.estimators.baselines import fixed_lag_smoother, tuned_fixed_lag_smoother
 from robsmooth.estimators.bound import minimize_bound
-from robsmooth.estimators.certificate import largest_fraction, least_certificate, problem_of
+from robsmooth.estimators.certificate import (
+    ConstraintProblem,
+    largest_fraction,
+    least_certificate,
+    problem_of,
+)
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import open_loop
 from robsmooth.estimators.programme import NoSolution, copies_are_known, least_certified
 from robsmooth.estimators.units import Natural, in_plant_states
 from robsmooth.systems.augmented import AugmentedSystem
 
 LARGEST = 20  # states of a plant for the programme: it takes about 10 s there, and 0.1 s for 6
 CONDITION = "A finite guarantee"
-_PROGRAMME, _DESCENT = "semidefinite programme", "descent"
+ROUTES = ("semidefinite programme", "descent")
 _ROUNDS = 3  # of descent, each from coordinates balanced anew
 
 
@@ -136,14 +142,14 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     0.0887
     """
     natural = Natural.of(plant, output)
-    route, found = _PROGRAMME, None
+    route, found = ROUTES[0], None
     if natural.plant.n <= LARGEST and copies_are_known(natural.plant):
         with suppress(NoSolution, RiccatiError, LinAlgError):
             estimator, theta = least_certified(natural.plant, natural.plant.C_a)
             positive = theta > 0.0
             found = problem_of(estimator, positive).at(theta[positive]).mean_square
     if found is None:
-        route = _DESCENT
+        route = ROUTES[1]
         estimator, theta, found = _by_descent(natural.plant)
     units = natural.units
     return MinimaxSmoother(
@@ -153,6 +159,14 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
         cost=output,
         route=route,
     )
+
+
+def certified_error(smoother: MinimaxSmoother) -> float:
+    """Return the error that the smoother's multipliers certify, in the squared unit of w."""
+    theta = smoother.multipliers
+    loop = open_loop(smoother, "guaranteed", "real")
+    problem = ConstraintProblem(loop, smoother.plant, theta > 0.0)
+    return problem.at(theta[problem.active]).mean_square
 
 
 def _by_descent(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray, float]:
