@@ -42,6 +42,7 @@ from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
+from robsmooth.systems.functions import name_of
 from robsmooth.systems.system import UncertainSystem
 
 _FORMAT = 1
@@ -208,24 +209,20 @@ def _content(kind: str, value: Any) -> dict:
             part = [_content(name, member) for member in part]
         elif name in _FIELDS:
             part = _content(name, part)
-        content[name] = _name(part) if name == "function" else part
+        content[name] = name_of(part) if name == "function" else part
     return content
-
-
-def _name(function: Callable | None) -> str | None:
-    called = getattr(function, "__name__", type(function).__qualname__)  # NumPy's, before 2.2
-    return None if function is None else getattr(function, "__qualname__", called)
 
 
 def _check_names(functions: Sequence[Callable | None]) -> None:
     """Check that each name stands for one function."""
     named: dict[str | None, int] = {}
     for i, function in enumerate(functions):
-        first = named.setdefault(_name(function), i)
+        name = function and name_of(function)
+        first = named.setdefault(name, i)
         if functions[first] != function:
             raise ValueError(
                 f"nonlinearities[{first}].function and nonlinearities[{i}].function must have "
-                f"names of their own to be saved, got two different ones called {_name(function)!r}"
+                f"names of their own to be saved, got two different ones called {name!r}"
             )
 
 
