@@ -11,6 +11,7 @@ from importlib import metadata
 
 from benchmarks import report, scales
 from benchmarks.design import design_and_sweep
+from benchmarks.guarantees import guarantees
 from benchmarks.peers import cpp
 from robsmooth.workbench import provenance
 
@@ -31,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         *report.scale_tables(results),
         report.records_table(results),
         report.design_table(results),
+        report.guarantees_table(results),
     ):
         print(table)
     for text in report.skipped(results) if options.quick else report.remarks(results):
@@ -50,11 +52,13 @@ def measure(quick: bool, peers: str) -> dict:
     records = on_one_core("benchmarks.throughput", *(["--quick"] if quick else []))
     curves = scales.scales(scales.QUICK if quick else scales.FULL)
     waits = design_and_sweep(5 if quick else 31)
+    certified = guarantees(1 if quick else 5)
     about = provenance.collect(started=started)
     about["load_before"] = load
     about["compiler"] = cpp.version()
     about["versions"] |= {name: version(name) for name in ("jax", "diffrax")}
-    return {"about": about, "race": race, "scales": curves, "records": records, "design": waits}
+    measured = {"race": race, "scales": curves, "records": records, "design": waits}
+    return {"about": about, **measured, "guarantees": certified}
 
 
 def on_one_core(module: str, *arguments: str) -> dict:

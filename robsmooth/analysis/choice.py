@@ -154,8 +154,9 @@ class Choice:
             return f"The classical smoother is as good, with a {kind} error of {best:.4g}: use it."
         if math.isinf(classical):
             return f"Use the {self.name} smoother: only designs for the uncertainty are safe here."
+        saved = 1.0 - best / classical
         return (
-            f"Robustness buys {1.0 - best / classical:.0%} here: the {kind} error falls from "
+            f"Robustness buys {100.0 * saved:.{2 if saved < 0.99 else 4}g}% here: the {kind} error falls from "
             f"{classical:.4g} (classical) to {best:.4g} ({self.name})."
         )
 

@@ -204,7 +204,20 @@ def test_a_design_that_takes_too_long_is_said_to(results):
     assert report.shortfalls(slow) == ["design and sweep take 80 ms; the aim is 50 ms"]
 
 
+def test_a_minimax_smoother_that_takes_too_long_is_said_to(results):
+    first, *others = results["guarantees"]
+    slow = {**results, "guarantees": [{**first, "seconds": 2.0}, *others]}
+    (sentence,) = report.shortfalls(slow)
+    assert sentence.startswith("the minimax smoother of the paper's example, smoothed takes 2.0 s")
+
+
 # --- the record ----------------------------------------------------------------------------------
+
+
+def test_the_record_certifies_what_a_prototype_did_or_less(results):
+    for row in results["guarantees"]:
+        assert row["minimax"] <= row["reference"]
+        assert row["minimax"] <= min(row["classical"], row["tuned"]) * (1 + 1e-6)
 
 
 def test_the_readme_quotes_the_record(results):
