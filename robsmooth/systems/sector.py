@@ -11,7 +11,8 @@ from robsmooth.systems.channels import Nonlinearity
 from robsmooth.systems.functions import Function, check_function, combination, on_arrays
 
 _POINTS = 2**13  # even, so that zero is not one of them
-_KINK = 1e-3  # of the range of slopes: a larger second difference of them is one
+_UNEVEN = 0.1  # of the second differences of slopes: where they differ by more, there is a corner
+_ROUNDING = 1e-10  # of the slopes: second differences that differ by less do not count
 _STEEPENING = 1.1  # of the range of slopes at half the distance, where it grows without bound
 _FLAT = 1e-9  # of the slopes: a smaller range of them is rounding
 
@@ -117,7 +118,8 @@ def sector(function: Function, reach: float, chords: bool = False) -> Sector:
     if np.ptp(slopes) > _STEEPENING * np.ptp(slopes[2:] + slopes[:-2]) / 2:
         at = f"near {x[np.abs(slopes).argmax()]:.5g}"
         raise ValueError(f"function must have slopes within bounds, got ever larger ones {at}")
-    lower, upper = (sign * _largest(sign * slopes, 0.0 if chords else 0.5) for sign in (-1, 1))
+    half = 0.0 if chords else 0.5
+    lower, upper = 0.0 - _largest(-slopes, half), _largest(slopes, half)
     if not upper - lower > _FLAT * max(abs(lower), abs(upper)):
         line = f"a line of slope {upper:.5g}, which belongs into A and C2"
         raise ValueError(f"function must not be linear, got {line}")
@@ -132,11 +134,13 @@ def _largest(slopes: Matrix, half: float) -> float:
     Where they are smooth, it is that of the parabola through the three around the largest.
     """
     best = int(slopes.argmax())
+    around = slopes[max(best - 2, 0) :][:5] if best < len(slopes) - 3 else slopes[-5:]
+    bends, end = np.diff(around, 2), 1 + half
+    if np.ptp(bends) > _UNEVEN * np.abs(bends).max() + _ROUNDING * np.abs(slopes).max():
+        return float(slopes[best])  # a corner
     middle = min(max(best, 1), len(slopes) - 2)
     first, second, third = slopes[middle - 1 : middle + 2]
-    bend, end = first - 2 * second + third, 1 + half
-    if not abs(bend) < _KINK * np.ptp(slopes):
-        return float(slopes[best])
+    bend = first - 2 * second + third
     t = np.clip([-end, (first - third) / (2 * bend or 1.0), end], -end, end)
     parabola = second + t * (third - first) / 2 + (t**2 - half**2 / 3) * bend / 2
     return float(parabola.max())
