@@ -45,6 +45,7 @@ from robsmooth.estimators.minimax import ROUTES, MinimaxSmoother, certified_erro
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
+from robsmooth.systems.functions import name_of
 from robsmooth.systems.system import UncertainSystem
 
 _KINDS = {"system": UncertainSystem, "plant": AugmentedSystem, "estimator": Estimator}
@@ -370,9 +371,7 @@ def _fields(kind: str, value: Any) -> dict:
 def _name(function: Callable | None) -> str | None:
     if function is None:
         return None
-    called = getattr(function, "__name__", type(function).__qualname__)  # NumPy's, before 2.2
-    name = getattr(function, "__qualname__", called)
-    return "".join(c if c.isprintable() else "?" for c in name)
+    return "".join(c if c.isprintable() else "?" for c in name_of(function))
 
 
 def _check_names(functions: list[Callable | None]) -> None:

@@ -119,6 +119,7 @@ OBJECTS = {
         lambda: rs.sample_paths(linear_loop(), runs=2, duration=1e-5),
         ["2 paths", "lag=3.1e-06 s", "1 outputs"],
     ),
+    "Sector": (lambda: rs.sector(np.sin, 1.2), ["sin", "reach=1.2", "upper=1.0"]),
     "SimulatedError": (
         lambda: rs.simulate(linear_loop(), runs=16, duration=1e-5).smoothed,
         [" +- ", "covariance=[[0.0"],

@@ -19,6 +19,14 @@ sine = rs.Nonlinearity([[0.0]], [[0.1]], [[1]], 1, np.sin)
 A, B1, C0, C2, D21 = [[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]]
 system = rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties=[decay, gain])
 loop = rs.UncertainSystem(A, B1, C0, C2, D21, (decay, gain), (sine for _ in range(1)))
+found = rs.sector(np.sin, np.float64(1.2))
+assert_type(found, rs.Sector)
+assert_type(found.lower, float)
+assert_type(found.nonlinearity([[0.0]], [[1.0]], [[1]], noise=0.1), rs.Nonlinearity)
+assert_type(
+    rs.Nonlinearity([[0]], [[1]], [[1]], sector=(0.6, 1)).sector, tuple[float, float] | None
+)
+assert_type(rs.sector(np.tanh, 1, chords=True).remainder(0.1), Any)
 assert_type(decay, rs.Uncertainty)
 assert_type(decay.B, Floats)
 assert_type(sine.lipschitz, float)
@@ -139,6 +147,7 @@ assert_type(paths.w, Floats)
 paper = rs.homodyne.PAPER
 assert_type(paper, rs.homodyne.HomodyneParameters)
 assert_type(paper.uncertain_system(), rs.UncertainSystem)
+assert_type(paper.centred(), rs.homodyne.HomodyneParameters)
 assert_type(paper.with_gain(0.5), rs.homodyne.HomodyneParameters)
 assert_type(rs.homodyne.fraction_inside(0.5, 0.1), float)
 kalman = rs.baselines.kalman_bucy(paper.uncertain_system(), copies=True)
