@@ -19,10 +19,10 @@ sine = rs.Nonlinearity([[0.0]], [[0.1]], [[1]], 1, np.sin)
 A, B1, C0, C2, D21 = [[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]]
 system = rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties=[decay, gain])
 loop = rs.UncertainSystem(A, B1, C0, C2, D21, (decay, gain), (sine for _ in range(1)))
-found = rs.sector(np.sin, np.float64(1.2))
-assert_type(found, rs.Sector)
-assert_type(found.lower, float)
-assert_type(found.nonlinearity([[0.0]], [[1.0]], [[1]], noise=0.1), rs.Nonlinearity)
+sine_sector = rs.sector(np.sin, np.float64(1.2))
+assert_type(sine_sector, rs.Sector)
+assert_type(sine_sector.lower, float)
+assert_type(sine_sector.nonlinearity([[0.0]], [[1.0]], [[1]], noise=0.1), rs.Nonlinearity)
 assert_type(
     rs.Nonlinearity([[0]], [[1]], [[1]], sector=(0.6, 1)).sector, tuple[float, float] | None
 )
