@@ -277,10 +277,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if not 0.0 < options.seconds < np.inf:
         parser.error(f"--seconds must be a number above zero, got {options.seconds:g}")
-    started = time.perf_counter()
+    started, revision = time.perf_counter(), provenance.revision()
     found = measure(options.seconds)
     command = f"python -m benchmarks.nonlinear_floor --seconds {options.seconds:g}"
     about = provenance.collect(seed=SEED, started=started, command=command)
+    about["revision"] = revision  # what ran, whatever was edited meanwhile
     files.write_json(data_folder() / NONLINEAR_FLOOR, {"unit": "rad^2", **found, "about": about})
     for name in OUTPUTS:
         print(
