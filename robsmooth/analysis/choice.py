@@ -154,9 +154,10 @@ class Choice:
             return f"The classical smoother is as good, with a {kind} error of {best:.4g}: use it."
         if math.isinf(classical):
             return f"Use the {self.name} smoother: only designs for the uncertainty are safe here."
-        saved = 1.0 - best / classical
+        saved = 100.0 * (1.0 - best / classical)
+        digits = 2 if saved < 99.0 else 4
         return (
-            f"Robustness buys {100.0 * saved:.{2 if saved < 0.99 else 4}g}% here: the {kind} error falls from "
+            f"Robustness buys {saved:.{digits}g}% here: the {kind} error falls from "
             f"{classical:.4g} (classical) to {best:.4g} ({self.name})."
         )
 

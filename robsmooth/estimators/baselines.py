@@ -233,9 +233,11 @@ def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
     >>> round(rs.baselines.worst_optimal_error(rs.homodyne.PAPER.uncertain_system(), 3.1e-6), 5)
     0.08358
     """
-    validation.instance("system", system, UncertainSystem)
+    nominal = float(np.trace(optimal_fixed_lag_error(system, delay)))
     channels = [(c, 1.0) for c in system.uncertainties if c.C.any()]
     channels += [(c, c.lipschitz) for c in system.nonlinearities]
+    if not channels:
+        return nominal
     shapes = [(c.B.shape[1], len(c.C)) for c, _ in channels]
     sizes = [rows * columns for rows, columns in shapes]
 
@@ -250,8 +252,6 @@ def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
 
     corners = np.random.default_rng(0).choice((-1.0, 1.0), (_CORNERS, sum(sizes)))
     starts = np.vstack([np.zeros(sum(sizes)), np.unique(np.vstack([corners, -corners]), axis=0)])
-    if not channels:
-        return math.exp(-gain(starts[0]))
     box = [(-1.0, 1.0)] * sum(sizes)
     least = min(minimize(gain, start, method="L-BFGS-B", bounds=box).fun for start in starts)
     return math.exp(-least)

@@ -7,10 +7,12 @@ several starts, finds the worst of them.
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
 
+from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
 from robsmooth.estimators.loop import OpenLoop
@@ -22,14 +24,35 @@ _CHANGE = 1e-13  # a step whose gain or loss is less, relatively, changes nothin
 _STEPS_WITHOUT_GAIN = 3  # in a row: then the search is over
 
 
+def scaled(loop: OpenLoop) -> OpenLoop:
+    """Return a loop with the same errors, in units of its fastest mode and its deviations."""
+    poles = np.linalg.eigvals(loop.A)
+    if not poles.real.max() < -_MARGINAL * np.abs(poles).max():
+        return loop
+    time, variances = 1.0 / np.abs(poles).max(), np.diag(covariances(loop.A, loop.B).stationary)
+    x = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    return replace(
+        loop,
+        A=time * loop.A / x[:, None] * x,
+        B=np.sqrt(time) * loop.B / x[:, None],
+        inputs=time * loop.inputs / x[:, None],
+        outputs=loop.outputs * x,
+        truth=loop.truth * x,
+        estimate=loop.estimate * x,
+        delay=loop.delay / time,
+    )
+
+
 def mean_square(loop: OpenLoop, Delta: Matrix) -> float:
     """Return the mean square error; infinity where the loop is not stable."""
     return _moments(loop, Delta)[0]
 
 
 def slopes(loop: OpenLoop, Delta: Matrix) -> tuple[float, Slopes]:
-    """Return the mean square error of a stable loop, and its slopes in the loop's matrices."""
+    """Return the error and its slopes; an ArithmeticError says that the loop is not stable."""
     value, A, P, through, after = _moments(loop, Delta)
+    if math.isinf(value):
+        raise ArithmeticError("the loop is not stable")
     truth, estimate, delay = loop.truth, loop.estimate, loop.delay
     mixed = truth.T @ after
     weight = truth.T @ truth + estimate.T @ estimate - mixed - mixed.T

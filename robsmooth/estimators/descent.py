@@ -1,9 +1,11 @@
 r"""Descent on an error over all linear estimators of a given order.
 
-The variables are the drift, the gains, the copies' arguments and the read-out of the estimate of
-(eqcontrol). The error and its gradient with respect to the loop's matrices are the caller's; here
-that is brought to the estimator's own. States of the estimator have no meaning of their own: the
-search goes on in coordinates in which their covariance is the identity.
+The variables are the drift, the measurement's gain, the copies' arguments and the read-out of the
+estimate of (eqcontrol). What a copy gives is taken off the measurement as its nonlinearity enters
+it: then a reference that both arguments are less does not matter. The error and its gradient with
+respect to the loop's matrices are the caller's; here that is brought to the estimator's own. States
+of the estimator have no meaning of their own: the search goes on in coordinates in which their
+covariance is the identity.
 """
 
 from collections.abc import Callable
@@ -16,6 +18,7 @@ from scipy.optimize import minimize
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import matrices
+from robsmooth.systems.augmented import AugmentedSystem
 
 _REFUSED = 1e2  # more than the logarithm of any error in natural units
 _GRADIENT = 1e-9  # of the logarithm, at the end of a search
@@ -45,6 +48,8 @@ class Slopes:
             + self.inputs[own] @ plant.D21_tilde.T
         )
         arguments = (plant.D12_tilde.T @ self.outputs[:, own])[m:]
+        measured, copied = np.hsplit(gain, [plant.system.l])
+        gain = measured - copied @ _through(plant).T
         parts = (drift, gain, arguments, self.estimate[:, own])
         return np.concatenate([part.ravel() for part in parts])
 
@@ -56,23 +61,34 @@ def _real_noise(estimator: Estimator) -> Matrix:
     return noise
 
 
+def _through(plant: AugmentedSystem) -> Matrix:
+    """Return how nonlinearities enter the measurement, (l, g)."""
+    _, _, D = plant.system.stacked(plant.system.nonlinearities)
+    return D
+
+
 def variables(estimator: Estimator) -> np.ndarray:
     """Return drift, gains, the copies' arguments and the read-out as one array."""
-    m = estimator.plant.system.m
-    parts = (estimator.A_c, estimator.B_c, estimator.C_c[m:], estimator.C_a)
-    return np.concatenate([part.ravel() for part in parts])
+    return np.concatenate([part.ravel() for part in _parts(estimator)])
+
+
+def _parts(estimator: Estimator) -> tuple[Matrix, ...]:
+    system = estimator.plant.system
+    return estimator.A_c, estimator.B_c[:, : system.l], estimator.C_c[system.m :], estimator.C_a
 
 
 def with_variables(estimator: Estimator, x: np.ndarray) -> Estimator:
     """Return the estimator that has these variables; its C_c and C_a read the same estimate."""
-    m = estimator.plant.system.m
-    parts = (estimator.A_c, estimator.B_c, estimator.C_c[m:], estimator.C_a)
+    parts = _parts(estimator)
     ends = np.cumsum([part.size for part in parts])[:-1]
-    A_c, B_c, arguments, C_a = (
+    A_c, gain, arguments, C_a = (
         values.reshape(part.shape).copy()
         for values, part in zip(np.split(x, ends), parts, strict=True)
     )
-    return replace(estimator, A_c=A_c, B_c=B_c, C_c=np.vstack([C_a, arguments]), C_a=C_a)
+    plant = estimator.plant
+    copies = estimator.B_c[:, plant.system.l :] + (parts[1] - gain) @ _through(plant)
+    B_c, C_c = np.hstack([gain, copies]), np.vstack([C_a, arguments])
+    return replace(estimator, A_c=A_c, B_c=B_c, C_c=C_c, C_a=C_a)
 
 
 def balanced(estimator: Estimator) -> Estimator:

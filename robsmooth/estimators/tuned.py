@@ -6,7 +6,6 @@ that are one number. The slope of a nonlinearity counts for the gain only: its c
 """
 
 import math
-from collections.abc import Callable
 from contextlib import suppress
 from operator import itemgetter
 
@@ -29,16 +28,15 @@ from robsmooth.systems.system import UncertainSystem
 
 AGAINST = ("constant", "admissible")
 _ROUNDS = 5
-_CLOSED = 1e-3  # a round that gains less, relatively, is the last
+_CLOSED = 1e-3  # relative: no other Delta is worse by more
 _REFUSED = 1e2  # more than the logarithm of any error in natural units
 _LITTLE_NOISE = -6.0  # through an uncertainty's channel, at the start: a logarithm
 _SHIFTS = (0.0, 3.5, 7.0)  # of the measurement noises' logarithms, where searches start
+_MORE = 7.0  # how far a multiplier's logarithm may go
 _STARTS = 8  # of the search for the worst Delta
 _LOGARITHMS = (-15.0, 15.0)
 _STEP = 0.1  # of the box, at first
 _OPTIONS = {"maxfev": 300, "xatol": 1e-2, "fatol": 1e-5}
-
-Error = Callable[[Estimator], float]
 
 
 @one_thread
@@ -86,61 +84,66 @@ def tuned_fixed_lag_smoother(
     """
     validation.choice("against", against, AGAINST)
     natural = Natural.of(plant, output)
-    constant = against == "constant"
-    attack = _worst_constant if constant else _certified
     family = _Family(natural.plant)
-    found = [(*attack(family(start)), start) for start in family.starts]
-    best, newest, point = min(found, key=itemgetter(0))
-    # many uncertainties together are the worst case, but one set of multipliers is a certificate
-    attacks = [error for _, error, _ in found] if constant else [newest]
+    search = _least_constant if against == "constant" else _least_certified
+    return Estimator(**natural.restored(family(search(family))))
 
-    def objective(trial: np.ndarray) -> float:
+
+def _least_constant(family: "_Family") -> np.ndarray:
+    """Return a point with a small worst constant error: of a few Delta, and the worst is added."""
+    found = [(*_worst(family(start)), start) for start in family.starts]
+    least, _, best = min(found, key=itemgetter(0))
+    Deltas = [Delta for _, Delta, _ in found]
+
+    def objective(point: np.ndarray) -> float:
         with suppress(ArithmeticError, LinAlgError, InfeasibleDesignError):
-            estimator = family(trial)
-            return min(math.log(max(error(estimator) for error in attacks)), _REFUSED)
+            loop = open_loop(family(point), "smoothed", "real")
+            return min(math.log(max(mean_square(loop, Delta) for Delta in Deltas)), _REFUSED)
         return _REFUSED
 
-    trial = point
+    point = best
     for _ in range(_ROUNDS):
-        before, trial = best, _minimum(objective, trial, family.box)
-        expected = math.exp(objective(trial))
-        value, error = attack(family(trial))
-        attacks = [*attacks, error] if constant else [error]
-        if value < best:
-            best, point = value, trial
-        if abs(value / expected - 1.0) < _CLOSED and best > (1.0 - _CLOSED) * before:
+        steps = np.where(point > 0.0, -_STEP, _STEP) * (family.box[:, 1] - family.box[:, 0])
+        options = {**_OPTIONS, "initial_simplex": np.vstack([point, point + np.diag(steps)])}
+        how = {"method": "Nelder-Mead", "bounds": family.box, "options": options}
+        point = minimize(objective, point, **how).x
+        expected = math.exp(objective(point))
+        value, Delta = _worst(family(point))
+        Deltas.append(Delta)
+        if value < least:
+            least, best = value, point
+        if value < (1.0 + _CLOSED) * expected:
             break
-    return Estimator(**natural.restored(family(point)))
+    return best
 
 
-def _minimum(objective: Callable, start: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Return a local minimum, by the method of Nelder and Mead."""
-    steps = np.where(start > box.mean(axis=1), -_STEP, _STEP) * (box[:, 1] - box[:, 0])
-    simplex = np.vstack([start, start + np.diag(steps)])
-    options = {**_OPTIONS, "initial_simplex": simplex}
-    return minimize(objective, start, method="Nelder-Mead", bounds=box, options=options).x
+def _worst(estimator: Estimator) -> tuple[float, np.ndarray]:
+    return worst_delta(open_loop(estimator, "smoothed", "real"), _STARTS, seed=0)
 
 
-def _worst_constant(estimator: Estimator) -> tuple[float, Error]:
-    """Return the worst constant error, and the error under the uncertainty that has it."""
-    value, Delta = worst_delta(open_loop(estimator, "smoothed", "real"), _STARTS, seed=0)
-    return value, lambda trial: mean_square(open_loop(trial, "smoothed", "real"), Delta)
+def _least_certified(family: "_Family") -> np.ndarray:
+    """Return a point with a small certified error, by a search over it and the multipliers."""
+    least, best, logarithms = math.inf, family.starts[0], None
+    for start in family.starts:
+        problem = problem_of(family(start))
+        fraction, theta = largest_fraction(problem)
+        if fraction == 1.0:
+            theta = least_certificate(problem, theta)
+            value = problem.at(theta).mean_square
+            if value < least:
+                least, best, logarithms = value, start, np.log(theta)
+    if logarithms is None:
+        return best
 
+    def objective(x: np.ndarray) -> float:
+        point, theta = x[: len(best)], np.exp(x[len(best) :])
+        with suppress(ArithmeticError, LinAlgError, InfeasibleDesignError):
+            return math.log(problem_of(family(point)).at(theta).mean_square)
+        return _REFUSED
 
-def _certified(estimator: Estimator) -> tuple[float, Error]:
-    """Return the certified error, and the bound with its multipliers; infinity without one."""
-    problem = problem_of(estimator)
-    fraction, theta = largest_fraction(problem)
-    if fraction < 1.0:
-        return math.inf, lambda trial: math.inf
-    theta = least_certificate(problem, theta)
-
-    def error(trial: Estimator) -> float:
-        with suppress(ArithmeticError):
-            return problem_of(trial).at(theta).mean_square
-        return math.inf
-
-    return error(estimator), error
+    box = [*family.box, *zip(logarithms - _MORE, logarithms + _MORE, strict=True)]
+    found = minimize(objective, np.concatenate([best, logarithms]), method="L-BFGS-B", bounds=box)
+    return found.x[: len(best)] if found.fun < math.log(least) else best
 
 
 class _Family:

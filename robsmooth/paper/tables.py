@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import wraps
 from itertools import product
@@ -15,21 +14,17 @@ from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.notation import matrix as matrix
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
-from robsmooth.analysis.constraints import AnalysisBound
+from robsmooth.analysis.choice import Choice
 from robsmooth.analysis.covariance import delta_sweep, error_covariance
-from robsmooth.analysis.lag import choose_lag
-from robsmooth.analysis.worst_case import WorstCase
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother, design_equations
 from robsmooth.homodyne import PAPER, HomodyneParameters, fraction_inside
-from robsmooth.homodyne.comparison import Compared
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.homodyne.study import Study
 from robsmooth.paper import predictions, published
 from robsmooth.simulation.statistics import SimulationResult
 from robsmooth.systems.augmented import AugmentedSystem, augment
-from robsmooth.systems.system import UncertainSystem
 
 P = ParamSpec("P")
 Records = Iterator[dict[str, Any]]  # the cells of each row, by their columns
@@ -271,82 +266,17 @@ def study(found: Study, lag: float) -> Records:
 
 
 @_table()
-def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float]) -> Records:
-    """Mean square errors (rad²) side by side: under constant uncertainties, the worst that the
-    constraints allow, and in the loop with its sine, simulated with the same noise for all (± one
-    standard error) and from the moments. $2V$ is what the design promises of the error that its
-    cost is for, in a loop whose copies have noise.
+def candidates(choice: Choice, more: Mapping[str, Mapping[str, float]]) -> Records:
+    """Mean square errors of the smoothed estimate by each candidate: in a loop without uncertainty,
+    under the worst constant one, and the certified worst that no admissible one exceeds.
     """
-    for name, case in compared.items():
-        yield {
-            "estimator": name,
-            **{rf"$\Delta_2 = {s:g}$": error for s, error in zip(slopes, case.at, strict=True)},
-            "worst constant": case.worst.mean_square,
-            "worst allowed": case.allowed.mean_square,
-            "$2V$": getattr(case.estimator, "mean_square_bound", None),
-            "with the sine": _estimate(case.simulated, ".4f"),
-            "without sampling": case.exact,
-            "slips": case.slips,
-        }
-
-
-@_table(digits=6)
-def optima(designs: Mapping[str, RobustSmoother]) -> Records:
-    """The true optimum: the infimum of the bound over all multipliers, where it is, and the
-    estimator in the limit; of a pair of complex poles one is shown.
-    """
-    for name, design in designs.items():
-        least = design.limit or design
-        attained = "no" if design.limit else "yes"
-        record = {"cost": name, "infimum of $V$ (rad²)": least.bound, "attained": attained}
-        record |= {r"$\tau$ (rad² µs)": 1e6 * least.tau}
-        record |= {r"$\lambda$": f"({_numbers(least.multipliers)})"}
-        yield record | {"poles (1/µs)": _numbers(least.poles / 1e6)}
-
-
-@_table(digits=6)
-def gains(estimators: Mapping[str, Estimator]) -> Records:
-    r"""The gains of the phase: its own drift, what the measurement and the copy drive it with, and
-    what $\hat w$ and the copy's argument take of it.
-    """
-    for name, estimator in estimators.items():
-        record = {"estimator": name, "$A_c[0,0]$ (1/s)": estimator.A_c[0, 0]}
-        record |= {"$B_c[0,0]$ (1/s)": estimator.B_c[0, 0], "$B_c[0,1]$": estimator.B_c[0, 1]}
-        yield record | {f"$C_c[{i},0]$": estimator.C_c[i, 0] for i in (0, 1)}
-
-
-@_table()
-def tightness(found: Mapping[str, tuple[WorstCase | AnalysisBound, ...]]) -> Records:
-    """How tight the guarantee is (rad²): twice the bound against the worst error that the
-    constraints allow, which some input attains, against the worst constant uncertainty, and against
-    none; in the loop of the theory, whose copies have noise, and in a real one.
-    """
-    for name, (constant, allowed, constant_real, allowed_real) in found.items():
-        yield {
-            "design": name,
-            "$2V$": constant.guarantee,
-            "worst allowed": allowed.mean_square,
-            "worst constant": constant.mean_square,
-            "nominal": constant.nominal,
-            "share of $2V$": f"{allowed.mean_square / constant.guarantee:.0%}",
-            "worst allowed, real loop": allowed_real.mean_square,
-            "worst constant, real loop": constant_real.mean_square,
-            "share of $2V$, real loop": f"{allowed_real.mean_square / constant.guarantee:.0%}",
-        }
-
-
-@_table(digits=3)
-def lag_choices(system: UncertainSystem, names: Iterable[str], shares: Iterable[float]) -> Records:
-    """The shortest lag, and the lowest order for it, that take a design to a share of what
-    smoothing could gain; empty where no order does.
-    """
-    for design, share in product(names, shares):
-        record = {"design": design, "share of the gain": f"{100 * share:g}%"}
-        with suppress(InfeasibleDesignError):
-            choice = choose_lag(system, fraction=share, design=design)
-            record |= {"lag (µs)": 1e6 * choice.lag, "order": str(choice.order)}
-            record |= {"error (rad²)": choice.error}
-            record |= {"shortest with an exact delay (µs)": 1e6 * choice.shortest}
+    for name, each in choice.candidates.items():
+        record = {"smoother": name}
+        if each.estimator is not None:
+            errors = vars(each.judgement).items()
+            record |= {field.replace("_", " "): error for field, error in errors}
+            record |= {column: errors[name] for column, errors in more.items()}
+            record["$2V$"] = each.estimator.mean_square_bound
         yield record
 
 

@@ -1,7 +1,6 @@
-"""The worst uncertainty: against grids, random ones, quadrature, and what theory says of it."""
+"""The worst constant uncertainty: against grids, random ones, and what theory says of it."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,20 +12,14 @@ from robsmooth import (
     Estimator,
     UncertainSystem,
     Uncertainty,
-    UnstableLoopError,
     augment,
     design_smoother,
     error_covariance,
     homodyne,
 )
-from robsmooth.analysis.constraints import analysis_bound
-from robsmooth.analysis.worst_case import (
-    mean_square_and_gradient,
-    worst_case,
-    worst_dynamic_case,
-)
+from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
-from robsmooth.estimators.loop import LOOPS, OUTPUTS, open_loop
+from robsmooth.estimators.loop import LOOPS
 from tests.helpers.loops import looking_at_nothing
 from tests.helpers.strategies import (
     admissible_delta,
@@ -35,6 +28,7 @@ from tests.helpers.strategies import (
     random_system,
     seeds,
 )
+from tests.helpers.systems import DRIVE, GAIN, cancelling, in_other_units
 
 
 @pytest.fixture(scope="module")
@@ -50,24 +44,6 @@ def designed(seed, cost="filtered", size=0.1, **sizes):
     design = feasible_design(rng, augment(random_system(rng, size=size, **sizes), 0.7, 2), cost)
     assert design is not None
     return design
-
-
-@settings(max_examples=20)
-@given(designs(), st.sampled_from(OUTPUTS), st.sampled_from(LOOPS), seeds)
-def test_gradient_is_that_of_the_error(design, output, loop, seed):
-    rng = np.random.default_rng(seed)
-    opened = open_loop(design, output, loop)
-    Delta = 0.9 * admissible_delta(rng, design.plant)
-    value, gradient = mean_square_and_gradient(opened, Delta)
-    if output != "guaranteed":
-        assert_allclose(value, np.trace(error_covariance(design, Delta, output, loop)), rtol=1e-8)
-    direction = rng.standard_normal(Delta.shape)
-    step = 1e-5
-    beside = [
-        mean_square_and_gradient(opened, Delta + sign * step * direction)[0] for sign in (1, -1)
-    ]
-    scale = np.linalg.norm(gradient) * np.linalg.norm(direction) + value
-    assert abs((beside[0] - beside[1]) / (2 * step) - (gradient * direction).sum()) < 1e-5 * scale
 
 
 @settings(max_examples=15)
@@ -189,99 +165,7 @@ def test_search_does_not_depend_on_the_seed():
     assert_allclose(first, second, rtol=1e-9)
 
 
-@pytest.mark.parametrize("loop", LOOPS)
-@pytest.mark.parametrize("output", OUTPUTS)
-def test_worst_phase_of_the_example_is_the_best_of_a_grid(example, output, loop):
-    found = worst_dynamic_case(example, output, loop)
-    opened = open_loop(example, output, loop)
-    some = np.arange(0, len(found.frequencies), 37)
-    phases = np.exp(1j * np.linspace(0, 2 * np.pi, 721))
-    for i in some:
-        s = 1j * found.frequencies[i]
-        best = 0.0
-        for phase in phases:
-            Delta = np.diag([0.0, phase, phase])
-            A = opened.A + opened.inputs @ Delta @ opened.outputs
-            states = np.linalg.solve(s * np.eye(len(A)) - A, opened.B)
-            T = (opened.truth * np.exp(-s * opened.delay) - opened.estimate) @ states
-            best = max(best, (np.abs(T) ** 2).sum())
-        assert best <= found.spectra[2, i] * (1 + 1e-9)
-        assert_allclose(best, found.spectra[2, i], rtol=1e-4)
-    slopes = found.Delta[:, 1, 1]
-    assert_allclose(np.abs(slopes), 1.0, rtol=1e-9)
-    assert_array_equal(slopes, found.Delta[:, 2, 2])
-
-
-@pytest.mark.parametrize(
-    "seed, sizes, output", [(3, {"m": 1, "g": 0}, "smoothed"), (5, {"m": 2, "g": 1}, "filtered")]
-)
-def test_worst_at_each_frequency_is_worse_than_constant_and_than_random(seed, sizes, output):
-    design = designed(seed, n=2, measurements=2, **sizes)
-    found = worst_dynamic_case(design, output, starts=4)
-    nominal, constant, worst = found.spectra
-    assert found.constant.mean_square < found.mean_square
-    assert (worst >= constant * (1 - 1e-9)).all()
-    assert (worst >= nominal * (1 - 1e-9)).all()
-    # the integral, by another rule, is what the Lyapunov equation says
-    log = np.log(found.frequencies)
-    for spectrum, expected in zip(
-        found.spectra,
-        (found.constant.nominal, found.constant.mean_square, found.mean_square),
-        strict=True,
-    ):
-        inside = np.trapezoid(spectrum * found.frequencies, log) / np.pi
-        assert_allclose(inside, expected, rtol=2e-3)
-    loop, rng = open_loop(design, output, "theory"), np.random.default_rng(seed)
-    for i in rng.integers(len(worst), size=40):
-        blocks = [rng.standard_normal((2, *block.shape)) for block in loop.blocks]
-        blocks = [real + 1j * imaginary for real, imaginary in blocks]
-        Delta = loop.assemble([each / np.linalg.norm(each, 2) for each in blocks], ())
-        A = loop.A + loop.inputs @ Delta @ loop.outputs
-        s = 1j * found.frequencies[i]
-        T = (loop.truth * np.exp(-s * loop.delay) - loop.estimate) @ np.linalg.solve(
-            s * np.eye(len(A)) - A, loop.B
-        )
-        assert (np.abs(T) ** 2).sum() <= worst[i] * (1 + 1e-9)
-
-
-def test_an_uncertainty_that_knows_the_future_is_worse_than_the_exact_worst_case():
-    # |1/(j omega + 1 - Delta)|^2 is at most 1/(|j omega + 1| - a)^2; causal: 1/2(1 - a)
-    a = 0.3
-    smoother = looking_at_nothing(a)
-    found = worst_dynamic_case(smoother, "filtered")
-    omega = found.frequencies
-    assert_allclose(found.spectra[2], 1 / (np.sqrt(1 + omega**2) - a) ** 2, rtol=1e-9)
-    exact = analysis_bound(smoother, "filtered").mean_square
-    assert_allclose(exact, worst_case(smoother, "filtered").mean_square, rtol=1e-6)
-    assert found.mean_square > 1.1 * exact
-
-
-def test_no_theorem_has_the_worst_at_each_frequency_below_the_guarantee(example):
-    above = designed(25, n=2, m=1, measurements=1, g=0)
-    assert worst_dynamic_case(above, "guaranteed").mean_square > 1.05 * above.mean_square_bound
-    assert analysis_bound(above).mean_square < above.mean_square_bound
-    assert worst_dynamic_case(example, "guaranteed").mean_square < example.mean_square_bound
-
-
-def test_dynamic_case_wants_a_loop_that_is_proven_stable():
-    with pytest.raises(UnstableLoopError, match=r"no multipliers prove .* scaled by 0\.[67]"):
-        worst_dynamic_case(looking_at_nothing(1.5), "filtered")
-
-
-def test_without_uncertainty_nothing_is_worse_than_the_nominal_error():
-    system = UncertainSystem(A=[[-1.0]], B1=[[1, 0]], C0=[[1.0]], C2=[[1.0]], D21=[[0, 0.1]])
-    for smoother in (
-        baselines.fixed_lag_smoother(system, 0.2, 2),
-        baselines.kalman_bucy(replace(system, uncertainties=[Uncertainty([[0]], [[0]], [[0]])])),
-    ):
-        nothing = smoother.plant.structured_delta()
-        nominal = error_covariance(smoother, nothing)[0, 0]
-        found = worst_dynamic_case(smoother)
-        assert_allclose(found.mean_square, nominal, rtol=1e-4)
-        assert found.constant.mean_square == found.constant.nominal == nominal
-
-
-def test_worst_cases_do_not_depend_on_the_unit_of_time():
+def test_worst_case_does_not_depend_on_the_unit_of_time():
     design = designed(5, n=2, m=1, measurements=1, g=1)
     system, fast = design.plant.system, 2.0**30
 
@@ -305,20 +189,28 @@ def test_worst_cases_do_not_depend_on_the_unit_of_time():
     ]
     slow, fast_one = (worst_case(each, loop="real") for each in pair)
     assert_allclose(fast_one.mean_square, slow.mean_square, rtol=1e-9)
-    slow, fast_one = (worst_dynamic_case(each, "filtered", "real", starts=2) for each in pair)
-    assert_allclose(fast_one.mean_square, slow.mean_square, rtol=1e-7)
-    assert repr(slow).startswith("WorstDynamicCase(mean_square=")
 
 
 def test_what_is_not_understood_is_refused(example):
-    for function in (worst_case, worst_dynamic_case):
-        with pytest.raises(TypeError, match="smoother must be an Estimator, got str"):
-            function("design")
-        with pytest.raises(ValueError, match=r"output must be one of .*, got 'both'"):
-            function(example, "both")
-        with pytest.raises(ValueError, match="loop must be one of 'theory', 'real', got 'ideal'"):
-            function(example, loop="ideal")
-        with pytest.raises(ValueError, match="starts must be an integer of at least 1"):
-            function(example, starts=0)
-        with pytest.raises(ValueError, match="seed must be an integer of at least 0"):
-            function(example, seed=-1)
+    with pytest.raises(TypeError, match="smoother must be an Estimator, got str"):
+        worst_case("design")
+    with pytest.raises(ValueError, match=r"output must be one of .*, got 'both'"):
+        worst_case(example, "both")
+    with pytest.raises(ValueError, match="loop must be one of 'theory', 'real', got 'ideal'"):
+        worst_case(example, loop="ideal")
+    with pytest.raises(ValueError, match="starts must be an integer of at least 1"):
+        worst_case(example, starts=0)
+    with pytest.raises(ValueError, match="seed must be an integer of at least 0"):
+        worst_case(example, seed=-1)
+
+
+@pytest.mark.parametrize("time", [1e-9, 1e9])
+def test_worst_case_does_not_depend_on_the_units_of_states_and_measurements(time):
+    system = cancelling(DRIVE, GAIN)
+    other = in_other_units(system, time, [1e6, 1e-5], [1e4])
+    here, there = (
+        worst_case(baselines.fixed_lag_smoother(s, delay, 2), loop="real")
+        for s, delay in ((system, 1.0), (other, 1.0 / time))
+    )
+    assert_allclose(there.mean_square, here.mean_square, rtol=1e-6)
+    assert_allclose(there.Delta, here.Delta, atol=1e-6)

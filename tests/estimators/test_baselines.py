@@ -25,16 +25,16 @@ from robsmooth import (
     design_smoother,
     error_covariance,
     homodyne,
+    minimize_bound,
 )
 from robsmooth.estimators.baselines import (
     fixed_lag_smoother,
     kalman_bucy,
-    linear_robust_filter,
     ngcf,
     optimal_fixed_lag_error,
     optimal_two_sided_error,
 )
-from tests.helpers.strategies import admissible_delta, random_system, seeds
+from tests.helpers.strategies import random_system, seeds
 
 
 def linear_system(A, B1, C2, D21, C0=None):
@@ -359,7 +359,7 @@ def test_no_estimator_beats_the_optimal_errors_nominally():
     system = homodyne.PAPER.uncertain_system()
     delay = 3.1e-6
     filtered, smoothed = (optimal_fixed_lag_error(system, lag)[0, 0] for lag in (0.0, delay))
-    robust = linear_robust_filter(system, delay, 2)[0]
+    robust = minimize_bound(augment(system, delay, 2))
     for design in (fixed_lag_smoother(system, delay, 2), robust):
         P = nominal(design)
         assert error_covariance(design, P, loop="real")[0, 0] > smoothed
@@ -368,35 +368,6 @@ def test_no_estimator_beats_the_optimal_errors_nominally():
 
 
 # --- robust designs -----------------------------------------------------------------------------
-
-
-def test_linear_robust_filter_runs_no_copy_and_keeps_its_bound():
-    system = homodyne.PAPER.uncertain_system()
-    estimator, design = linear_robust_filter(system)
-    assert estimator.plant.system is system
-    assert (design.plant.system.k, design.plant.system.g) == (2, 0)
-    assert_array_equal(estimator.B_c[:, 1:], 0)
-    assert_array_equal(estimator.C_c[1:], 0)
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        P = error_covariance(design, admissible_delta(rng, design.plant), "filtered")
-        assert P[0, 0] <= design.mean_square_bound
-    for slope in (-1.0, -0.3, 1.0):
-        # the same loop, on the plant of the nonlinear system and on the design's own
-        here = error_covariance(
-            estimator, estimator.plant.structured_delta((), [slope]), "filtered"
-        )
-        there = error_covariance(design, design.plant.structured_delta([0.0, slope]), "filtered")
-        assert_allclose(here, there, rtol=1e-12)
-        assert here[0, 0] <= design.mean_square_bound
-
-
-def test_lipschitz_constant_enters_the_linear_robust_filter():
-    system = random_system(np.random.default_rng(2), n=1, g=1, size=0.05)
-    (channel,) = system.nonlinearities
-    _, design = linear_robust_filter(system)
-    sector = design.plant.system.uncertainties[-1]
-    assert_allclose(sector.C, channel.lipschitz * channel.C, rtol=1e-15)
 
 
 def test_ngcf_is_the_robust_design_without_lag():
@@ -411,7 +382,6 @@ def test_ngcf_is_the_robust_design_without_lag():
     "call",
     [
         kalman_bucy,
-        linear_robust_filter,
         ngcf,
         optimal_two_sided_error,
         lambda s: fixed_lag_smoother(s, 1.0, 2),

@@ -24,8 +24,8 @@ from robsmooth.estimators.bound import VANISHING, RestrictedBound, best_tau
 from robsmooth.estimators.bound_function import BoundFunction
 from robsmooth.estimators.conditions import multiplier_level
 from robsmooth.estimators.limit import limiting_smoother
-from robsmooth.homodyne.certificate import scalar_bound
 from tests.helpers.loops import two_channels
+from tests.helpers.scalar_bound import scalar_bound
 from tests.helpers.strategies import feasible_design, plants, random_system, seeds
 
 COSTS = ("filtered", "smoothed")

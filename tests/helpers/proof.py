@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 
-from robsmooth.homodyne.certificate import scalar_bound
+from tests.helpers.scalar_bound import scalar_bound
 
 _MOST_CUTS = 60  # how often a cell may be cut
 

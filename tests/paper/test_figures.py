@@ -11,13 +11,8 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne, sample_paths
-from robsmooth.analysis.lag import lag_sweep
-from robsmooth.analysis.worst_case import worst_dynamic_case
+from robsmooth import homodyne, sample_paths
 from robsmooth.estimators import baselines
-from robsmooth.estimators.limit import limiting_smoother
-from robsmooth.homodyne.certificate import scalar_bound
-from robsmooth.homodyne.comparison import compare
 from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.study import QUANTITIES, Study
 from robsmooth.paper import figures, predictions
@@ -62,20 +57,18 @@ NOISY = [
 
 SYSTEM = homodyne.PAPER.uncertain_system()
 CLASSICAL = baselines.fixed_lag_smoother(SYSTEM, 3.1e-6, 2, copies=True)
-LIMITS = {
-    cost: limiting_smoother(augment(SYSTEM, 3.1e-6, 1), 1e-6, [1.0, 0.5, 0.0, 0.0], cost)
-    for cost in ("filtered", "smoothed")
+JUDGED = {
+    "classical": {
+        "nominal": 0.05,
+        "worst constant": 0.08,
+        "certified": 0.09,
+        "with the sine": 0.06,
+    },
+    "constant minimax": {"nominal": 0.05, "worst constant": 0.07, "certified": 0.2},
 }
-BESTS = {cost: replace(limit, limit=limit) for cost, limit in LIMITS.items()}
-SWEEPS = {"classical": lag_sweep(SYSTEM, [1e-6, 3e-6, 1e-5], [1, 2])}
-COMPARED = compare(
-    {"classical": (CLASSICAL, "smoothed"), "Kalman": (CLASSICAL, "filtered")},
-    homodyne.PAPER,
-    (0.0, -1.0),
-    runs=128,
-    duration=1e-5,
-)
-DYNAMIC = worst_dynamic_case(CLASSICAL, loop="real")
+SIZES = np.array([0.01, 0.1, 0.5])
+RATIOS = np.array([[1.0, 3.0, 2000.0], [1.0, 1.05, 50.0], [0.99, 1.0, np.nan]])
+FAMILY = SIZES, np.array([0.01, 0.1, 1.0]), RATIOS
 PATHS = sample_paths(CLASSICAL, runs=1, duration=3.1e-5, step=3.1e-7)
 OMEGA = np.geomspace(0.1, 10.0, 50)
 
@@ -91,13 +84,12 @@ MAKERS = {
     "errors_by_method": lambda: figures.paper.errors_by_method(BY_METHOD),
     "loss_of_lock": lambda: figures.paper.loss_of_lock(NOISY),
     "where_smoothing_pays": lambda: figures.maps.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
-    "two_landscapes": lambda: figures.maps.two_landscapes(BESTS, points=5),
-    "all_designs": lambda: figures.maps.all_designs(
-        homodyne.PAPER, LIMITS["filtered"], (0.485, 1.13e-6)
+    "where_robustness_pays": lambda: figures.maps.where_robustness_pays(
+        dict.fromkeys(("a gain", "a resonance", "a reference", "a difference"), FAMILY)
     ),
-    "lag_and_order": lambda: figures.beyond.lag_and_order(SWEEPS, 3.1e-6),
-    "worst_spectra": lambda: figures.beyond.worst_spectra(DYNAMIC, (1, 1)),
-    "side_by_side": lambda: figures.beyond.side_by_side(COMPARED, (0.0, -1.0), limit=0.085),
+    "candidates": lambda: figures.beyond.candidates(
+        JUDGED, {"optimum": 0.045}, "rad$^2$", (0.04, 0.1)
+    ),
     "sample_path": lambda: figures.beyond.sample_path(PATHS, "µs", 1e6, "phase (rad)"),
     "gap": lambda: figures.beyond.gap(PATHS, PATHS.smoothed[0], slice(40, 60)),
     "smoother_response": lambda: figures.beyond.smoother_response(OMEGA, 1 / (1 + 1j * OMEGA), 0.5),
@@ -221,12 +213,15 @@ def test_a_loop_that_never_slips_has_no_rate_to_plot():
     assert np.array_equal(errors["moments"], [0.09, 0.19, np.nan], equal_nan=True)
 
 
-def test_an_estimator_beyond_the_scale_is_said_to_be():
-    figure = MAKERS["side_by_side"]()  # the filter's error is just below the limit, at first
-    assert not [text for text in figure.findobj(Text) if "off the scale" in text.get_text()]
-    figure = figures.beyond.side_by_side(COMPARED, (0.0, -1.0), limit=0.08)
-    (text,) = (text for text in figure.findobj(Text) if "off the scale" in text.get_text())
-    assert text.get_text() == f"off the scale: {COMPARED['Kalman'].at[0]:.2f}"
+def test_an_error_beyond_the_limits_is_a_number_at_the_edge():
+    texts = [text.get_text() for text in MAKERS["candidates"]().findobj(Text)]
+    assert [text for text in texts if "→" in text] == ["0.2 →"]
+
+
+def test_the_map_of_robustness_is_hatched_where_there_is_no_guarantee():
+    for axes in MAKERS["where_robustness_pays"]().axes[:4]:
+        tell = hatched(axes, "no guarantee")
+        assert [[tell(a, b) for a in 100 * SIZES] for b in FAMILY[1]] == np.isnan(RATIOS).tolist()
 
 
 def test_the_smoothed_path_is_drawn_at_the_time_that_it_is_for():
@@ -274,40 +269,6 @@ def test_a_map_with_all_its_values_has_no_hatch():
     _, axes = plt.subplots()
     shade(axes, np.arange(3.0), np.arange(2.0), np.ones((2, 3)), [0.0, 2.0], missing="nothing")
     assert not axes.patches
-
-
-def test_landscapes_are_hatched_where_there_is_no_design_and_nowhere_else():
-    plant = augment(SYSTEM, 3.1e-6, 2)
-    bests = {}
-    for cost, tau in (("filtered", 1.0987e-6), ("smoothed", 0.7023e-6)):
-        limit = limiting_smoother(plant, tau, [1.0, 0.5, 0.0, 0.0], cost)
-        bests[cost] = replace(limit, limit=limit)
-    figure = figures.maps.two_landscapes(bests, points=7)
-    for axes, (cost, best) in zip(figure.axes[:2], bests.items(), strict=True):
-        tell = hatched(axes, "no design")
-
-        def there(tau, fraction, best=best, cost=cost):
-            try:
-                multipliers = [1.0, 0.5 - fraction / 2, fraction, fraction]
-                return design_smoother(best.plant, tau, multipliers, cost).bound > 0.0
-            except InfeasibleDesignError:
-                return False
-
-        for tau in (2.2e-6, 2.5e-6, 3.2e-6, 5e-6):
-            assert there(tau, 1e-6)
-            assert not tell(1e-6, 1e6 * tau)
-        low, high = axes.get_ylim()
-        tried = [there(1e-6 * t, f) for t in np.geomspace(low, high, 7) for f in FRACTIONS]
-        drawn = [tell(f, t) for t in np.geomspace(low, high, 7) for f in FRACTIONS]
-        assert [not each for each in tried] == drawn
-        assert 0 < sum(tried) < len(tried)
-
-
-def test_all_designs_are_hatched_where_the_bound_is_infinite():
-    (axes, _) = MAKERS["all_designs"]().axes
-    tell = hatched(axes, "no design")
-    for p, tau in itertools.product((0.2, 0.3, 0.45, 0.49, 0.51), (0.42, 0.55, 0.7, 2.0, 9.0)):
-        assert tell(p, tau) == np.isinf(scalar_bound(homodyne.PAPER, p, 1e-6 * tau))
 
 
 def test_no_gain_and_no_design_are_told_apart():

@@ -8,7 +8,6 @@ import pytest
 from robsmooth import (
     InfeasibleDesignError,
     Uncertainty,
-    analysis_bound,
     augment,
     design_smoother,
     error_covariance,
@@ -16,10 +15,9 @@ from robsmooth import (
     limiting_smoother,
     simulate,
     stationary_errors,
-    worst_case,
 )
+from robsmooth.analysis.choice import Candidate, Choice, Judgement, judge
 from robsmooth.estimators import baselines
-from robsmooth.homodyne.comparison import compare
 from robsmooth.homodyne.study import QUANTITIES, Study
 from robsmooth.paper import tables
 
@@ -27,18 +25,26 @@ SYSTEM = homodyne.PAPER.uncertain_system()
 PLANT = augment(SYSTEM, 3.1e-6, 1)
 
 
-def test_estimators_are_compared_by_the_same_numbers_as_by_themselves():
+def test_candidates_have_the_errors_that_they_were_judged_by():
     classical = baselines.fixed_lag_smoother(SYSTEM, 3.1e-6, 1, copies=True)
-    (case,) = compare(
-        {"classical": (classical, "smoothed")}, homodyne.PAPER, (-0.5,), runs=128, duration=1e-5
-    ).values()
-    Delta = classical.plant.structured_delta((), [-0.5])
-    assert case.at == (error_covariance(classical, Delta, loop="real")[0, 0],)
-    assert case.worst.mean_square == worst_case(classical, loop="real").mean_square
-    assert case.exact == stationary_errors(homodyne.PAPER, classical).smoothed
-    assert not hasattr(case.estimator, "mean_square_bound")
-    (row,) = tables.side_by_side({"classical": case}, (-0.5,)).rows
-    assert row[1:4] == (*case.at, case.worst.mean_square, case.allowed.mean_square)
+    found = {
+        "classical": Candidate(classical, judge(classical)),
+        "refused": Candidate(None, Judgement(np.inf, np.inf, np.inf), "Assumption 9 fails: a test"),
+    }
+    choice = Choice(classical, "classical", found, "admissible", "smoothed")
+    more = {"with the sine": {"classical": stationary_errors(homodyne.PAPER, classical).smoothed}}
+    table = tables.candidates(choice, more)
+    assert table.columns[:5] == (
+        "smoother",
+        "nominal",
+        "worst constant",
+        "certified",
+        "with the sine",
+    )
+    first, second = table.rows
+    assert first[1:4] == tuple(vars(judge(classical)).values())
+    assert first[4] == more["with the sine"]["classical"]
+    assert second[0] == "refused" and set(second[1:]) == {None}
 
 
 def test_a_lag_is_judged_by_the_orders_that_stay_in_lock_there():
@@ -56,45 +62,9 @@ def test_a_lag_is_judged_by_the_orders_that_stay_in_lock_there():
     assert [row[-1] for row in table.rows[2:]] == ["no lock", "no design"]
 
 
-def test_optimum_is_that_of_the_limit_where_there_is_one():
-    limit = limiting_smoother(PLANT, 1e-6, [1.0, 0.5, 0.0, 0.0])
-    attained = design_smoother(PLANT, 1e-6, [1.0, 0.499, 1e-6, 1e-6])
-    beside = replace(attained, limit=limit, bound_infimum=limit.bound)
-    first, second = tables.optima({"limit": beside, "attained": attained}).rows
-    assert first[1:3] == (limit.bound, "no")
-    assert second[1:3] == (attained.bound, "yes")
-
-
-def test_gains_are_the_entries_of_the_phase():
-    design = limiting_smoother(PLANT, 1e-6, [1.0, 0.5, 0.0, 0.0])
-    (row,) = tables.gains({"design": design}).rows
-    assert row[1:4] == (design.A_c[0, 0], design.B_c[0, 0], design.B_c[0, 1])
-    assert row[4:] == (design.C_c[0, 0], design.C_c[1, 0])
-
-
 def test_the_example_is_the_same_in_every_unit():
     seconds, years = tables.in_units({"s": 1.0, "years": 3.2e7}).rows
     assert seconds[1:] == pytest.approx(years[1:], rel=1e-9)
-
-
-def test_tightness_is_relative_to_the_guarantee():
-    design = design_smoother(PLANT, 1e-6, [1.0, 0.499, 1e-6, 1e-6])
-    found = [
-        worst(design, "guaranteed", loop)
-        for loop in ("theory", "real")
-        for worst in (worst_case, analysis_bound)
-    ]
-    (row,) = tables.tightness({"design": found}).rows
-    assert row[1] == design.mean_square_bound
-    assert row[5] == f"{100 * found[1].mean_square / design.mean_square_bound:.0f}%"
-    assert row[8] == f"{100 * found[3].mean_square / design.mean_square_bound:.0f}%"
-
-
-def test_a_share_that_no_order_reaches_is_left_empty():
-    found = tables.lag_choices(SYSTEM, ["filtered cost"], [0.5, 0.99])
-    reached, not_reached = found.rows
-    assert reached[2] > reached[5] > 0.0  # µs, with the model and with an exact delay
-    assert not_reached[2:] == (None, None, None, None)
 
 
 def test_refusals_quote_the_library_and_nothing_else():

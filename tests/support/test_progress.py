@@ -9,10 +9,8 @@ from contextlib import suppress
 
 import pytest
 
-from robsmooth import homodyne, lag_sweep
+from robsmooth import augment, best_smoother, homodyne, lag_sweep
 from robsmooth._support.progress import progress_bar
-from robsmooth.estimators import baselines
-from robsmooth.homodyne.comparison import compare
 from tests.helpers.waiting import PATIENCE
 
 SYSTEM = homodyne.PAPER.uncertain_system()
@@ -86,10 +84,9 @@ def test_a_lag_sweep_shows_its_designs(terminal):
         lag_sweep(SYSTEM, [1e-6], [1], progress="yes")
 
 
-def test_a_comparison_shows_its_estimators(terminal):
-    estimators = {"Kalman-Bucy": (baselines.kalman_bucy(SYSTEM, copies=True), "filtered")}
-    compare(estimators, homodyne.PAPER, (0.0,), progress=True, runs=16, duration=1e-6)
-    assert "1/1" in terminal.readouterr().err
+def test_a_choice_shows_its_candidates(terminal):
+    best_smoother(augment(SYSTEM, 0.0, 0), output="filtered", progress=True)
+    assert "5/5" in terminal.readouterr().err
 
 
 # --- in a notebook --------------------------------------------------------------------------------

@@ -1,85 +1,41 @@
 """The figures of what the paper leaves open, and of a system of one's own."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from robsmooth.analysis.lag import LagSweep
-from robsmooth.analysis.worst_case import WorstDynamicCase
-from robsmooth.homodyne.comparison import Compared
 from robsmooth.paper.figures import style
 from robsmooth.simulation.statistics import SamplePaths
 
 
-def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float], limit: float) -> Figure:
-    """Draw the errors of estimators in rows; those beyond the limit (rad^2) are said to be."""
-    figure, axes = plt.subplots(figsize=(3.4, 1.1 + 0.36 * len(compared)))
+def candidates(
+    errors: Mapping[str, Mapping[str, float]],
+    floors: Mapping[str, float],
+    unit: str,
+    limits: tuple[float, float],
+) -> Figure:
+    """Draw errors of estimators in rows, by their names; those beyond the limits as numbers.
+
+    The floors are lines, in the order of their names.
+    """
+    figure, axes = plt.subplots(figsize=(3.4, 1.3 + 0.34 * len(errors)))
     legend = {}
-    for row, case in zip(style.label_rows(axes, compared), compared.values(), strict=True):
-        if case.at[0] > limit:
-            text = f"off the scale: {case.at[0]:.2f}"
-            axes.annotate(text, (limit, row), ha="right", va="center", color="0.3")
-            continue
-        allowed = case.allowed.mean_square
-        axes.plot([min(case.at), allowed], [row, row], "-", color="0.8", linewidth=2.5, zorder=1)
-        for number, (value, marker) in enumerate(zip(case.at, "o^s", strict=False)):
-            (drawn,) = axes.plot(value, row, marker, color=f"C{number}", markersize=4, ls="none")
-            legend[rf"$\Delta_2 = {slopes[number]:g}$"] = drawn
-        (legend["worst allowed"],) = axes.plot(allowed, row, "k|", markersize=8, ls="none")
-        (legend["with the sine"],) = axes.plot(case.exact, row, "kx", ls="none")
-    axes.set(xlabel=r"mean square error (rad$^2$)", xlim=(0.03, limit))
-    return style.with_legend(figure, 3, handles=legend.values(), labels=legend.keys())
-
-
-def worst_spectra(found: WorstDynamicCase, slope: tuple[int, int]) -> Figure:
-    """Draw the error's spectra, and the phase of the worst slope in a row and column of Delta."""
-    shares = found.frequencies * found.spectra / np.pi  # of the error, per logarithm of frequency
-    shown = shares[2] > 0.1 * shares[2].max()
-    omega = found.frequencies[shown]
-    figure, (top, bottom) = style.stacked(3.8, (5, 4))
-    labels = ("no uncertainty", "worst constant", "worst at each frequency")
-    for label, share in zip(labels, shares, strict=True):
-        top.semilogx(omega, share[shown], label=label)
-    top.set(ylabel="share of the error\nper e-fold (rad$^2$)", ylim=(0, None))
-    top.locator_params(axis="y", nbins=4)
-    phase = np.degrees(np.unwrap(np.angle(found.Delta[shown][:, *slope])))
-    bottom.semilogx(omega, phase - 360.0 * np.round(phase[0] / 360.0))
-    bottom.set(xlabel=r"angular frequency $\omega$ (rad/s)", xlim=omega[[0, -1]])
-    bottom.set(ylabel="phase of the\nworst slope (°)")
-    bottom.yaxis.set_major_locator(MultipleLocator(360))
-    return style.with_legend(figure)
-
-
-def lag_and_order(sweeps: Mapping[str, LagSweep], lag: float) -> Figure:
-    """Draw smoothed errors of designs against the lag, for each order; `lag` (s) is marked."""
-    options = {"squeeze": False, "sharex": True, "sharey": "col"}
-    figure, panels = plt.subplots(len(sweeps), 2, figsize=(3.4, 1.4 + 1.4 * len(sweeps)), **options)
-    for (left, right), (name, sweep) in zip(panels, sweeps.items(), strict=True):
-        lags = 1e6 * sweep.lags
-        style.plot_curves(left, lags, dict(zip(sweep.orders, sweep.nominal, strict=True)))
-        style.plot_curves(right, lags, dict(zip(sweep.orders, sweep.worst, strict=True)))
-        left.fill_between(lags, 0.0, sweep.optimal, color="0.85", lw=0, label="below the optimum")
-        dots = style.MARK | {"linestyle": (0, (1, 1)), "color": "0.2"}
-        left.axhline(sweep.two_sided, label="two-sided optimum", **dots)
-        for axes in (left, right):
-            axes.axvline(1e6 * lag, label=f"lag {1e6 * lag:.3g} µs", **style.MARK)
-            axes.set(xscale="log")
-        left.set(ylabel=name)
-    figure.supylabel(r"mean square error (rad$^2$)")
-    low, high = sweep.two_sided, sweep.filtering
-    panels[0, 0].set(title="no uncertainty", ylim=(0.9 * low, 1.25 * high))
-    panels[0, 1].set(title="worst constant", ylim=(1.4 * low, 2.2 * high))
-    every = 1e6 * np.concatenate([sweep.lags for sweep in sweeps.values()])
-    for first, last in zip(panels[0], panels[-1], strict=True):
-        first.locator_params(axis="y", nbins=4)
-        last.set(xlabel="lag (µs)", xlim=(every.min(), every.max()))
-        style.label_ticks(last.xaxis, (0.3, 1, 3, 10, 30))
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    return style.with_legend(figure, handles=handles, labels=labels)
+    for row, each in zip(style.label_rows(axes, errors), errors.values(), strict=True):
+        seen = [min(value, limits[1]) for value in each.values()]
+        axes.plot([min(seen), max(seen)], [row, row], "-", color="0.85", linewidth=2.5, zorder=1)
+        for number, (name, value) in enumerate(each.items()):
+            look = style.LOOSE | {"marker": "o^|x"[number], "color": ("C0", "C1", "k", "k")[number]}
+            if value <= limits[1]:
+                (legend[name],) = axes.plot(value, row, **look)
+            else:
+                axes.annotate(f"{value:.3g} →", (limits[1], row + 0.2), ha="right", color="0.3")
+    for dashes, (name, floor) in zip(("-", "--", ":"), floors.items(), strict=False):
+        legend[name] = axes.axvline(floor, color="0.45", linestyle=dashes, linewidth=0.9, zorder=0)
+    axes.set(xlabel=f"mean square error ({unit})", xlim=limits)
+    return style.with_legend(figure, 2, handles=legend.values(), labels=legend.keys())
 
 
 def sample_path(paths: SamplePaths, unit: str, scale: float, quantity: str) -> Figure:

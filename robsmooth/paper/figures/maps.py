@@ -1,7 +1,6 @@
 """Maps: numbers on a grid as shades, and hatched where there are none."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -14,18 +13,10 @@ from matplotlib.patches import PathPatch
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.homodyne.certificate import scalar_bound
-from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.homodyne.study import Study
-from robsmooth.paper import published
 from robsmooth.paper.figures import style
 
 Array = NDArray[np.float64]
-
-_TAU, _PAIR = r"$\tau$ (rad$^2\,$µs)", r"$\lambda_3 = \lambda_4$"
-_INFIMUM = style.LOOSE | {"marker": "o", "color": "C1", "markeredgecolor": "w", "markersize": 7}
 
 
 def shade(
@@ -59,71 +50,21 @@ def _spread(values: Array) -> Array:
     return np.where(distance < 2.0, values[tuple(nearest)], np.nan)
 
 
-def bound_landscape(best: RobustSmoother) -> Figure:
-    """Draw the example's bound around its best design: over tau, and over lambda_3 = lambda_4."""
-    figure, (left, right) = plt.subplots(1, 2, sharey=True, figsize=(3.4, 2.4))
-    taus, vanishing = best.tau * np.linspace(0.6, 2.0, 57), np.geomspace(1e-6, 2e-3, 60)
-    left.plot(1e6 * taus, _bounds(best, taus, [1e-6])[:, 0])
-    left.plot(1e6 * best.tau, best.bound, "o", color="C1", label="least bound")
-    left.axvline(1e6 * published.printed("tau"), label="printed", **style.DOTTED)
-    left.set(xlabel=_TAU, ylabel="bound $V$ (rad$^2$)")
-    (values,) = _bounds(best, [best.tau], vanishing)
-    right.semilogx(vanishing, values)
-    right.axhline(best.bound_infimum, color="k", linestyle="-.", linewidth=0.9, label="infimum")
-    if np.isnan(values).any():
-        edge = vanishing[np.isfinite(values)].max()
-        right.axvline(edge, color="C1", linestyle="--", linewidth=0.9, label="no design beyond")
-    right.set(xlabel=_PAIR, xlim=vanishing[[0, -1]])
-    return style.with_legend(figure)
-
-
-def two_landscapes(designs: Mapping[str, RobustSmoother], points: int = 25) -> Figure:
-    """Draw the example's bound over tau and lambda_3 = lambda_4, a map for each best design."""
-    figure, panels = plt.subplots(1, len(designs), figsize=(3.4, 2.6), sharey=True)
-    vanishing = np.geomspace(1e-6, 1e-2, points)
-    best_taus = [best.limit.tau for best in designs.values()]
-    taus = np.geomspace(0.4 * min(best_taus), 5.0 * max(best_taus), points)
-    levels = [0.0, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0]
-    for axes, (title, best) in zip(panels, designs.items(), strict=True):
-        excess = 100.0 * (_bounds(best, taus, vanishing) / best.limit.bound - 1.0)
-        shading = shade(axes, vanishing, 1e6 * taus, excess, levels, missing="no design")
-        axes.plot(vanishing[0], 1e6 * best.limit.tau, label="infimum (at 0)", **_INFIMUM)
-        axes.set(xscale="log", yscale="log", title=title, xlabel=_PAIR)
-        style.label_ticks(axes.yaxis, (0.5, 1, 2, 5))
-    panels[0].set(ylabel=_TAU)
-    figure.colorbar(shading, ax=panels, label="bound above its infimum (%)", pad=0.02, format="%g")
-    drawn = [artist for axes in panels for artist in (*axes.lines, *axes.patches)]
-    handles = {artist.get_label(): artist for artist in drawn}.values()
-    return style.with_legend(figure, handles=handles)
-
-
-def all_designs(
-    parameters: HomodyneParameters, limit: RobustSmoother, printed: tuple[float, float]
-) -> Figure:
-    """Draw the bound for the filtered cost over p and tau; the printed ones are marked."""
-    p, tau = np.linspace(0.2, 0.55, 281), 1e-6 * np.geomspace(0.4, 10.0, 200)
-    values = scalar_bound(parameters, p[None, :], tau[:, None])
-    values[np.isinf(values)] = np.nan
-    figure, axes = plt.subplots(figsize=(3.4, 2.8))
-    levels = [0.12, 0.125, 0.13, 0.14, 0.16, 0.2, 0.3, 0.5]
-    shading = shade(axes, p, 1e6 * tau, values, levels, missing="no design")
-    axes.plot(limit.multipliers[1:3].sum(), 1e6 * limit.tau, label="infimum", **_INFIMUM)
-    cross = {"color": "w", "markersize": 6, "markeredgecolor": "k", "linestyle": "none"}
-    axes.plot(printed[0], 1e6 * printed[1], "X", label="printed", **cross)
-    axes.set(xlabel=r"$p = \lambda_2 + \lambda_3$", ylabel=_TAU, yscale="log")
-    axes.locator_params(axis="x", nbins=5)
-    style.label_ticks(axes.yaxis, (0.5, 1, 2, 5, 10))
-    figure.colorbar(shading, ax=axes, label="bound $V$ (rad$^2$)", pad=0.02, format="%g")
-    return style.with_legend(figure, 3, handles=[*axes.lines, *axes.patches])
-
-
-def _bounds(best: RobustSmoother, taus: Sequence[float], vanishing: Sequence[float]) -> Array:
-    """Return V for each tau and lambda_3 = lambda_4, not a number where there is no design."""
-    bounds = np.full((len(taus), len(vanishing)), np.nan)
-    for i, j in np.ndindex(bounds.shape):
-        with suppress(InfeasibleDesignError):
-            bounds[i, j] = published.design_near_edge(best, taus[i], vanishing[j]).bound
-    return bounds
+def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Figure:
+    """Draw, for each family, its sizes (N,), noises (M,) and ratios of certified errors (M, N)."""
+    rows = (len(maps) + 1) // 2
+    figure, panels = plt.subplots(rows, 2, figsize=(3.4, 0.5 + 1.7 * rows), sharey=True)
+    levels = [1.0, 1.1, 2.0, 10.0, 100.0, 1000.0]
+    for axes, (title, (sizes, noises, ratios)) in zip(panels.flat, maps.items(), strict=True):
+        gains = np.log(np.maximum(ratios, 1.0))  # a little less comes of the model of the delay
+        shading = shade(axes, 100.0 * sizes, noises, gains, np.log(levels), "no guarantee")
+        axes.set(xscale="log", yscale="log", title=title)
+        style.label_ticks(axes.xaxis, (1, 2, 5, 10, 20, 50))
+    figure.supxlabel("uncertainty (%)")
+    figure.supylabel("measurement noise / signal")
+    bar = figure.colorbar(shading, ax=panels, label="certified error, classical / minimax")
+    bar.set_ticks(np.log(levels), labels=[f"{level:g}" for level in levels])
+    return figure
 
 
 def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:

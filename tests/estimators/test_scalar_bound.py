@@ -8,8 +8,8 @@ import pytest
 from robsmooth import InfeasibleDesignError, augment, design_smoother, minimize_bound
 from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.homodyne import PAPER
-from robsmooth.homodyne.certificate import scalar_bound
 from tests.helpers.proof import least_tau, prove_infimum
+from tests.helpers.scalar_bound import scalar_bound
 
 INFIMUM = 0.12167363533
 
