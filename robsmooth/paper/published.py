@@ -1,6 +1,7 @@
 r"""What the paper prints, in ``data/published.toml``: its numbers, and the designs they make.
 
-Beside it lies ``data/monte_carlo.json``: what it is compared with, as notebook 04 writes it.
+Beside it lies ``data/monte_carlo.json``: what it is compared with, as notebook 04 writes it; and
+``data/nonlinear_floor.json``, the least errors that are possible, as the benchmark finds them.
 This is also the home of the paper's slip of sign: the printed gains follow from the printed
 :math:`\tau` and :math:`\lambda` only with the quadratic term of the X equation negated, as a
 standard Riccati solver has it. The library's core knows nothing of that.
@@ -34,6 +35,7 @@ from robsmooth.workbench import provenance
 DELAY = 3.1e-6  # s
 ORDER = 2
 RESULTS = "monte_carlo.json"
+NONLINEAR_FLOOR = "nonlinear_floor.json"
 NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that verdicts are about
 _NOT_RESULTS = ("wall_time", "provenance")
 
@@ -226,6 +228,15 @@ def read_simulation(folder: Path) -> SimulatedErrors:
             f"{RESULTS} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
             "make figures ONLY=04 writes it anew"
         ) from None
+
+
+def read_nonlinear_floor() -> Mapping[str, MeanSquare]:
+    """Return the least "smoothed" and "filtered" mean square error of the example with its sine.
+
+    Bayes' rule gives them, in a loop that the filter steers: ``benchmarks/nonlinear_floor.py``.
+    """
+    found = json.loads((data_folder() / NONLINEAR_FLOOR).read_text(encoding="utf-8"))
+    return {output: _mean_square(found[output]) for output in ("smoothed", "filtered")}
 
 
 def _mean_square(stored: Mapping[str, float]) -> MeanSquare:
