@@ -102,7 +102,8 @@ class Nonlinearity:
     --------
     A sensor that saturates, :math:`dy = \tanh(x)\,dt + \dots`:
 
-    >>>     >>> import robsmooth as rs
+    >>> import numpy as np
+    >>> import robsmooth as rs
     >>> rs.Nonlinearity(B=[[0.0]], C=[[1.0]], D=[[1.0]], lipschitz=1.0, function=np.tanh)
     Nonlinearity(B=[[0]], C=[[1]], D=[[1]], lipschitz=1, function=tanh)
     """

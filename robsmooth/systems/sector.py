@@ -29,6 +29,14 @@ class Sector:
     slope, half_width : float
         The slope in the middle, and the Lipschitz constant of the remainder.
     remainder : callable, f less the slope times its argument
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import robsmooth as rs
+    >>> tanh = rs.sector(np.tanh, reach=0.6)
+    >>> round(tanh.lower, 6), round(tanh.upper, 6)
+    (0.711578, 1.0)
     """
 
     function: Function
@@ -97,14 +105,14 @@ def sector(function: Function, reach: float, chords: bool = False) -> Sector:
 
     Examples
     --------
-    A sensor that saturates, with a noise of intensity 0.1:
+    The noise of a sensor that saturates has the intensity 0.1:
 
     >>> import numpy as np
     >>> import robsmooth as rs
     >>> tanh = rs.sector(np.tanh, reach=0.6)
-    >>> round(tanh.lower, 6), round(tanh.upper, 6)
-    (0.711578, 1.0)
-    >>> tanh.nonlinearity(B=[[0.0]], C=[[1.0]], D=[[1.0]], noise=0.1).sector[0].round(2)
+    >>> sensor = tanh.nonlinearity(B=[[0.0]], C=[[1.0]], D=[[1.0]], noise=0.1)
+    >>> rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[0]], [[0, 0.1]], [], [sensor]).C2.round(4)
+    array([[0.8558]])
     """
     check_function("function", function)
     reach = validation.positive("reach", reach)
