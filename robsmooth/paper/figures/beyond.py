@@ -5,11 +5,9 @@ from collections.abc import Mapping, Sequence
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
 from robsmooth.analysis.lag import LagSweep
-from robsmooth.analysis.worst_case import WorstDynamicCase
 from robsmooth.homodyne.comparison import Compared
 from robsmooth.paper.figures import style
 from robsmooth.simulation.statistics import SamplePaths
@@ -33,25 +31,6 @@ def side_by_side(compared: Mapping[str, Compared], slopes: Sequence[float], limi
         (legend["with the sine"],) = axes.plot(case.exact, row, "kx", ls="none")
     axes.set(xlabel=r"mean square error (rad$^2$)", xlim=(0.03, limit))
     return style.with_legend(figure, 3, handles=legend.values(), labels=legend.keys())
-
-
-def worst_spectra(found: WorstDynamicCase, slope: tuple[int, int]) -> Figure:
-    """Draw the error's spectra, and the phase of the worst slope in a row and column of Delta."""
-    shares = found.frequencies * found.spectra / np.pi  # of the error, per logarithm of frequency
-    shown = shares[2] > 0.1 * shares[2].max()
-    omega = found.frequencies[shown]
-    figure, (top, bottom) = style.stacked(3.8, (5, 4))
-    labels = ("no uncertainty", "worst constant", "worst at each frequency")
-    for label, share in zip(labels, shares, strict=True):
-        top.semilogx(omega, share[shown], label=label)
-    top.set(ylabel="share of the error\nper e-fold (rad$^2$)", ylim=(0, None))
-    top.locator_params(axis="y", nbins=4)
-    phase = np.degrees(np.unwrap(np.angle(found.Delta[shown][:, *slope])))
-    bottom.semilogx(omega, phase - 360.0 * np.round(phase[0] / 360.0))
-    bottom.set(xlabel=r"angular frequency $\omega$ (rad/s)", xlim=omega[[0, -1]])
-    bottom.set(ylabel="phase of the\nworst slope (°)")
-    bottom.yaxis.set_major_locator(MultipleLocator(360))
-    return style.with_legend(figure)
 
 
 def lag_and_order(sweeps: Mapping[str, LagSweep], lag: float) -> Figure:
