@@ -59,6 +59,8 @@ from robsmooth.systems.augmented import AugmentedSystem as AugmentedSystem
 from robsmooth.systems.augmented import augment as augment
 from robsmooth.systems.channels import Nonlinearity as Nonlinearity
 from robsmooth.systems.channels import Uncertainty as Uncertainty
+from robsmooth.systems.sector import Sector as Sector
+from robsmooth.systems.sector import sector as sector
 from robsmooth.systems.system import UncertainSystem as UncertainSystem
 
 __version__: str

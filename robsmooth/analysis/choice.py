@@ -232,7 +232,7 @@ def best_smoother(
         try:
             estimator = make()
             candidates[name] = Candidate(estimator, judge(estimator, output))
-        except (InfeasibleDesignError, RuntimeError) as error:
+        except InfeasibleDesignError as error:
             failures[name] = error
             candidates[name] = Candidate(None, _NONE, str(error))
     errors = {name: each.error(against) for name, each in candidates.items()}

@@ -37,7 +37,7 @@ from robsmooth.estimators.certificate import (
     least_certificate,
 )
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop, which_loop
+from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop, scaled, which_loop
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.delay import pade_delay
 
@@ -140,6 +140,7 @@ def analysis_bound(
     if opened.delay > 0.0:
         opened = _with_delay_model(opened, delay_order)
     proven = guarantee(smoother, output, loop)
+    opened, x = scaled(opened)
     fraction, problem, theta = _feasible(opened, smoother.plant)
     if fraction < 1.0:
         return AnalysisBound(math.inf, math.nan, fraction, proven, np.empty(0), np.empty((0, 0)))
@@ -151,7 +152,7 @@ def analysis_bound(
         fraction=1.0,
         guarantee=proven,
         multipliers=frozen(problem.all_multipliers(theta)),
-        feedback=frozen(point.feedback),
+        feedback=frozen(point.feedback / x),
     )
 
 

@@ -9,9 +9,9 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.analysis.covariance import error_covariance
-from robsmooth.estimators.constant import mean_square, scaled, worst_delta
+from robsmooth.estimators.constant import mean_square, worst_delta
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import guarantee, open_loop
+from robsmooth.estimators.loop import guarantee, open_loop, scaled
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ def worst_case(
     >>> rs.worst_case(ngcf, "filtered")
     WorstCase(mean_square=0.2053, nominal=0.12483, guarantee=0.24335, tightness=0.844)
     """
-    opened = scaled(open_loop(smoother, output, loop))
+    opened, _ = scaled(open_loop(smoother, output, loop))
     starts = validation.integer("starts", starts, low=1)
     seed = validation.integer("seed", seed, low=0)
     _, Delta = worst_delta(opened, starts, seed)

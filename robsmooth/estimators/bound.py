@@ -45,7 +45,7 @@ _TAUS = 10.0 ** np.arange(-1.0, 7.0)  # relative to the natural one
 _LEAST, _LARGEST = 1e-12, 1e8  # a multiplier, relative to its natural size; if no noise bounds it
 _SMALL = (1e-1, 1e-3, 1e-6)  # multipliers that may be zero, relative to their natural size
 _SAME = 1e-9  # bounds that differ by less, relatively
-_STEP = 1e-6  # of the differences, in logarithms
+_STEP = 1e-7  # of the differences, in logarithms
 _REFUSED = 1e3  # more than the logarithm of any bound
 _ROUNDING = 1e-9  # a level of the constraint that is smaller, relatively, is rounding
 _OPTIONS = {"ftol": 1e-14, "maxiter": 100}  # of SLSQP
@@ -215,11 +215,9 @@ class RestrictedBound:
 
     def gradient(self, point: np.ndarray) -> np.ndarray:
         """Return the slopes of the objective, zero next to points without a design."""
-        beside = [np.clip(point + step, *self.box) for step in _STEP * np.eye(len(point))]
-        before = [np.clip(point - step, *self.box) for step in _STEP * np.eye(len(point))]
-        rise = np.array([[self.objective(p) for p in points] for points in (before, beside)])
-        run = np.array([(b - a).sum() for a, b in zip(before, beside, strict=True)])
-        return np.where(rise.max(axis=0) < _REFUSED, np.diff(rise, axis=0)[0] / run, 0.0)
+        inward = np.where(point < self.box.mean(axis=0), _STEP, -_STEP)
+        beside = np.array([self.objective(point + step) for step in np.diag(inward)])
+        return np.where(beside < _REFUSED, (beside - self.objective(point)) / inward, 0.0)
 
     def level(self, multipliers: np.ndarray) -> Matrix:
         """Return J'M(lambda)J."""

@@ -7,40 +7,18 @@ several starts, finds the worst of them.
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
 
-from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
-from robsmooth.estimators.loop import OpenLoop
+from robsmooth.estimators.loop import OpenLoop, is_stable
 
-_MARGINAL = 1e-12  # a loop whose slowest mode decays by less, relative to the fastest, is unstable
 _ITERATIONS = 200
 _LONGEST_STEP, _SHORTEST_STEP = 1e3, 1e-9  # relative to the unit ball
 _CHANGE = 1e-13  # a step whose gain or loss is less, relatively, changes nothing
 _STEPS_WITHOUT_GAIN = 3  # in a row: then the search is over
-
-
-def scaled(loop: OpenLoop) -> OpenLoop:
-    """Return a loop with the same errors, in units of its fastest mode and its deviations."""
-    poles = np.linalg.eigvals(loop.A)
-    if not poles.real.max() < -_MARGINAL * np.abs(poles).max():
-        return loop
-    time, variances = 1.0 / np.abs(poles).max(), np.diag(covariances(loop.A, loop.B).stationary)
-    x = np.sqrt(np.where(variances > 0.0, variances, 1.0))
-    return replace(
-        loop,
-        A=time * loop.A / x[:, None] * x,
-        B=np.sqrt(time) * loop.B / x[:, None],
-        inputs=time * loop.inputs / x[:, None],
-        outputs=loop.outputs * x,
-        truth=loop.truth * x,
-        estimate=loop.estimate * x,
-        delay=loop.delay / time,
-    )
 
 
 def mean_square(loop: OpenLoop, Delta: Matrix) -> float:
@@ -85,8 +63,7 @@ def worst_delta(loop: OpenLoop, starts: int, seed: int) -> tuple[float, Matrix]:
 def _moments(loop: OpenLoop, Delta: Matrix) -> tuple[float, Matrix, Matrix, Matrix, Matrix]:
     """Return the error, A, the covariance of X, what X becomes in a delay, and the estimate's."""
     A = loop.A + loop.inputs @ Delta @ loop.outputs
-    poles = np.linalg.eigvals(A)
-    if not poles.real.max() < -_MARGINAL * np.abs(poles).max():
+    if not is_stable(np.linalg.eigvals(A)):
         return math.inf, A, A, A, A
     P = solve_continuous_lyapunov(A, -loop.B @ loop.B.T)
     through = expm(loop.delay * A)

@@ -12,11 +12,12 @@ estimator's state.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
@@ -27,6 +28,7 @@ from robsmooth.systems.system import UncertainSystem
 
 OUTPUTS = ("smoothed", "filtered", "guaranteed")
 LOOPS = ("theory", "real")  # the copies are driven by the design's fictitious noise, or by none
+_MARGINAL = 1e-12  # a loop whose slowest mode decays by less, relative to the fastest, is unstable
 Reference = str | ArrayLike | None
 _COMBINATION_TOLERANCE = 1e-9  # a row that is a combination of others to that, relative, is one
 
@@ -179,6 +181,34 @@ def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
         if any(inputs[:, rows].any() and outputs[columns].any() for rows, columns in block.places)
     )
     return OpenLoop(A, B, inputs, outputs, truth, estimate, delay, blocks)
+
+
+def is_stable(poles: np.ndarray) -> bool:
+    """Return whether a loop is stable, to rounding."""
+    return bool(poles.real.max() < -_MARGINAL * np.abs(poles).max())
+
+
+def scaled(loop: OpenLoop) -> tuple[OpenLoop, Matrix]:
+    """Return a loop in units of its fastest mode's time and its states' deviations, and these.
+
+    Errors, Delta and multipliers stay as they are.
+    """
+    poles = np.linalg.eigvals(loop.A)
+    if not is_stable(poles):
+        return loop, np.ones(len(loop.A))
+    time, variances = 1.0 / np.abs(poles).max(), np.diag(covariances(loop.A, loop.B).stationary)
+    x = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    natural = replace(
+        loop,
+        A=time * loop.A / x[:, None] * x,
+        B=np.sqrt(time) * loop.B / x[:, None],
+        inputs=time * loop.inputs / x[:, None],
+        outputs=loop.outputs * x,
+        truth=loop.truth * x,
+        estimate=loop.estimate * x,
+        delay=loop.delay / time,
+    )
+    return natural, x
 
 
 def guarantee(smoother: Estimator, output: str, loop: str) -> float | None:

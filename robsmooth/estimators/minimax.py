@@ -20,18 +20,25 @@ from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import frozen
-from robsmooth.estimators.baselines import fixed_lag_smoother
+from robsmooth.estimators.baselines import fixed_lag_smoother, tuned_fixed_lag_smoother
 from robsmooth.estimators.bound import minimize_bound
-from robsmooth.estimators.certificate import largest_fraction, least_certificate, problem_of
+from robsmooth.estimators.certificate import (
+    ConstraintProblem,
+    largest_fraction,
+    least_certificate,
+    problem_of,
+)
+from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import open_loop
 from robsmooth.estimators.programme import NoSolution, copies_are_known, least_certified
 from robsmooth.estimators.units import Natural, in_plant_states
 from robsmooth.systems.augmented import AugmentedSystem
 
 LARGEST = 20  # states of a plant for the programme: it takes about 10 s there, and 0.1 s for 6
 CONDITION = "A finite guarantee"
-_PROGRAMME, _DESCENT = "semidefinite programme", "descent"
+ROUTES = ("semidefinite programme", "descent")
 _ROUNDS = 3  # of descent, each from coordinates balanced anew
 
 
@@ -114,8 +121,6 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     InfeasibleDesignError
         Where no estimator has a finite guarantee; it says with which fraction of the uncertainty
         one has. Where the plant is not stable, or a measurement has no noise.
-    RuntimeError
-        Where the solver fails on a problem that has a solution.
     ValueError, TypeError
         For an argument that is not as described.
 
@@ -137,14 +142,14 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     0.0887
     """
     natural = Natural.of(plant, output)
-    route, found = _PROGRAMME, None
+    route, found = ROUTES[0], None
     if natural.plant.n <= LARGEST and copies_are_known(natural.plant):
         with suppress(NoSolution, RiccatiError, LinAlgError):
             estimator, theta = least_certified(natural.plant, natural.plant.C_a)
             positive = theta > 0.0
             found = problem_of(estimator, positive).at(theta[positive]).mean_square
     if found is None:
-        route = _DESCENT
+        route = ROUTES[1]
         estimator, theta, found = _by_descent(natural.plant)
     units = natural.units
     return MinimaxSmoother(
@@ -154,6 +159,14 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
         cost=output,
         route=route,
     )
+
+
+def certified_error(smoother: MinimaxSmoother) -> float:
+    """Return the error that the smoother's multipliers certify, in the squared unit of w."""
+    theta = smoother.multipliers
+    loop = open_loop(smoother, "guaranteed", "real")
+    problem = ConstraintProblem(loop, smoother.plant, theta > 0.0)
+    return problem.at(theta[problem.active]).mean_square
 
 
 def _by_descent(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray, float]:
@@ -201,14 +214,15 @@ def _objective(estimator: Estimator, logarithms: np.ndarray) -> tuple[float, np.
 
 
 def _candidates(plant: AugmentedSystem) -> Iterator[Estimator]:
-    """Yield classical smoothers, those that the paper's theory gives, and the estimate zero."""
+    """Yield classical smoothers, tuned too, those of the paper's theory, and the estimate zero."""
     n, m, g = plant.n, plant.system.m, plant.system.g
     with suppress(InfeasibleDesignError):
         for copies in {False, g > 0}:
             yield _of_w_hat(fixed_lag_smoother(plant.system, plant.delay, plant.order, copies))
-    for cost in ("smoothed", "filtered"):
+        yield _of_w_hat(tuned_fixed_lag_smoother(plant, "admissible"))
+    for cost in COSTS:
         with suppress(InfeasibleDesignError):
-            yield _of_w_hat(minimize_bound(plant, cost))
+            yield _of_w_hat(minimize_bound(plant, cost, starts=1))
     zeros = {"B_c": np.zeros((n, plant.system.l + g)), "C_c": np.zeros((m + g, n))}
     none = np.zeros((m, n))
     yield Estimator(plant=plant, A_c=-np.eye(n), C_a=none, C_f=none, **zeros)

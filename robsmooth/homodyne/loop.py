@@ -24,9 +24,11 @@ With :math:`u`, :math:`\tilde\nu` and the estimates linear in :math:`\hat x` thi
              + b_s\bigl[\sin(\varphi - r\hat x)\,dt + \nu\,dW\bigr],
     \qquad \nu = \frac{\sqrt s}{2\alpha},
 
-which is what is simulated. It is the loop of any nonlinear system (`robsmooth.estimators.loop`)
-with the reference :math:`2\alpha\gamma u`, and written with sines: :math:`\psi(v) =
-2\alpha\sin(v/2\alpha\gamma) - (\beta/\gamma)v`, of which the second part is linear.
+which is what is simulated. The phase u is the filtered estimate, the smoothed one, or
+:math:`\tilde\nu/2\alpha\gamma`, with which the copy's output is zero. It is the loop of any
+nonlinear system (`robsmooth.estimators.loop`) with the reference :math:`2\alpha\gamma u`, and
+written with sines: :math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) - (\beta/\gamma)v`, of which the
+second part is linear.
 """
 
 import math
@@ -48,6 +50,7 @@ from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import REFERENCES
 from robsmooth.systems.system import UncertainSystem
 
+OSCILLATORS = (*REFERENCES, "copy")
 NONLINEARITIES = ("difference", "literal")
 FIXED_POINT_TOLERANCE = 1e-10
 LARGEST_VARIANCE = 4 * np.pi**2  # rad^2, a turn: such a loop is not locked at all
@@ -156,18 +159,23 @@ def homodyne_loop(
 ) -> Loop:
     """Close the loop of the module's docstring; see `monte_carlo` for the arguments."""
     numbers = numbers_of(parameters)
-    validation.choice("oscillator", oscillator, REFERENCES)
+    validation.choice("oscillator", oscillator, OSCILLATORS)
     validation.choice("nonlinearity", nonlinearity, NONLINEARITIES)
     copy = validation.boolean("copy", copy)
     shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
     system = homodyne_system(numbers, shot_noise)
     estimator = _estimator(smoother, system, copy)
 
-    u = estimator.C_f if oscillator == "filtered" else estimator.C_a
     _, _, alpha, beta, gamma = numbers.values()
     scale = 2 * alpha * gamma
+    rows = (scale * estimator.C_f, scale * estimator.C_a, estimator.C_c[1:])
+    steering = rows[OSCILLATORS.index(oscillator)]
+    if oscillator == "copy" and not steering.any():
+        raise ValueError(
+            "oscillator must be 'filtered' or 'smoothed' where no copy runs, got 'copy'"
+        )
     # "literal" takes sin(phi) - beta phi at its word: the nonlinearity is not of the difference.
-    reference = scale * u if nonlinearity == "difference" else None
+    reference = steering if nonlinearity == "difference" else None
     drift, noise, inputs, outputs = matrices(estimator, loop="real", reference=reference)
     # of the sine and its copy, behind the channel of an uncertainty that is zero
     gains, arguments = 2 * alpha * inputs[:, 1:], outputs[1:] / scale
@@ -183,7 +191,7 @@ def homodyne_loop(
         copy_gain=gains[1:, 1],
         sine_noise=sine_noise,
         noise_gain=sine_noise * gains[1:, 0],
-        readout=np.vstack([estimator.C_f, estimator.C_a, u]),
+        readout=np.vstack([estimator.C_f, estimator.C_a, steering / scale]),
         delay=estimator.plant.delay,
     )
 

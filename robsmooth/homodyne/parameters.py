@@ -139,6 +139,16 @@ class HomodyneParameters:
         """
         return (gain * math.exp(-0.5 * variance) - self.beta) / self.gamma
 
+    def centred(self) -> "HomodyneParameters":
+        r"""Return the parameters with a sector that ends at 1, as no slope of the sine is larger.
+
+        Its lower edge stays; a sector that ends below 1 stays as it is.
+        """
+        if not self.lower_slope < 1.0:
+            raise ValueError(f"beta - gamma must be below 1, got {self.lower_slope:g}")
+        beta = min(self.beta, (1.0 + self.lower_slope) / 2)
+        return replace(self, beta=beta, gamma=min(self.gamma, 1.0 - beta))
+
     def with_gain(self, gain: float) -> "HomodyneParameters":
         r"""Return the parameters of a loop whose detector sees :math:`c\sin e`, noise unchanged.
 

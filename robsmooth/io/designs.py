@@ -20,14 +20,15 @@ Numbers are written so that they are read back bit for bit. A function is named 
 file is ever imported or run, and `load` takes the functions by those names.
 """
 
-import difflib
+import inspect
 import json
-import math
 import os
 import re
 import reprlib
+import sys
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import namedtuple
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -37,28 +38,20 @@ import numpy as np
 
 from robsmooth._support import files, validation
 from robsmooth._support.validation import Matrix
+from robsmooth.estimators.conditions import COSTS, weights
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.limit import limiting_smoother
+from robsmooth.estimators.minimax import ROUTES, MinimaxSmoother, certified_error
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
+from robsmooth.systems.functions import name_of
 from robsmooth.systems.system import UncertainSystem
 
-_FORMAT = 1
-_SAVED = {"system": UncertainSystem, "plant": AugmentedSystem, "estimator": Estimator}
-_GAINS = ("A_c", "B_c", "C_c", "C_a", "C_f")
-_FIELDS = {  # of each table, and which of them may be left out
-    "system": ("A", "B1", "C0", "C2", "D21", "uncertainties", "nonlinearities"),
-    "uncertainties": ("B", "C", "D"),
-    "nonlinearities": ("B", "C", "D", "lipschitz", "function", "reference"),
-    "plant": ("delay", "order", "J_21", "system"),
-    "estimator": (*_GAINS, "design", "plant"),
-    "design": ("tau", "multipliers", "cost", "bound"),
-}
-_OPTIONAL = ("uncertainties", "nonlinearities", "function", "reference", "J_21", "design")
-_LISTS = ("uncertainties", "nonlinearities")
-_DEPTHS = {"lipschitz": 0, "delay": 0, "tau": 0, "bound": 0, "multipliers": 1}  # else matrices
-_DESIGN_TOLERANCE = 1e-6  # largest relative difference of a stored design to its parameters' own
+_KINDS = {"system": UncertainSystem, "plant": AugmentedSystem, "estimator": Estimator}
+_HEADER = {"format": (1,), "kind": tuple(_KINDS), "units": ("SI",)}
+_PARTICULAR = {"design": RobustSmoother, "certificate": MinimaxSmoother}
+_TOLERANCE = 1e-6  # largest relative difference of what is stored to what is computed anew
 
 _FIRST = "# Of robsmooth: time in seconds, rates in 1/s, matrices by rows."
 _ABOUT = {
@@ -76,6 +69,9 @@ _ABOUT = {
 # C_a x_hat estimates w one lag back, C_f x_hat estimates w now""",
 }
 
+_Design = namedtuple("_Design", "tau multipliers cost bound")
+_Certificate = namedtuple("_Certificate", "certified multipliers cost route")
+
 
 def save(
     value: UncertainSystem | AugmentedSystem | Estimator, path: str | os.PathLike[str]
@@ -86,7 +82,8 @@ def save(
     ----------
     value : UncertainSystem, AugmentedSystem or Estimator
         An estimator is saved by its matrices, with its plant; a `RobustSmoother` with its tau,
-        multipliers, cost and bound, too. Of a nonlinearity's function the name is saved.
+        multipliers, cost and bound, too, and a `MinimaxSmoother` with all that it has. Of a
+        nonlinearity's function the name is saved.
     path : str or path
         Ends in .toml or .json. The file appears whole or not at all.
 
@@ -98,7 +95,7 @@ def save(
     ------
     ValueError, TypeError
         For another suffix or another kind of object, different functions of the same name, or a
-        `RobustSmoother` whose gains are not those of its tau and multipliers.
+        design that `load` would refuse.
     OSError
         Where the file cannot be written.
 
@@ -116,17 +113,12 @@ def save(
     array([[-9140.]])
     """
     path, language = _language(path)
-    kind = next((kind for kind, made in _SAVED.items() if isinstance(value, made)), None)
+    kind = next((kind for kind, made in _KINDS.items() if isinstance(value, made)), None)
     if kind is None:
         kinds = "an UncertainSystem, AugmentedSystem or Estimator"
         raise TypeError(f"value must be {kinds}, got {type(value).__name__}")
-    content = {"format": _FORMAT, "kind": kind, "units": "SI", **_content(kind, value)}
-    if kind == "estimator":
-        _estimator(
-            value.plant,
-            **{name: getattr(value, name) for name in _GAINS},
-            design=content.get("design"),
-        )
+    content = {"format": 1, "kind": kind, "units": "SI", **_fields(kind, value)}
+    _object(content, functions={})
     lines = [_FIRST, *_toml(content, "", kind)] if language == "toml" else [_json(content)]
     files.write_text(path, "\n".join([*lines, ""]))
 
@@ -146,13 +138,15 @@ def load(
     Returns
     -------
     UncertainSystem, AugmentedSystem or Estimator
-        A `RobustSmoother` where the file holds one: its guarantee is computed anew.
+        A `RobustSmoother` or `MinimaxSmoother` where the file holds one: its guarantee is computed
+        anew.
 
     Raises
     ------
     ValueError
-        Where the file is not valid, or gains do not follow from the tau and multipliers of their
-        design: one sentence that names the file and the field.
+        Where the file is not valid, gains do not follow from the tau and multipliers of their
+        design, or an error is not the one that the multipliers certify: one sentence that names
+        the file and the field.
     TypeError
         For functions that are not a mapping of names to callables.
     OSError
@@ -177,12 +171,14 @@ def load(
     for name, function in functions.items():
         if not callable(function):
             raise TypeError(f"functions[{name!r}] must be callable, got {function!r}")
-    data = path.read_bytes()
     try:
-        with np.errstate(over="raise", invalid="raise", divide="raise"):
-            return _Reader(functions).document(_parsed(data, language))
-    except (ValueError, TypeError, ArithmeticError) as error:
-        raise ValueError(f"{path.name}: {error}") from None
+        text, toml = path.read_bytes().decode("utf-8-sig"), language == "toml"
+        content = tomllib.loads(text) if toml else json.loads(text, object_pairs_hook=_distinct)
+        return _object(content, functions)
+    except RecursionError:
+        raise ValueError(f"{path.name}: its brackets are nested too deeply") from None
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path.name}: {' '.join(str(error).split())}") from None
 
 
 def _language(path: str | os.PathLike[str]) -> tuple[Path, str]:
@@ -193,39 +189,199 @@ def _language(path: str | os.PathLike[str]) -> tuple[Path, str]:
     return path, language
 
 
-def _content(kind: str, value: Any) -> dict:
+def _distinct(pairs: list[tuple[str, object]]) -> dict:
+    """Return a table of JSON whose names are there once."""
+    names = [name for name, _ in pairs]
+    if len(set(names)) < len(names):
+        raise ValueError(f"{max(names, key=names.count)!r} is there twice")
+    return dict(pairs)
+
+
+def _object(content: object, functions: Mapping[str, Callable]) -> Any:
+    """Return the object that the content of a file describes."""
+    if not isinstance(content, dict):
+        raise ValueError(f"its content must be a table, got {reprlib.repr(content)}")
+    for name in _HEADER:
+        if name not in content:
+            raise ValueError(f"{name} is missing")
+    validation.integer("format", content["format"], low=1)
+    for name, allowed in _HEADER.items():
+        validation.choice(name, content[name], allowed)
+    named: dict[str, None] = {}
+
+    def of_table(name: str, table: object, path: str) -> Any:
+        make, known = _TABLES[name], inspect.signature(_TABLES[name]).parameters
+        if not isinstance(table, dict):
+            raise ValueError(f"{path[:-1]} must be a table, got {reprlib.repr(table)}")
+        for field in table:
+            if field not in known:
+                raise ValueError(f"{path}{field} is not a field: these are {', '.join(known)}")
+        for field, parameter in known.items():
+            if field not in table and parameter.default is parameter.empty:
+                raise ValueError(f"{path}{field} is missing")
+        fields = {field: of_field(field, part, f"{path}{field}") for field, part in table.items()}
+        with _within(path[:-1]), np.errstate(over="raise", invalid="raise", divide="raise"):
+            return make(**fields)
+
+    def of_field(name: str, value: object, path: str) -> Any:
+        if name in ("uncertainties", "nonlinearities"):
+            if not isinstance(value, list):
+                raise ValueError(f"{path} must be a list of tables, got {reprlib.repr(value)}")
+            return [of_table(name, table, f"{path}[{i}].") for i, table in enumerate(value)]
+        if name in _TABLES:
+            return of_table(name, value, f"{path}.")
+        if name == "function":
+            if not isinstance(value, str):
+                raise ValueError(f"{path} must be a name, got {reprlib.repr(value)}")
+            named[value] = None
+            return functions.get(value)
+        return _numbers(value, path) if isinstance(value, list) else value
+
+    fields = {name: part for name, part in content.items() if name not in _HEADER}
+    result = of_table(content["kind"], fields, "")
+    for name in functions:
+        if name not in named:
+            known = ", ".join(map(repr, named)) or "none"
+            raise ValueError(f"functions has {name!r}, but the file names {known}")
+    return result
+
+
+def _numbers(value: object, path: str) -> Any:
+    """Return finite numbers, in lists as deep as they are; the class checks how deep."""
+    if isinstance(value, list):
+        return [_numbers(member, f"{path}[{i}]") for i, member in enumerate(value)]
+    if type(value) not in (int, float) or not abs(value) <= sys.float_info.max:
+        raise ValueError(f"{path} must be a finite number, got {reprlib.repr(value)}")
+    return float(value)
+
+
+@contextmanager
+def _within(place: str) -> Iterator[None]:
+    """Put a place in front of what is wrong there."""
+    try:
+        yield
+    except (ValueError, TypeError, ArithmeticError) as error:
+        raise ValueError(f"{place}: {error}" if place else str(error)) from None
+
+
+def _uncertainty(B: Any, C: Any, D: Any) -> Uncertainty:
+    """Return an uncertainty; a C without rows has no columns in a file."""
+    return Uncertainty(B, np.zeros((0, *np.shape(B)[:1])) if C == [] else C, D)
+
+
+def _estimator(
+    *,
+    A_c: Any,
+    B_c: Any,
+    C_c: Any,
+    C_a: Any,
+    C_f: Any,
+    design: _Design | None = None,
+    certificate: _Certificate | None = None,
+    plant: AugmentedSystem,
+) -> Estimator:
+    """Return an estimator, a design where the file has what it follows from."""
+    m, g, n = plant.system.m, plant.system.g, len(validation.matrix("A_c", A_c, (None, None)))
+    gains = {
+        "A_c": validation.matrix("A_c", A_c, (n, n)),
+        "B_c": validation.matrix("B_c", B_c, (n, plant.system.l + g)),
+        "C_c": validation.matrix("C_c", C_c, (m + g, n)),
+        "C_a": validation.matrix("C_a", C_a, (m, n)),
+        "C_f": validation.matrix("C_f", C_f, (m, n)),
+    }
+    if design and certificate:
+        raise ValueError("design and certificate must not both be there")
+    if design:
+        return _robust(plant, gains, *design)
+    return _minimax(plant, gains, *certificate) if certificate else Estimator(plant=plant, **gains)
+
+
+def _robust(
+    plant: AugmentedSystem, gains: dict, tau: float, multipliers: list, cost: str, bound: float
+) -> RobustSmoother:
+    """Return a robust smoother, checked against its tau and multipliers."""
+    with _within("design"):
+        smoother = limiting_smoother(plant, tau, multipliers, cost)
+        for name, given in {**gains, "bound": validation.real("bound", bound)}.items():
+            _check_follows(name, given, getattr(smoother, name), "tau and multipliers")
+    return replace(smoother, **gains)
+
+
+def _minimax(
+    plant: AugmentedSystem, gains: dict, certified: float, multipliers: list, cost: str, route: str
+) -> MinimaxSmoother:
+    """Return a minimax smoother, its error certified anew."""
+    with _within("certificate"):
+        smoother = MinimaxSmoother(
+            plant=plant,
+            **gains,
+            certified=validation.positive("certified", certified),
+            multipliers=weights("multipliers", plant, multipliers),
+            cost=validation.choice("cost", cost, COSTS),
+            route=validation.choice("route", route, ROUTES),
+        )
+        with _within("multipliers certify no finite error"):
+            found = certified_error(smoother)
+        _check_follows("certified", certified, found, "multipliers")
+    return smoother
+
+
+def _check_follows(name: str, given: Matrix | float, expected: Matrix | float, of: str) -> None:
+    """Check what is stored against what it should be, to a relative tolerance."""
+    size = np.abs(expected).max(initial=0.0)
+    difference = np.abs(given - expected).max(initial=0.0)
+    if not difference <= _TOLERANCE * size:
+        off = f"it is off by {difference:.2g} where its size is {size:.2g}"
+        raise ValueError(f"{name} does not follow from the {of}: {off}")
+
+
+# A table has the fields that a function takes, and which may be left out.
+_TABLES = {
+    "system": UncertainSystem,
+    "uncertainties": _uncertainty,
+    "nonlinearities": Nonlinearity,
+    "plant": augment,
+    "estimator": _estimator,
+    "design": _Design,
+    "certificate": _Certificate,
+}
+
+
+def _fields(kind: str, value: Any) -> dict:
     """Return the fields of an object's table."""
-    content = {}
-    for name in _FIELDS[kind]:
-        part = value if name == "design" else getattr(value, name)
-        if name == "design" and not isinstance(part, RobustSmoother):
-            continue
-        if name in _OPTIONAL and (part is None or np.size(part) == 0):
-            continue
+    fields = {}
+    for name, parameter in inspect.signature(_TABLES[kind]).parameters.items():
+        if name in _PARTICULAR:
+            part = value if isinstance(value, _PARTICULAR[name]) else None
+        else:
+            part = getattr(value, name)
         if name == "nonlinearities":
             _check_names([c.function for c in part])
-        if name in _LISTS:
-            part = [_content(name, member) for member in part]
-        elif name in _FIELDS:
-            part = _content(name, part)
-        content[name] = _name(part) if name == "function" else part
-    return content
+        if isinstance(part, tuple):
+            part = [_fields(name, member) for member in part]
+        elif name in _TABLES and part is not None:
+            part = _fields(name, part)
+        else:
+            part = _name(part) if name == "function" else np.asarray(part).tolist()
+        if parameter.default is parameter.empty or part not in (None, []):
+            fields[name] = part
+    return fields
 
 
 def _name(function: Callable | None) -> str | None:
-    called = getattr(function, "__name__", type(function).__qualname__)  # NumPy's, before 2.2
-    return None if function is None else getattr(function, "__qualname__", called)
+    if function is None:
+        return None
+    return "".join(c if c.isprintable() else "?" for c in name_of(function))
 
 
-def _check_names(functions: Sequence[Callable | None]) -> None:
+def _check_names(functions: list[Callable | None]) -> None:
     """Check that each name stands for one function."""
-    named: dict[str | None, int] = {}
+    named = dict(zip(map(_name, functions), functions, strict=True))
     for i, function in enumerate(functions):
-        first = named.setdefault(_name(function), i)
-        if functions[first] != function:
+        if named[_name(function)] != function:
             raise ValueError(
-                f"nonlinearities[{first}].function and nonlinearities[{i}].function must have "
-                f"names of their own to be saved, got two different ones called {_name(function)!r}"
+                f"nonlinearities[{i}].function must have a name of its own to be saved, got "
+                f"{_name(function)!r}, which another one has"
             )
 
 
@@ -233,185 +389,16 @@ def _toml(table: Mapping, prefix: str, kind: str) -> Iterator[str]:
     """Give the lines of a table: its values, then the tables in it."""
     if kind in _ABOUT:
         yield _ABOUT[kind]
-    tables = {name: value for name, value in table.items() if isinstance(value, dict | list)}
-    for name, value in table.items():
-        if name not in tables:
-            yield f"{name} = {_json(value)}"
-    for name, value in tables.items():
-        opening, closing = ("[[", "]]") if isinstance(value, list) else ("[", "]")
-        for member in value if isinstance(value, list) else [value]:
-            yield f"\n{opening}{prefix}{name}{closing}"
+    yield from (f"{name} = {_json(table[name])}" for name in table if name not in _TABLES)
+    for name in filter(_TABLES.get, table):
+        several = isinstance(table[name], list)
+        for member in table[name] if several else [table[name]]:
+            yield f"\n[[{prefix}{name}]]" if several else f"\n[{prefix}{name}]"
             yield from _toml(member, f"{prefix}{name}.", name)
 
 
-def _json(value: object, indent: str = "") -> str:
+def _json(value: object) -> str:
     """Return a value as JSON, without names as TOML, too; a matrix has one row a line."""
-    if isinstance(value, str):
-        printable = "".join(c if c.isprintable() else "?" for c in value)
-        return json.dumps(printable, ensure_ascii=False)
-    inner = indent + "  "
-    brackets = "{}" if isinstance(value, dict) else "[]"
-    if isinstance(value, dict):
-        members = [f'"{name}": {_json(member, inner)}' for name, member in value.items()]
-    elif isinstance(value, list):
-        members = [_json(member, inner) for member in value]
-    elif np.ndim(value) == 2 and len(value) > 1:
-        members = map(repr, value.tolist())
-    else:
-        return repr(np.asarray(value).tolist())
-    body = ",".join(f"\n{inner}{member}" for member in members)
-    return f"{brackets[0]}{body}\n{indent}{brackets[1]}"
-
-
-def _parsed(data: bytes, language: str) -> object:
-    """Return the content of a file in "toml" or "json"."""
-    text = data.decode("utf-8-sig")
-    try:
-        if language == "toml":
-            return tomllib.loads(text)
-        return json.loads(text, object_pairs_hook=_without_duplicates)
-    except RecursionError:
-        raise ValueError("its brackets are nested too deeply") from None
-
-
-def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:
-    result = {}
-    for name, value in pairs:
-        if name in result:
-            raise ValueError(f"{name!r} is there twice")
-        result[name] = value
-    return result
-
-
-class _Reader:
-    """Makes the objects of one file; its errors name the field by its path."""
-
-    def __init__(self, functions: Mapping[str, Callable]):
-        self.functions = functions
-        self.named: set[str] = set()  # the functions that the file names
-
-    def document(self, content: object) -> Any:
-        """Return the object that the content of a file describes."""
-        if not isinstance(content, dict):
-            raise ValueError(f"its content must be a table, got {reprlib.repr(content)}")
-        fields = dict(content)
-        for name in ("format", "kind", "units"):
-            if name not in fields:
-                raise ValueError(f"{name} is missing")
-        version = validation.integer("format", fields.pop("format"), low=1)
-        if version != _FORMAT:
-            raise ValueError(f"format must be {_FORMAT}, got {version}: another version's file")
-        kind = validation.choice("kind", fields.pop("kind"), tuple(_SAVED))
-        validation.choice("units", fields.pop("units"), ("SI",))
-        result = self.object(kind, fields, "")
-        for name in self.functions:
-            if name not in self.named:
-                known = ", ".join(map(repr, sorted(self.named))) or "none"
-                raise ValueError(f"functions has {name!r}, but the file names {known}")
-        return result
-
-    def object(self, kind: str, table: object, path: str) -> Any:
-        """Return the object of a table, which `path` leads to."""
-        if not isinstance(table, dict):
-            raise ValueError(f"{path.rstrip('.')} must be a table, got {reprlib.repr(table)}")
-        known = {name.lower(): name for name in _FIELDS[kind]}
-        for name in table:
-            if name not in known.values():
-                nearest = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.0)[0]
-                raise ValueError(f"{path}{name} is not a field: the nearest is {known[nearest]}")
-        for name in _FIELDS[kind]:
-            if name not in table and name not in _OPTIONAL:
-                raise ValueError(f"{path}{name} is missing")
-        fields = {name: self.field(name, value, f"{path}{name}") for name, value in table.items()}
-        with _within(path):
-            return _MAKERS[kind](**fields)
-
-    def field(self, name: str, value: Any, path: str) -> Any:
-        """Return the value of a field: its class checks what is not checked here."""
-        if name in _LISTS:
-            if not isinstance(value, list):
-                raise ValueError(f"{path} must be a list of tables")
-            return [self.object(name, table, f"{path}[{i}].") for i, table in enumerate(value)]
-        if name in _FIELDS:
-            return self.object(name, value, f"{path}.")
-        if name == "function":
-            if not isinstance(value, str):
-                raise ValueError(f"{path} must be a name, got {reprlib.repr(value)}")
-            self.named.add(value)
-            return self.functions.get(value)
-        if name in ("order", "reference", "cost"):
-            return value
-        return _numbers(path, value, _DEPTHS[name]) if name in _DEPTHS else _matrix(path, value)
-
-
-def _uncertainty(B: Matrix, C: Matrix, D: Matrix) -> Uncertainty:
-    """Return an uncertainty; a C without rows has no columns in a file."""
-    return Uncertainty(B, C if len(C) else np.zeros((0, len(B))), D)
-
-
-def _estimator(plant: AugmentedSystem, design: dict | None = None, **gains: Matrix) -> Estimator:
-    """Return an estimator, a robust design where there are the parameters of one."""
-    n, m, g = len(gains["A_c"]), plant.system.m, plant.system.g
-    shapes = ((n, n), (n, plant.system.l + g), (m + g, n), (m, n), (m, n))
-    for name, shape in zip(_GAINS, shapes, strict=True):
-        gains[name] = validation.matrix(name, gains[name], shape)
-    if design is None:
-        return Estimator(plant=plant, **gains)
-    with _within("design: "):
-        smoother = limiting_smoother(plant, design["tau"], design["multipliers"], design["cost"])
-    for name, given in {**gains, "bound": design["bound"]}.items():
-        expected = getattr(smoother, name)
-        size = np.abs(expected).max(initial=0.0)
-        difference = np.abs(given - expected).max(initial=0.0)
-        if not difference <= _DESIGN_TOLERANCE * size:
-            raise ValueError(
-                f"{name} does not follow from the tau and multipliers of the design: it is off by "
-                f"{difference:.2g} where its size is {size:.2g}"
-            )
-    return replace(smoother, **gains)
-
-
-_MAKERS = {
-    "system": UncertainSystem,
-    "uncertainties": _uncertainty,
-    "nonlinearities": Nonlinearity,
-    "plant": augment,
-    "estimator": _estimator,
-    "design": dict,
-}
-
-
-def _matrix(path: str, value: object) -> Matrix:
-    """Return a matrix from its list of rows."""
-    rows = _numbers(path, value, 2)
-    widths = sorted({len(row) for row in rows}) or [0]
-    if len(widths) > 1:
-        raise ValueError(f"{path} must have rows of one length, got {widths[0]} and {widths[-1]}")
-    return np.array(rows).reshape(len(rows), widths[0])
-
-
-def _numbers(path: str, value: object, depth: int) -> Any:
-    """Return a float, or of depth 1 a list of floats, or of depth 2 a list of rows of floats."""
-    if depth > 0:
-        if not isinstance(value, list):
-            what = ("numbers", "rows")[depth - 1]
-            raise ValueError(f"{path} must be a list of {what}, got {reprlib.repr(value)}")
-        return [_numbers(f"{path}[{i}]", entry, depth - 1) for i, entry in enumerate(value)]
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{path} must be a number, got {reprlib.repr(value)}")
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf  # and refused as such
-
-
-@contextmanager
-def _within(path: str) -> Iterator[None]:
-    """Put the path in front of the field's name in what a class says to its arguments."""
-    try:
-        yield
-    except (ValueError, TypeError) as error:
-        field = re.sub("^(Uncertainty|Nonlinearity) ", "", str(error))
-        raise ValueError(f"{path}{field}") from None
-    except ArithmeticError as error:
-        raise ValueError(f"{path.rstrip('.: ')}: {error}") from None
+    text = json.dumps(value, indent=2, ensure_ascii=False)
+    text = re.sub(r"\[\n([-+.\de,\s]+)\n *\]", lambda row: f"[{' '.join(row[1].split())}]", text)
+    return re.sub(r"\[\n *(\[.*\])\n *\]", r"[\1]", text)  # a single row

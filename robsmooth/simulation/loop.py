@@ -27,7 +27,6 @@ from functools import cached_property, partial
 from itertools import pairwise
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
@@ -40,6 +39,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import Reference, matrices, reference_outputs
 from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.functions import on_arrays
 
 Uncertainties = Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]]
 
@@ -245,13 +245,9 @@ def _nonlinearities(smoother: Estimator, arguments: Matrix) -> list[Function]:
 
 
 def _elementwise(function: Callable) -> Callable[[float, NDArray], NDArray]:
-    """Return psi as a `Function` has it; numba's functions of a number are compiled for arrays."""
-    if hasattr(function, "py_func"):
-        try:
-            function(np.zeros(2))
-        except Exception:  # a typing error, or a branch on an array
-            function = numba.vectorize(function.py_func)
-    return lambda _, values: function(values.ravel()).reshape(values.shape)
+    """Return psi as a `Function` has it."""
+    psi = on_arrays(function)
+    return lambda _, values: psi(values.ravel()).reshape(values.shape)
 
 
 def _ranges(sizes: Sequence[int]) -> list[list[int]]:

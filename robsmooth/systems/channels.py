@@ -1,15 +1,13 @@
 """The channels of an uncertain system: where uncertainties and nonlinearities act on it."""
 
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix
+from robsmooth.systems.functions import Function, check_function, combination, name_of
 
 REFERENCES = ("filtered", "smoothed")
 
@@ -75,23 +73,29 @@ class Nonlinearity:
         :math:`\bar C_{1,i}`, its argument :math:`\nu_i = C x`.
     D : (l, 1) array
         :math:`\bar D_{21,i}`, how it enters the measurement rate.
-    lipschitz : float
-        :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`.
+    lipschitz : float, optional
+        :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`. Either this
+        or `sector` is given; of a sector it is the larger size of its ends.
     function : callable, optional
         :math:`\psi_i`, vectorised or compiled by numba, for scalars too. A design needs none.
     reference : {None, "filtered", "smoothed"}
         The estimate :math:`r_i` of :math:`\nu_i` that the detector is steered by: the nonlinearity
         acts on :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. `simulate` uses it,
         designs and their guarantees do not.
+    sector : (float, float), optional
+        The least and the largest slope :math:`(\psi_i(a) - \psi_i(b))/(a - b)`, which need not lie
+        around zero. `UncertainSystem` takes the slope in the middle for a linear part.
 
     Raises
     ------
     ValueError, TypeError
         For a matrix that is not 2-D, real and finite, a constant that is not positive, a function
-        that is not callable, not vectorised or not zero at zero, or another reference.
+        that is not callable, not vectorised or not zero at zero, another reference, no sector, or
+        one around another slope than zero with a reference and a B that is not zero.
 
     See Also
     --------
+    sector : finds the slopes of a function, and makes its nonlinearity.
     Uncertainty, UncertainSystem : the other channels, and what they are part of.
 
     Examples
@@ -108,40 +112,67 @@ class Nonlinearity:
     C: Matrix
     D: Matrix
     lipschitz: float
-    function: Callable[[Any], Any] | None = None
+    function: Function | None = None
     reference: str | None = None
+    sector: tuple[float, float] | None = None
 
     def __init__(
         self,
         B: ArrayLike,
         C: ArrayLike,
         D: ArrayLike,
-        lipschitz: float,
-        function: Callable[[Any], Any] | None = None,
+        lipschitz: float | None = None,
+        function: Function | None = None,
         reference: str | None = None,
+        *,
+        sector: tuple[float, float] | None = None,
     ) -> None:
         _set_matrices(self, B, C, D)
+        if sector is not None:
+            sector = _slopes(sector)
+            if lipschitz not in (None, max(map(abs, sector))):
+                raise TypeError("Nonlinearity must have a lipschitz or a sector, got both")
+            lipschitz = max(map(abs, sector))
         lipschitz = validation.positive("Nonlinearity lipschitz", lipschitz)
         if function is not None:
-            _check_function("Nonlinearity function", function)
+            check_function("Nonlinearity function", function)
         if reference is not None:
             validation.choice("Nonlinearity reference", reference, REFERENCES)
+            if sector is not None and sum(sector) != 0.0 and self.B.any():
+                raise ValueError(
+                    f"Nonlinearity sector must be around zero, got {sector}, where B is not zero "
+                    "and there is a reference, which would drive the state: give lipschitz instead"
+                )
         vars(self).update(lipschitz=lipschitz, function=function, reference=reference)
+        vars(self).update(sector=sector)
 
     def __repr__(self) -> str:
-        function = getattr(self.function, "__name__", type(self.function).__name__)
+        slopes = f"lipschitz={self.lipschitz:.5g}"
+        slopes += "" if self.sector is None else ", sector=({:.5g}, {:.5g})".format(*self.sector)
+        function = getattr(self.function, "__name__", name_of(self.function))
         given = "" if self.function is None else f", function={function}"
         given += "" if self.reference is None else f", reference={self.reference!r}"
-        return f"Nonlinearity({_text(self)}, lipschitz={self.lipschitz:.5g}{given})"
+        return f"Nonlinearity({_text(self)}, {slopes}{given})"
 
     def _repr_latex_(self) -> str:
         B, C, D = map(notation.matrix, (self.B, self.C, self.D))
-        beta = notation.number(self.lipschitz)
         channel = rf"\bar B_1 = {B},\quad \bar C_1 = {C},\quad \bar D_{{21}} = {D}"
-        return rf"$${channel},\quad \beta = {beta}$$"
+        return rf"$${channel},\quad \beta = {notation.number(self.lipschitz)}$$"
 
 
 Channel = Uncertainty | Nonlinearity
+
+
+def centred(channel: Nonlinearity) -> tuple[Nonlinearity, float]:
+    """Return a nonlinearity less the slope in the middle of its sector, and that slope."""
+    if channel.sector is None:
+        return channel, 0.0
+    lower, upper = channel.sector
+    slope, function = (lower + upper) / 2, channel.function
+    if slope and function is not None:
+        function = combination(function, slope=slope)
+    matrices = channel.B, channel.C, channel.D
+    return Nonlinearity(*matrices, (upper - lower) / 2, function, channel.reference), slope
 
 
 def fitting(
@@ -171,30 +202,10 @@ def _text(channel: Channel) -> str:
     return ", ".join(f"{name}={notation.array(getattr(channel, name))}" for name in "BCD")
 
 
-def _check_function(name: str, function: Callable) -> None:
-    """Check that a nonlinearity can be called as the library does, and is zero at zero."""
-    if not callable(function):
-        raise TypeError(f"{name} must be callable, got {function!r}")
-    at = np.zeros(2)
-    if hasattr(function, "py_func"):  # numba has compiled it, and compiled loops call it
-        with suppress(Exception):
-            function(0.0)
-            at = 0.0
-    try:
-        values = np.asarray(function(at))
-    except Exception as error:
-        cause = str(error).partition("\n")[0]
-        raise ValueError(
-            f"{name} must be vectorised: an array of shape (2,) gave {type(error).__name__}: "
-            f"{cause}; NumPy's functions are (np.sin, not math.sin), and numpy.vectorize makes "
-            "any function so"
-        ) from error
-    if values.shape != np.shape(at):
-        given = f"an argument of shape {np.shape(at)} gave shape {values.shape}"
-        raise ValueError(f"{name} must be vectorised: {given}")
-    at_zero = np.ravel(values)[0]
-    if not at_zero == 0.0:
-        raise ValueError(
-            f"{name} must be zero at zero, got {at_zero}: "
-            "move the constant into the measurement or the state"
-        )
+def _slopes(sector: tuple[float, float]) -> tuple[float, float]:
+    """Return a sector as two floats, the lesser first."""
+    slopes = validation.array("Nonlinearity sector", sector, ndim=1)
+    if len(slopes) != 2 or not slopes[0] < slopes[1]:
+        wanted = "two slopes, the least and the largest"
+        raise ValueError(f"Nonlinearity sector must be {wanted}, got {sector!r}")
+    return float(slopes[0]), float(slopes[1])

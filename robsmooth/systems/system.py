@@ -15,6 +15,12 @@ A detector may be steered by an estimate, as in homodyne detection by the phase 
 oscillator. Its nonlinearity then acts on what is left, :math:`\mu_i = \psi_i(\nu_i - r_i)`, with
 the *reference* :math:`r_i` an estimate of :math:`\nu_i`. What the detector takes off, the known
 :math:`r_i`, has been added to the linear part of the measurement again, as in Section IV-A.
+
+A nonlinearity whose slopes lie in a sector around another slope than zero, :math:`c_i`, is centred
+when it becomes part of a system: :math:`c_i \bar B_{1i} \bar C_{1,i}` goes to A,
+:math:`c_i \bar D_{21,i} \bar C_{1,i}` to :math:`C_2`, and :math:`\psi_i(\nu) - c_i\nu` is kept,
+whose constant is half the width of the sector. With a reference, :math:`c_i \bar D_{21,i} r_i` is
+what has been added to the measurement.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -27,7 +33,7 @@ from numpy.typing import ArrayLike
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix
 from robsmooth.systems import statespace
-from robsmooth.systems.channels import Channel, Nonlinearity, Uncertainty, fitting
+from robsmooth.systems.channels import Channel, Nonlinearity, Uncertainty, centred, fitting
 from robsmooth.systems.statespace import Feedthrough, Signals
 
 if TYPE_CHECKING:
@@ -54,7 +60,8 @@ class UncertainSystem:
     uncertainties : sequence of `Uncertainty`
         The k channels :math:`(B_{1s}, C_{1,s}, D_{21,s})`.
     nonlinearities : sequence of `Nonlinearity`
-        The g channels :math:`(\bar B_{1i}, \bar C_{1,i}, \bar D_{21,i}, \beta_i)`.
+        The g channels :math:`(\bar B_{1i}, \bar C_{1,i}, \bar D_{21,i}, \beta_i)`. The system
+        has them centred: A and C2 have the middle slope of one that is given with a sector.
 
     Raises
     ------
@@ -108,8 +115,14 @@ class UncertainSystem:
         D21 = validation.matrix("D21", D21, (len(C2), B1.shape[1]))
         uncertainties = fitting("uncertainties", uncertainties, Uncertainty, n, len(C2))
         nonlinearities = fitting("nonlinearities", nonlinearities, Nonlinearity, n, len(C2))
+        kept = []
+        for channel, slope in map(centred, nonlinearities):
+            kept.append(channel)
+            if slope:
+                A = validation.frozen(A + slope * channel.B @ channel.C)
+                C2 = validation.frozen(C2 + slope * channel.D @ channel.C)
         vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21)
-        vars(self).update(uncertainties=uncertainties, nonlinearities=nonlinearities)
+        vars(self).update(uncertainties=uncertainties, nonlinearities=tuple(kept))
 
     @classmethod
     def from_plant(

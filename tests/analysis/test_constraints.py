@@ -25,6 +25,7 @@ from robsmooth.estimators import baselines
 from robsmooth.estimators.loop import LOOPS, OUTPUTS, open_loop
 from tests.helpers.loops import looking_at_nothing
 from tests.helpers.strategies import admissible_delta, designs, seeds
+from tests.helpers.systems import DRIVE, GAIN, cancelling, in_other_units
 
 NEAR_INFIMUM = {
     "filtered": (1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6]),
@@ -244,3 +245,19 @@ def test_what_is_not_understood_is_refused():
         analysis_bound(design, delay_order=0)
     with pytest.raises(ValueError, match=r"is for a RobustSmoother or .* got Estimator"):
         analysis_bound(linear)
+
+
+@pytest.mark.parametrize("time", [1e-9, 1e9])
+def test_bound_does_not_depend_on_the_units_of_states_and_measurements(time):
+    system = cancelling(DRIVE, GAIN)
+    other = in_other_units(system, time, [1e6, 1e-5], [1e4])
+    plants = augment(system, 1.0, 1), augment(other, 1.0 / time, 1)
+    here, there = (
+        analysis_bound(baselines.tuned_fixed_lag_smoother(plant), "smoothed", "real")
+        for plant in plants
+    )
+    assert_allclose(there.mean_square, here.mean_square, rtol=1e-6)
+    # theta is in the unit of time, and the worst input a feedback of the plant's own states
+    assert_allclose(there.multipliers * time, here.multipliers, rtol=1e-4)
+    in_these_units = there.feedback[:, :2] * [1e-6, 1e5] / time**0.5
+    assert_allclose(in_these_units, here.feedback[:, :2], rtol=1e-4)

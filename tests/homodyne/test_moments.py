@@ -17,7 +17,7 @@ from robsmooth import UnstableLoopError, error_covariance
 from robsmooth.analysis.statistical_linearisation import statistical_linearisation
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.homodyne import PAPER
-from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.homodyne.loop import OSCILLATORS, homodyne_loop
 from robsmooth.homodyne.moments import MOST_UNKNOWNS, StationaryErrors, stationary_errors
 from robsmooth.homodyne.montecarlo import monte_carlo
 from robsmooth.paper import published
@@ -45,6 +45,11 @@ def estimator(A_c, B_c, C_c, C_a, delay=DELAY):
 
 def one_state(pole, gain=GAIN, smoothed=1.0):
     return estimator(pole, gain, 1.0, smoothed)
+
+
+def classical_with_copy():
+    """An estimator whose copy has the filtered estimate for its argument."""
+    return fixed_lag_smoother(PAPER.uncertain_system(), 3.1e-6, order=2, copies=True)
 
 
 def in_coordinates(design, T, delay=None):
@@ -298,6 +303,7 @@ def test_correction_of_statistical_linearisation_is_of_third_order_in_the_noise(
         {},
         {"copy": False},
         {"oscillator": "smoothed"},
+        {"oscillator": "copy"},
         {"shot_noise": 0.3},
     ],
     ids=str,
@@ -444,6 +450,19 @@ def test_without_lag_and_with_one_readout_smoothed_is_filtered():
         assert result.smoothed == pytest.approx(result.filtered, rel=1e-12)
 
 
+def test_an_oscillator_at_the_copy_s_argument_leaves_the_copy_nothing_to_do():
+    design, kept = published.printed_estimator(), classical_with_copy()
+    steered = errors(PAPER, design, oscillator="copy")
+    # The same loop without a copy, of an estimator whose filtered estimate is the copy's argument.
+    alone = in_coordinates(design, np.eye(3))
+    alone.C_f = alone.C_c[1:] / (2 * PAPER.alpha * PAPER.gamma)
+    without = stationary_errors(PAPER, alone, copy=False)
+    assert steered[0] == pytest.approx(without.smoothed, rel=1e-9)
+    assert steered[0] != pytest.approx(errors(PAPER, design)[0], rel=1e-6)
+    # Where the copy's argument is the filtered estimate, both oscillators are one.
+    assert_allclose(errors(PAPER, kept, oscillator="copy"), errors(PAPER, kept), rtol=1e-9)
+
+
 def test_after_a_very_long_lag_the_estimate_knows_nothing():
     design = published.recomputed_estimator()
     long, longer = (in_coordinates(design, np.eye(3), delay) for delay in (6e-3, 1.0))
@@ -501,12 +520,12 @@ def errors_or_reject(*arguments, **options):
 
 options_of_the_loop = st.fixed_dictionaries(
     {
-        "oscillator": st.sampled_from(["filtered", "smoothed"]),
+        "oscillator": st.sampled_from(OSCILLATORS),
         "copy": st.booleans(),
         "nonlinearity": st.sampled_from(["difference", "literal"]),
         "shot_noise": st.floats(0.0, 1.0),
     }
-)
+).filter(lambda options: options["copy"] or options["oscillator"] != "copy")
 
 
 @given(seed=seeds, n=st.integers(1, 3), options=options_of_the_loop)
@@ -599,6 +618,7 @@ def test_too_many_states_are_an_error():
     ("options", "error", "message"),
     [
         ({"oscillator": "wrong"}, ValueError, "oscillator must be one of"),
+        ({"oscillator": "copy", "copy": False}, ValueError, "where no copy runs, got 'copy'"),
         ({"nonlinearity": "wrong"}, ValueError, "nonlinearity must be one of"),
         ({"copy": 1}, TypeError, "copy must be True or False"),
         ({"shot_noise": -1.0}, ValueError, "shot_noise must be finite"),

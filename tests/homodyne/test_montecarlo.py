@@ -19,7 +19,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from robsmooth._support.errors import LongStepWarning, UnstableLoopError
-from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.estimators.baselines import fixed_lag_smoother
+from robsmooth.homodyne import PAPER
+from robsmooth.homodyne.loop import OSCILLATORS, homodyne_loop
 from robsmooth.homodyne.montecarlo import (
     LossOfLockWarning,
     MeanSquare,
@@ -60,7 +62,7 @@ def plain_euler(parameters, estimator, draws, step, options):
     delay = round(estimator.plant.delay / step)
     first = steps - delay
     looks = {*range(CHUNK, first, CHUNK), first, *range(first + CHUNK, steps, CHUNK), steps}
-    smoothed_oscillator = options.get("oscillator") == "smoothed"
+    oscillator, scale = options.get("oscillator", "filtered"), 2 * p.alpha * p.gamma
     copies = estimator.C_c.shape[0] == 2 and options.get("copy", True)
     difference = 0.0 if options.get("nonlinearity") == "literal" else 1.0
     strength = math.sqrt(options.get("shot_noise", 1.0))
@@ -75,7 +77,8 @@ def plain_euler(parameters, estimator, draws, step, options):
     for step_index in range(steps + 1):
         phases.append(phase)
         w, w_smoothed = estimator.C_c[0] @ x, estimator.C_a[0] @ x
-        u = w_smoothed if smoothed_oscillator else w
+        copied = estimator.C_c[-1] @ x / scale
+        u = {"filtered": w, "smoothed": w_smoothed, "copy": copied}[oscillator]
         if step_index in looks:
             away = phase - u - 2 * np.pi * turns
             turns += np.sign(away) * (np.abs(away) > 1.5 * np.pi)
@@ -88,8 +91,8 @@ def plain_euler(parameters, estimator, draws, step, options):
         dy = (photocurrent + 2 * p.alpha * p.beta * reference * step) / (2 * p.alpha * p.beta)
         dx = estimator.A_c @ x * step + np.outer(estimator.B_c[:, 0], dy)
         if copies:
-            nu = estimator.C_c[1] @ x - 2 * p.alpha * p.gamma * reference
-            mu = 2 * p.alpha * f(nu / (2 * p.alpha * p.gamma))
+            nu = estimator.C_c[1] @ x - scale * reference
+            mu = 2 * p.alpha * f(nu / scale)
             dx += np.outer(estimator.B_c[:, 1], mu) * step
         phase = phase - p.lam * phase * step + math.sqrt(p.kappa) * dV
         x = x + dx
@@ -101,6 +104,8 @@ def plain_euler(parameters, estimator, draws, step, options):
     [
         {},
         {"oscillator": "smoothed"},
+        {"oscillator": "copy"},
+        {"oscillator": "copy", "nonlinearity": "literal"},
         {"copy": False},
         {"nonlinearity": "literal"},
         {"nonlinearity": "literal", "copy": False},
@@ -114,6 +119,23 @@ def test_kernel_agrees_with_a_plain_euler_loop_on_the_same_noise(options):
     given = simulation(estimator, options=options, seed=11)
     expected = plain_euler(PARAMETERS, estimator, gaussians(11, BLOCK, 2000), 1e-8, options)
     assert_allclose(given.simulate(1, 1)[0], expected, rtol=1e-7, atol=1e-9)
+
+
+def test_an_oscillator_at_the_copy_is_one_at_the_estimate_that_the_copy_is_of():
+    design = fixed_lag_smoother(PAPER.uncertain_system(), 3.1e-6, order=2, copies=True)
+    how = {"protocol": "paper", "runs": 64, "duration": 2e-5, "step": 1e-8, "seed": 3}
+    by_name = {o: monte_carlo(PARAMETERS, design, oscillator=o, **how) for o in OSCILLATORS}
+    for output in ("filtered", "smoothed"):
+        filtered, smoothed, copied = (getattr(by_name[o], output).mean_square for o in OSCILLATORS)
+        assert copied == pytest.approx(filtered, rel=1e-6)
+        assert smoothed != pytest.approx(filtered, rel=1e-3)
+
+
+@pytest.mark.parametrize("without", [{"copy": False}, {}], ids=["copy is off", "no copy"])
+def test_an_oscillator_at_the_copy_needs_one(without):
+    design = printed_smoother() if without else kalman_filter()
+    with pytest.raises(ValueError, match=r"oscillator must be .* where no copy runs, got 'copy'"):
+        monte_carlo(PARAMETERS, design, runs=1, oscillator="copy", **without)
 
 
 def test_kernel_agrees_with_a_plain_euler_loop_that_loses_lock():

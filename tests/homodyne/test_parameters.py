@@ -88,6 +88,30 @@ def test_channel_is_lipschitz_with_constant_one_just_where_it_is_said_to_be(p):
     assert reach == pytest.approx(found, abs=0.02)
 
 
+def test_the_centred_example_ends_where_the_slopes_of_the_sine_do():
+    centred = PAPER.centred()
+    assert_allclose([centred.beta, centred.gamma], [0.8, 0.2])
+    assert centred.sector_range() == pytest.approx(PAPER.sector_range())  # of chords, 1.66 rad
+    assert centred.lipschitz_range == pytest.approx(math.acos(0.6))  # of slopes, 0.927 rad
+    assert centred.centred() == centred
+
+
+@given(parameters.filter(lambda p: p.lower_slope < 1.0))
+def test_a_centred_sector_has_the_same_lower_edge_and_no_smaller_range(p):
+    centred = p.centred()
+    assert centred.lower_slope == pytest.approx(p.lower_slope, rel=1e-14, abs=1e-14)
+    assert centred.beta + centred.gamma == min(1.0, p.beta + p.gamma)
+    assert centred.sector_range() == pytest.approx(p.sector_range())
+    assert centred.lipschitz_range >= p.lipschitz_range - 1e-7
+    assert (centred.lam, centred.kappa, centred.alpha) == (p.lam, p.kappa, p.alpha)
+
+
+def test_a_sector_above_all_slopes_of_the_sine_is_not_centred():
+    steep = HomodyneParameters(**{**GOOD, "beta": 1.5})
+    with pytest.raises(ValueError, match=r"^beta - gamma must be below 1, got 1\.1"):
+        steep.centred()
+
+
 @pytest.mark.parametrize("slope", [None, 0.05, 0.2, 0.6, 0.99])
 def test_sector_range_is_the_largest_error_above_the_line(slope):
     edge = PAPER.lower_slope if slope is None else slope

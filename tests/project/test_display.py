@@ -69,6 +69,11 @@ def study():
 OBJECTS = {
     "AnalysisBound": (lambda: rs.analysis_bound(smoother()), ["mean_square=0.2", "guarantee=0.25"]),
     "AugmentedSystem": (lambda: smoother().plant, ["delay=3.1e-06 s", "order=2", "n=3 states"]),
+    "Choice": (lambda: rs.best_smoother(smoother().plant), ["against='admissible'", "nominal=0.0"]),
+    "ConstantMinimaxSmoother": (
+        lambda: rs.constant_minimax_smoother(smoother().plant),
+        ["worst_constant=0.083", "cost='smoothed'", "order=2"],
+    ),
     "DiscreteSmoother": (
         lambda: rs.baselines.kalman_bucy(PAPER.uncertain_system()).discretize(1e-7),
         ["dt=1e-07 s", "delay=0 s", "1 states"],
@@ -82,6 +87,10 @@ OBJECTS = {
         lambda: rs.InfeasibleDesignError("Assumption 2", "no noise"),
         ["Assumption 2 fails: no noise"],
     ),
+    "Judgement": (
+        lambda: rs.judge(smoother(), "filtered"),
+        ["nominal=0.09", "worst_constant=0.1", "certified=0.1"],
+    ),
     "LagChoice": (
         lambda: rs.choose_lag(PAPER.uncertain_system(), fraction=0.8),
         ["e-06 s", "order=1", "error=0.05", "target=0.05"],
@@ -93,6 +102,10 @@ OBJECTS = {
     "LongStepWarning": (lambda: rs.LongStepWarning("long"), ["long"]),
     "LossOfLockWarning": (lambda: rs.LossOfLockWarning("slipped"), ["slipped"]),
     "MeanSquare": (lambda: rs.MeanSquare(0.0517, 0.0003), ["0.0517", "0.0003"]),
+    "MinimaxSmoother": (
+        lambda: rs.minimax_smoother(smoother().plant),
+        ["certified=0.0886", "cost='smoothed'", "delay=3.1e-06 s"],
+    ),
     "MonteCarloResult": (
         lambda: rs.monte_carlo(PAPER, smoother(), runs=128),
         ["smoothed 0.05", "filtered 0.08", "rad^2", "128 runs"],
@@ -106,6 +119,7 @@ OBJECTS = {
         lambda: rs.sample_paths(linear_loop(), runs=2, duration=1e-5),
         ["2 paths", "lag=3.1e-06 s", "1 outputs"],
     ),
+    "Sector": (lambda: rs.sector(np.sin, 1.2), ["sin", "reach=1.2", "upper=1.0"]),
     "SimulatedError": (
         lambda: rs.simulate(linear_loop(), runs=16, duration=1e-5).smoothed,
         [" +- ", "covariance=[[0.0"],
@@ -125,10 +139,6 @@ OBJECTS = {
     "WorstCase": (
         lambda: rs.worst_case(smoother(), "filtered"),
         ["mean_square=0.2", "nominal=0.1", "guarantee=0.2"],
-    ),
-    "WorstDynamicCase": (
-        lambda: rs.worst_dynamic_case(smoother(), "filtered"),
-        ["mean_square=0.2", "constant=WorstCase("],
     ),
     # public by the modules of the package, or what functions return
     "HomodyneParameters": (lambda: PAPER, ["lam=9140.0", "gamma=0.4"]),
@@ -225,7 +235,9 @@ RICH = {
     "RobustSmoother": ["half the filtered error", "0.12", r"\lambda", r"\pm"],
     "AnalysisBound": ["largest mean square error", r"\theta"],
     "WorstCase": [r"-1 &amp; 0 \\ 0 &amp; 0 &amp; -1\end{bmatrix}", "nominal"],
-    "WorstDynamicCase": ["worst at every frequency", "rad/s"],
+    "ConstantMinimaxSmoother": ["worst constant smoothed error", "0.083", r"\Delta\) 1"],
+    "MinimaxSmoother": ["certified smoothed error", "0.0886", r"\theta"],
+    "Choice": ["certified worst", "classical", "refused"],
     "MonteCarloResult": ["rad²", r"\pm", "no slips"],
     "SimulationResult": [r"\pm", "constraints used"],
     "StationaryErrors": ["rad²", "×10<sup>"],

@@ -213,7 +213,9 @@ def monte_carlo(
     checkpoint : path, optional
         A file to which progress is saved every few seconds, and from which the same call resumes.
     progress : bool, show a progress bar
-    oscillator : {"filtered", "smoothed"}, the estimate that the local oscillator's phase u follows
+    oscillator : {"filtered", "smoothed", "copy"}
+        What the local oscillator's phase u follows: an estimate, or the argument of the copy,
+        :math:`\tilde\nu/2\alpha\gamma`, so that the copy's output is zero.
     copy : bool
         Whether the estimator runs its copy of the nonlinearity; without, its input is zero.
     nonlinearity : {"difference", "literal"}

@@ -1,0 +1,104 @@
+"""Functions of nonlinearities: what is asked of them, and what is made of them.
+
+They are vectorised, as NumPy's, or compiled by numba, for arrays or for numbers. What is made of a
+compiled function is compiled, so that compiled loops can call it, too.
+"""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+Function = Callable[[Any], Any]
+
+
+@dataclass(frozen=True)
+class Combination:
+    r"""The function :math:`\nu \mapsto b f(a\nu) - c\nu`, which can be pickled if f can."""
+
+    function: Function
+    argument: float  # a
+    value: float  # b
+    slope: float  # c
+
+    @property
+    def __name__(self) -> str:
+        name = name_of(self.function)
+        if (self.argument, self.value) != (1.0, 1.0):
+            name = f"{self.value:.6g} {name}({self.argument:.6g} nu)"
+        return f"{name} - {self.slope:.6g} nu" if self.slope else name
+
+    def __call__(self, nu: Any) -> Any:  # noqa: D102
+        value = self.function(np.multiply(self.argument, nu))
+        return self.value * value - np.multiply(self.slope, nu)
+
+
+def combination(
+    function: Function, *, argument: float = 1.0, value: float = 1.0, slope: float = 0.0
+) -> Function:
+    """Return `Combination`, compiled by numba if the function is."""
+    made = Combination(function, argument, value, slope)
+    return _compiled(made) if hasattr(function, "py_func") else made
+
+
+@lru_cache(maxsize=64)
+def _compiled(made: Combination) -> Function:
+    import numba
+
+    function, a, b, c = vars(made).values()
+
+    def of_number(nu):
+        return b * function(a * nu) - c * nu
+
+    of_number.__qualname__ = of_number.__name__ = made.__name__
+    return numba.njit(of_number)
+
+
+def name_of(function: Function) -> str:
+    """Return the name that a function is saved by."""
+    called = getattr(function, "__name__", type(function).__qualname__)  # NumPy's, before 2.2
+    return getattr(function, "__qualname__", called)
+
+
+def check_function(name: str, function: Function) -> None:
+    """Check that a nonlinearity can be called as the library does, and is zero at zero."""
+    if not callable(function):
+        raise TypeError(f"{name} must be callable, got {function!r}")
+    at = np.zeros(2)
+    if hasattr(function, "py_func"):  # numba has compiled it, and compiled loops call it
+        with suppress(Exception):
+            function(0.0)
+            at = 0.0
+    try:
+        values = np.asarray(function(at))
+    except Exception as error:
+        cause = str(error).partition("\n")[0]
+        raise ValueError(
+            f"{name} must be vectorised: an array of shape (2,) gave {type(error).__name__}: "
+            f"{cause}; NumPy's functions are (np.sin, not math.sin), and numpy.vectorize makes "
+            "any function so"
+        ) from error
+    if values.shape != np.shape(at):
+        given = f"an argument of shape {np.shape(at)} gave shape {values.shape}"
+        raise ValueError(f"{name} must be vectorised: {given}")
+    at_zero = np.ravel(values)[0]
+    if not at_zero == 0.0:
+        raise ValueError(
+            f"{name} must be zero at zero, got {at_zero}: "
+            "move the constant into the measurement or the state"
+        )
+
+
+def on_arrays(function: Function) -> Function:
+    """Return the function for arrays of one dimension; numba's of a number is compiled for them."""
+    if hasattr(function, "py_func"):
+        try:
+            function(np.zeros(2))
+        except Exception:  # a typing error, or a branch on an array
+            import numba
+
+            return numba.vectorize(function.py_func)
+    return function

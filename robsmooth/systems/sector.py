@@ -1,0 +1,154 @@
+"""The sector of a function: between which slopes it lies up to a given argument."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robsmooth._support import validation
+from robsmooth._support.validation import Matrix
+from robsmooth.systems.channels import Nonlinearity
+from robsmooth.systems.functions import Function, check_function, combination, on_arrays
+
+_POINTS = 2**13  # even, so that zero is not one of them
+_UNEVEN = 0.1  # of the second differences of slopes: where they differ by more, there is a corner
+_ROUNDING = 1e-10  # of the slopes: second differences that differ by less do not count
+_STEEPENING = 1.1  # of the range of slopes at half the distance, where it grows without bound
+_FLAT = 1e-9  # of the slopes: a smaller range of them is rounding
+
+
+@dataclass(frozen=True)
+class Sector:
+    """A function f and its slopes from -reach to reach, as `sector` finds them.
+
+    Attributes
+    ----------
+    function : callable
+    reach, lower, upper : float
+        The largest argument, and the least and the largest slope up to it.
+    slope, half_width : float
+        The slope in the middle, and the Lipschitz constant of the remainder.
+    remainder : callable, f less the slope times its argument
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import robsmooth as rs
+    >>> tanh = rs.sector(np.tanh, reach=0.6)
+    >>> round(tanh.lower, 6), round(tanh.upper, 6)
+    (0.711578, 1.0)
+    """
+
+    function: Function
+    reach: float
+    lower: float
+    upper: float
+    slope: float
+    half_width: float
+    remainder: Function = field(repr=False)
+
+    def nonlinearity(
+        self,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike,
+        noise: float = 1.0,
+        reference: str | None = None,
+    ) -> Nonlinearity:
+        """Return f(C x), which drives the state through B and y through D, as a nonlinearity.
+
+        It is scaled: centred, it has the Lipschitz constant 1, and a noise of intensity `noise`
+        times [B; D] enters where it does with weight one (Assumption 1).
+        """
+        noise = validation.positive("noise", noise)
+        B, C, D = (
+            validation.matrix(f"Nonlinearity {name}", value, (None, None))
+            for name, value in (("B", B), ("C", C), ("D", D))
+        )
+        argument, slopes = noise / self.half_width, (self.lower, self.upper)
+        function = combination(self.function, argument=argument, value=1.0 / noise)
+        slopes = (self.lower / self.half_width, self.upper / self.half_width)
+        scaled = noise * B, C / argument, noise * D
+        return Nonlinearity(*scaled, function=function, reference=reference, sector=slopes)
+
+
+def sector(function: Function, reach: float, chords: bool = False) -> Sector:
+    """Find between which slopes a function lies up to a given size of its argument.
+
+    Parameters
+    ----------
+    function : callable
+        f, vectorised or compiled by numba, and zero at zero.
+    reach : float
+        The largest argument. Where it is exceeded, nothing is guaranteed.
+    chords : bool
+        Whether to take the slopes f(x)/x instead of the derivative's. The sector is smaller, and
+        enough where f acts on the difference to a reference that is the argument of the copy in the
+        estimator, so that the copy's output is zero.
+
+    Returns
+    -------
+    Sector
+        With the slopes to about 1e-9 where f is smooth. Its method ``nonlinearity(B, C, D, noise)``
+        makes the `Nonlinearity` by which f(C x) drives the state through B and y through D, scaled
+        so that a noise of intensity `noise` times [B; D] has the weight one of Assumption 1.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For a function that is not as described, not finite, of unbounded slope or linear, and for a
+        `reach` that is not positive.
+
+    See Also
+    --------
+    Nonlinearity : what it is for.
+
+    Examples
+    --------
+    The noise of a sensor that saturates has the intensity 0.1:
+
+    >>> import numpy as np
+    >>> import robsmooth as rs
+    >>> tanh = rs.sector(np.tanh, reach=0.6)
+    >>> sensor = tanh.nonlinearity(B=[[0.0]], C=[[1.0]], D=[[1.0]], noise=0.1)
+    >>> rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[0]], [[0, 0.1]], [], [sensor]).C2.round(4)
+    array([[0.8558]])
+    """
+    check_function("function", function)
+    reach = validation.positive("reach", reach)
+    x = reach * np.linspace(-1.0, 1.0, _POINTS)
+    with np.errstate(all="ignore"):
+        values = np.asarray(on_arrays(function)(x), dtype=float)
+    if not np.isfinite(values).all():
+        first = int(np.argmin(np.isfinite(values)))
+        raise ValueError(f"function must be finite, got {values[first]} at {x[first]:.5g}")
+    slopes = values / x if validation.boolean("chords", chords) else np.diff(values) / np.diff(x)
+    if np.ptp(slopes) > _STEEPENING * np.ptp(slopes[2:] + slopes[:-2]) / 2:
+        at = f"near {x[np.abs(slopes).argmax()]:.5g}"
+        raise ValueError(f"function must have slopes within bounds, got ever larger ones {at}")
+    half = 0.0 if chords else 0.5
+    lower, upper = 0.0 - _largest(-slopes, half), _largest(slopes, half)
+    if not upper - lower > _FLAT * max(abs(lower), abs(upper)):
+        line = f"a line of slope {upper:.5g}, which belongs into A and C2"
+        raise ValueError(f"function must not be linear, got {line}")
+    middle = (lower + upper) / 2
+    remainder = combination(function, slope=middle)
+    return Sector(function, reach, lower, upper, middle, (upper - lower) / 2, remainder)
+
+
+def _largest(slopes: Matrix, half: float) -> float:
+    """Return the largest slope between the given ones: at points (half 0) or means (half 0.5).
+
+    Where they are smooth, it is that of the parabola through the three around the largest.
+    """
+    best = int(slopes.argmax())
+    around = slopes[max(best - 2, 0) :][:5] if best < len(slopes) - 3 else slopes[-5:]
+    bends, end = np.diff(around, 2), 1 + half
+    if np.ptp(bends) > _UNEVEN * np.abs(bends).max() + _ROUNDING * np.abs(slopes).max():
+        return float(slopes[best])  # a corner
+    middle = min(max(best, 1), len(slopes) - 2)
+    first, second, third = slopes[middle - 1 : middle + 2]
+    bend = first - 2 * second + third
+    t = np.clip([-end, (first - third) / (2 * bend or 1.0), end], -end, end)
+    parabola = second + t * (third - first) / 2 + (t**2 - half**2 / 3) * bend / 2
+    return float(parabola.max())
