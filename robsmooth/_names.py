@@ -28,6 +28,7 @@ _OTHERS = {
     "baselines.worst_optimal_error": "",
     "error_covariance": "covariance",
     "homodyne.HomodyneParameters": "",
+    "minimax_smoother": "robustfilter",
     "minimize_bound": "hinfsyn",
     "simulate": "lsim sim",
     "worst_case": "mussv wcgain",

@@ -8,7 +8,7 @@ from html import escape
 import ipywidgets as widgets
 from IPython.display import Javascript
 
-from robsmooth.explorer.snapshot import DESIGNS, RANGES, Settings
+from robsmooth.explorer.snapshot import RANGES, Settings
 
 _BY_HAND = "A design by hand"
 _COLUMNS = {  # of each setting: label and tooltip
@@ -16,7 +16,7 @@ _COLUMNS = {  # of each setting: label and tooltip
         "lag": ("lag (µs)", "how far back the smoothed estimate looks"),
         "order": ("order", "states in the model of the lag: more follow a delay more closely"),
         "design": ("design", "how the estimator is made"),
-        "cost": ("keep low", "the error that a robust design is for"),
+        "cost": ("keep low", "the error that a design is for, and that is judged"),
     },
     "The light and the uncertainty": {
         "noise": ("noise (paper: 1)", "power of the light's shot noise; the design knows of it"),
@@ -25,7 +25,7 @@ _COLUMNS = {  # of each setting: label and tooltip
         "gamma": ("uncertainty γ", "half width of the sector that is taken to hold the sine"),
     },
     _BY_HAND: {
-        "tau": ("τ (µs rad²)", "the scale of a robust design"),
+        "tau": ("τ (µs rad²)", "the scale of the paper's design"),
         "lambda1": ("λ₁ process noise", "multiplier of the process noise's constraint"),
         "lambda2": ("λ₂ sine − copy", "multiplier of the difference of the sine and its copy"),
         "lambda3": ("λ₃ sine", "multiplier of the sine's own constraint"),
@@ -33,7 +33,13 @@ _COLUMNS = {  # of each setting: label and tooltip
     },
 }
 _CHOICES = {
-    "design": dict(zip(("robust, least bound", "by hand", "classical"), DESIGNS, strict=True)),
+    "design": {
+        "robust, least bound V": "robust",
+        "minimax, least certified": "minimax",
+        "classical": "classical",
+        "classical, tuned": "tuned classical",
+        "by hand": "by hand",
+    },
     "cost": {"the filtered error": "filtered", "the smoothed error": "smoothed"},
 }
 _WIDEST = "1000px"  # more would blur the panels
@@ -101,7 +107,6 @@ class Controls:
         if not self._muted:
             design = self.inputs["design"].value
             self._columns[_BY_HAND].layout.display = "flex" if design == "by hand" else "none"
-            self.inputs["cost"].disabled = design == "classical"
             self._on_change()
 
     def _copy_to_clipboard(self, _) -> None:

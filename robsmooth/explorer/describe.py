@@ -6,7 +6,9 @@ from collections.abc import Mapping
 import robsmooth as rs
 from robsmooth._support.tables import Table
 from robsmooth.explorer import snapshot as model
-from robsmooth.explorer.snapshot import RUNS, SLOPES, Settings, Snapshot, simulate, take_snapshot
+from robsmooth.explorer.snapshot import RUNS, SLOPES, Settings, Snapshot
+
+JUDGING = "The certified worst error is being prepared."
 
 
 def code(settings: Settings) -> str:
@@ -20,41 +22,50 @@ parameters = rs.homodyne.HomodyneParameters(
     lam={p.lam!r}, kappa={p.kappa!r}, alpha={p.alpha!r}, beta={p.beta!r}, gamma={p.gamma!r}
 )
 system = parameters.uncertain_system()
+plant = rs.augment(system, delay={settings.lag!r}, order={settings.order})
 {_design(settings)}
 
 slopes = np.linspace({low!r}, {high!r}, {len(SLOPES)})
 filtered = rs.delta_sweep(smoother, slopes, "filtered", loop="real")[:, 0, 0]
 smoothed = rs.delta_sweep(smoother, slopes, "smoothed", loop="real")[:, 0, 0]
+judged = rs.judge(smoother, "{settings.cost}")
 simulated = rs.monte_carlo(parameters, smoother, runs={RUNS})
 
 print(smoother)
 print("without uncertainty: filtered", filtered[-1], "smoothed", smoothed[-1])
 print("at the sector's edge: filtered", filtered[0], "smoothed", smoothed[0])
+print(judged)
 print(simulated)
 """
 
 
 def _design(settings: Settings) -> str:
-    lag, order, cost = settings.lag, settings.order, settings.cost
-    if settings.design == "classical":
-        return f"smoother = rs.baselines.fixed_lag_smoother(system, {lag!r}, {order}, copies=True)"
+    cost = settings.cost
+    match settings.design:
+        case "minimax":
+            return f'smoother = rs.minimax_smoother(plant, "{cost}")'
+        case "classical":
+            arguments = f"system, {settings.lag!r}, {settings.order}, copies=True"
+            return f"smoother = rs.baselines.fixed_lag_smoother({arguments})"
+        case "tuned classical":
+            return f'smoother = rs.baselines.tuned_fixed_lag_smoother(plant, output="{cost}")'
+        case "robust":
+            remark = f'tau is the best; rs.minimize_bound(plant, "{cost}") searches for all of them'
+        case _:
+            remark = "the design at these values, or the limit where some of them are zero"
     tau, multipliers = model.robust_arguments(settings)
-    remark = f'tau is the best; rs.minimize_bound(plant, cost="{cost}") searches for all of them'
-    if settings.design == "by hand":
-        remark = "the design at these values, or the limit where some of them are zero"
     return f"""\
-plant = rs.augment(system, delay={lag!r}, order={order})
 # {remark}
 smoother = rs.limiting_smoother(
     plant, tau={tau!r}, multipliers={list(multipliers)}, cost="{cost}"
 )"""
 
 
-def summary(snapshot: Snapshot, simulated: rs.MonteCarloResult | str) -> str:
+def summary(snapshot: Snapshot) -> str:
     """Return what there is to learn at these settings, a sentence or three."""
     if isinstance(snapshot.estimator, str):
         return f"There is no design. {snapshot.estimator}."
-    return f"{_simulation(simulated)} {_guarantee(snapshot)}"
+    return f"{_simulation(snapshot.simulated)} {_certificate(snapshot)}"
 
 
 def _simulation(simulated: rs.MonteCarloResult | str) -> str:
@@ -64,45 +75,54 @@ def _simulation(simulated: rs.MonteCarloResult | str) -> str:
     slipped = simulated.slipped_paths
     if slipped == RUNS:
         return "With its sine the loop loses lock: every simulated path slips by whole turns."
-    saved = 1.0 - smoothed / filtered
     text = (
         f"With the sine in the loop, smoothing has a mean square error of {smoothed:.4f} rad², "
-        f"{abs(saved):.0%} {'below' if saved >= 0 else 'above'} the filter's {filtered:.4f} rad²."
+        f"{_compared(smoothed, filtered)} the filter's {filtered:.4f} rad²."
     )
     if simulated.slips:
         text += f" That is for paths in lock: {slipped} of {RUNS} slip by whole turns."
     return text
 
 
-def _guarantee(snapshot: Snapshot) -> str:
-    found, settings = snapshot.guarantee, snapshot.settings
-    if isinstance(found, str):
-        return f"{found}."
-    if math.isinf(found.bound):
-        return "This design comes with no guarantee."
-    text = (
-        f"Guaranteed, for every uncertainty in the sector: a {settings.cost} error below "
-        f"{found.bound:.4f} rad²; the largest in the panel is {found.errors.max():.4f} rad²."
-    )
+def _certificate(snapshot: Snapshot) -> str:
+    settings = snapshot.settings
+    if isinstance(snapshot.judged, str):
+        return f"{snapshot.judged}."
+    own, classical = (judgement.certified for judgement in snapshot.judged)
+    if math.isnan(own):
+        return JUDGING
+    if math.isinf(own):
+        return "Nothing is certified: uncertainty in the sector could make the error unbounded."
+    text = f"Certified, for every uncertainty in the sector: a {settings.cost} error of at most "
+    text += f"{own:.4f} rad²"
+    if settings.design != "classical":
+        text += f", {_compared(own, classical)} that of the classical smoother"
     prior = settings.kappa / (2.0 * settings.lam)  # the phase's own variance
-    if found.bound >= prior:
-        text += f" That is no better than not to measure at all, {prior:.4f} rad²."
-    return text
+    if own >= prior:
+        text += f"; not to measure at all is as good, {prior:.4f} rad²"
+    return f"{text}."
+
+
+def _compared(error: float, other: float) -> str:
+    share = f"{abs(1.0 - error / other):.1%}"
+    return (
+        "no better than" if share == "0.0%" else f"{share} {'below' if error < other else 'above'}"
+    )
 
 
 def experiments(cases: Mapping[str, Settings], caption: str) -> Table:
     """Return what the panels show in several cases, one a row."""
     columns = ("settings", "filtered (rad²)", "smoothed (rad²)", "saved")
-    columns += ("guaranteed below (rad²)", "paths that slip")
+    columns += ("worst constant (rad²)", "certified worst (rad²)", "paths that slip")
     rows = []
     for name, settings in cases.items():
-        snapshot = take_snapshot(settings)
-        simulated = simulate(snapshot)
-        found = ["no design", "no design", None, None, None]
+        snapshot = model.take_snapshot(settings)
+        simulated, judged = model.simulate(snapshot), model.judge(snapshot)
+        found = ["no design", "no design", None, None, None, None]
         if not isinstance(simulated, str):
             filtered, smoothed = (error.mean_square for error in simulated.in_lock())
-            bound = snapshot.guarantee.bound if snapshot.guarantee.bound < math.inf else "none"
+            worst = judged.own.worst_constant, judged.own.certified
             slipped = f"{simulated.slipped_paths} of {RUNS}"
-            found = [filtered, smoothed, f"{1 - smoothed / filtered:.0%}", bound, slipped]
+            found = [filtered, smoothed, f"{1 - smoothed / filtered:.0%}", *worst, slipped]
         rows.append((name, *found))
-    return Table(columns, rows, caption, digits=3)
+    return Table(columns, rows, caption)

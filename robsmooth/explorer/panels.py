@@ -21,11 +21,9 @@ from PIL import Image
 
 import robsmooth as rs
 from robsmooth.explorer import snapshot as model
-from robsmooth.explorer.snapshot import ADMISSIBLE, RUNS, SHOWN, SLOPES, STEP, Settings, Snapshot
+from robsmooth.explorer.snapshot import RUNS, SHOWN, SLOPES, STEP, Settings, Snapshot
 from robsmooth.paper.figures import TRUTH, styles, use_style
 
-PREPARING = "The simulation is being prepared. "
-PREPARING += "For an order that is new on this computer that takes some seconds, once."
 NO_DESIGN = "No design."
 _SIZE, _RESOLUTION = (7.0, 4.5), 130  # inches, and pixels of an inch on the screen
 _WIDTH = 26  # letters of a sentence in a panel
@@ -51,9 +49,9 @@ class Panels:
             self.figure.set_layout_engine("none")  # it has done its work: nothing moves any more
         self._background = canvas.copy_from_bbox(self.figure.bbox)
 
-    def update(self, snapshot: Snapshot, simulated: rs.MonteCarloResult | str) -> None:
+    def update(self, snapshot: Snapshot) -> None:
         """Set the data of all panels; a sentence takes the place of those that there are not."""
-        shown, said = {**vars(snapshot), "simulated": simulated}, set()
+        shown, said = vars(snapshot), set()
         for name, panel in self._panels.items():
             sentence = shown[name] if isinstance(shown[name], str) else ""
             if not sentence:
@@ -178,21 +176,27 @@ def _poles(axes: Axes) -> Changing:
     return [edge, tangent], update
 
 
-def _guarantee(axes: Axes) -> Changing:
-    bound = _line(axes, color="k", linestyle="-", label="bound")
-    error = _line(axes, color=_colour(4), linestyle="-.", label="what it bounds")
-    _legend(axes, "upper right")
-    axes.set(title="bound against covariance", ylabel=_ERROR, yscale="log")
-    axes.set(xlabel=r"uncertainty $\Delta_2$", xlim=(-1.0, 1.0), ylim=(0.3, 30.0))
+def _judged(axes: Axes) -> Changing:
+    style = {"color": _colour(4), "marker": "D", "markersize": 6, "markerfacecolor": "none"}
+    classical = _line(axes, linestyle=":", label="classical smoother", **style)
+    own = _line(axes, color="k", linestyle=":", marker="o", markersize=3, label="this design")
+    guarantee = _line(axes, color="k", linestyle="-", label="the paper's bound 2V")
+    _legend(axes, "upper left")
+    axes.set(title="the three errors of a design", ylabel=_ERROR, yscale="log")
+    axes.set(xlim=(-0.5, 2.5), ylim=(0.3, 30.0), xlabel="of the error that is kept low")
+    axes.set_xticks([0, 1, 2], ["nominal", "constant", "certified"])
     axes.set_yticks([0.3, 1, 3, 10, 30], ["0.3", "1", "3", "10", "30"])
     axes.minorticks_off()
 
-    def update(guarantee: model.Guarantee, snapshot: Snapshot) -> None:
-        level = guarantee.bound / snapshot.filtering  # infinity, where there is none, is not drawn
-        bound.set_data([-1.0, 1.0], [level, level])
-        error.set_data(ADMISSIBLE, guarantee.errors / snapshot.filtering)
+    def update(judged: model.Judged, snapshot: Snapshot) -> None:
+        for line, judgement in zip((own, classical), judged, strict=True):
+            errors = np.array(list(vars(judgement).values()))
+            line.set_data([0, 1, 2], errors / snapshot.filtering)  # one that is infinite is absent
+        robust = isinstance(snapshot.estimator, rs.RobustSmoother)
+        level = snapshot.estimator.mean_square_bound if robust else math.nan
+        guarantee.set_data([-0.5, 2.5], np.full(2, level / snapshot.filtering))
 
-    return [error, bound], update
+    return [guarantee, classical, own], update
 
 
 def _path(axes: Axes) -> Changing:
@@ -241,4 +245,4 @@ def _simulation(axes: Axes) -> Changing:
 
 # By what each shows of a snapshot, or the simulation.
 _PANELS = {"settings": _sector, "sweep": _sweep, "poles": _poles}
-_PANELS |= {"guarantee": _guarantee, "path": _path, "simulated": _simulation}
+_PANELS |= {"judged": _judged, "path": _path, "simulated": _simulation}

@@ -30,12 +30,13 @@ from robsmooth.simulation.loop import nonlinear_loop
 # measurement: tau is all that is left to search for.
 BEST_MULTIPLIERS = (1.0, 0.5, 0.0, 0.0)
 SLOPES = np.linspace(-1.0, 0.0, 21)  # Delta_2 of the sweep
-ADMISSIBLE = np.linspace(-1.0, 1.0, 13)  # Delta_2 of what the bound is compared with
 RUNS = 128  # paths of the simulation
 STEP, SHOWN, BEFORE = 0.4e-6, 100, 25  # of the sample path: s, steps that are shown, and before
 SEED = 11  # of the sample path
-DESIGNS = ("robust", "by hand", "classical")
+DESIGNS = ("robust", "minimax", "classical", "tuned classical", "by hand")
 _PAPER = rs.homodyne.PAPER
+PREPARING = "The simulation is being prepared. "
+PREPARING += "For an order that is new on this computer that takes some seconds, once."
 
 
 class Range(NamedTuple):
@@ -78,8 +79,8 @@ class Settings:
     noise: float = 1.0  # power of the shot noise, relative to the paper's; the design knows of it
     lam: float = _PAPER.lam  # decay rate of the phase, rad/s
     kappa: float = _PAPER.kappa  # diffusion of the phase, rad^2/s
-    cost: str = COSTS[0]  # the error that a robust design keeps low
-    design: str = DESIGNS[0]  # least bound, these tau and lambda, or the nominal smoother
+    cost: str = COSTS[0]  # the error that a design keeps low, and that is judged
+    design: str = DESIGNS[0]  # least V or certified worst, nominal, tuned, these tau and lambda
     tau: float = printed("tau")  # rad^2 s
     lambda1: float = printed("lambda_1")
     lambda2: float = printed("lambda_2")
@@ -98,9 +99,10 @@ class Settings:
         validation.choice("design", self.design, DESIGNS)
 
     @property
-    def multipliers(self) -> tuple[float, ...]:
-        """The four multipliers of a design by hand."""
-        return self.lambda1, self.lambda2, self.lambda3, self.lambda4
+    def classical(self) -> "Settings":
+        """The same loop with the classical smoother."""
+        light = self.lag, self.order, self.gamma, self.noise, self.lam, self.kappa
+        return Settings(*light, self.cost, "classical")
 
     @property
     def parameters(self) -> rs.homodyne.HomodyneParameters:
@@ -115,9 +117,8 @@ Poles = NDArray[np.complex128]
 T = TypeVar("T")
 
 
-# Mean squares at each of `ADMISSIBLE`, rad^2, with the fictitious noise, and what bounds them: 2V,
-# or infinity for a design that comes without.
-Guarantee = namedtuple("Guarantee", "errors bound")
+# The three errors of the settings' design and of the classical smoother.
+Judged = namedtuple("Judged", "own classical")
 # Mean square errors at each of `SLOPES`, rad^2, in a loop without the fictitious noise.
 Sweep = namedtuple("Sweep", "filtered smoothed")
 # A path of the phase, rad, and its estimates, made at the same times.
@@ -126,7 +127,7 @@ Path = namedtuple("Path", "time phase filtered smoothed")
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What there is to see at some settings, but for the simulation of many paths."""
+    """What there is to see at some settings."""
 
     settings: Settings
     filtering: float  # the Kalman-Bucy filter's error without uncertainty, rad^2
@@ -135,27 +136,29 @@ class Snapshot:
     poles: Poles | str  # 1/s, in its loop: at the tangent, at the sector's edge
     sweep: Sweep | str
     classical: Sweep | str  # of the classical fixed-lag smoother
-    guarantee: Guarantee | str
     predicted: StatisticalLinearisation | str  # the errors with the sine
     path: Path | str
+    judged: Judged | str  # the worst of the sweep, and NaN, in place of those not yet known
+    simulated: rs.MonteCarloResult | str = PREPARING
 
 
 def take_snapshot(settings: Settings) -> Snapshot:
-    """Return what there is to see at some settings."""
+    """Return what there is to see at some settings at once."""
     parameters = settings.parameters
     least = partial(rs.baselines.optimal_fixed_lag_error, parameters.uncertain_system())
-    estimator = _found(design, settings)
+    estimator, classical = _found(design, settings), _found(design, settings.classical)
+    sweep, classical = _found(_sweep, estimator), _found(_sweep, classical)
     return Snapshot(
         settings=settings,
         filtering=least(0.0).item(),
         optimum=least(settings.lag).item(),
         estimator=estimator,
         poles=_found(_poles, estimator, parameters),
-        sweep=_found(_sweep, estimator),
-        classical=_found(_sweep, _found(_classical, settings)),
-        guarantee=_found(_guarantee, estimator),
+        sweep=sweep,
+        classical=classical,
         predicted=_found(rs.statistical_linearisation, estimator, parameters.equivalent_slope),
         path=_found(_path, estimator),
+        judged=_found(_judged_at_once, sweep, classical, output=settings.cost),
     )
 
 
@@ -167,29 +170,49 @@ def simulate(snapshot: Snapshot) -> rs.MonteCarloResult | str:
         return _found(rs.monte_carlo, parameters, snapshot.estimator, runs=RUNS)
 
 
+def judge(snapshot: Snapshot) -> Judged | str:
+    """Find the three errors of a snapshot's design and of the classical smoother."""
+    settings = snapshot.settings
+    return _found(Judged, *(_found(_judgement, each) for each in (settings, settings.classical)))
+
+
+@lru_cache(maxsize=8)
+def _judgement(settings: Settings) -> rs.Judgement:
+    return rs.judge(design(settings), settings.cost)
+
+
+def _judged_at_once(*sweeps: Sweep, output: str) -> Judged:
+    errors = (getattr(sweep, output) for sweep in sweeps)
+    return Judged(*(rs.Judgement(each[-1], each.max(), math.nan) for each in errors))
+
+
+@lru_cache(maxsize=8)
 def design(settings: Settings) -> rs.Estimator:
     """Return the estimator that the settings ask for."""
-    if settings.design == "classical":
-        return _classical(settings)
-    return rs.limiting_smoother(_plant(settings), *robust_arguments(settings), settings.cost)
+    plant, cost = _plant(settings), settings.cost
+    match settings.design:
+        case "minimax":
+            return rs.minimax_smoother(plant, cost)
+        case "classical":
+            arguments = plant.system, plant.delay, plant.order
+            return rs.baselines.fixed_lag_smoother(*arguments, copies=True)
+        case "tuned classical":
+            return rs.baselines.tuned_fixed_lag_smoother(plant, output=cost)
+    return rs.limiting_smoother(plant, *robust_arguments(settings), cost)
 
 
 @lru_cache(maxsize=1)
 def robust_arguments(settings: Settings) -> tuple[float, tuple[float, ...]]:
-    """Return tau and the multipliers of a robust design: as set, or with the least bound."""
+    """Return tau and the multipliers of the paper's design: as set, or with the least bound."""
     if settings.design == "by hand":
-        return settings.tau, settings.multipliers
+        multipliers = settings.lambda1, settings.lambda2, settings.lambda3, settings.lambda4
+        return settings.tau, multipliers
     tau = best_tau(_plant(settings), BEST_MULTIPLIERS, settings.cost)
     return float(f"{tau:.6g}"), BEST_MULTIPLIERS
 
 
 def _plant(settings: Settings) -> rs.AugmentedSystem:
     return rs.augment(settings.parameters.uncertain_system(), settings.lag, settings.order)
-
-
-def _classical(settings: Settings) -> rs.Estimator:
-    system = settings.parameters.uncertain_system()
-    return rs.baselines.fixed_lag_smoother(system, settings.lag, settings.order, copies=True)
 
 
 def _found(find: Callable[..., T], *given: object, **options: object) -> T | str:
@@ -206,14 +229,6 @@ def _found(find: Callable[..., T], *given: object, **options: object) -> T | str
 def _sweep(estimator: rs.Estimator) -> Sweep:
     found = (rs.delta_sweep(estimator, SLOPES, output, loop="real") for output in Sweep._fields)
     return Sweep(*(errors[:, 0, 0] for errors in found))
-
-
-def _guarantee(estimator: rs.Estimator) -> Guarantee:
-    """Find the error that the bound is for: against w, or against the output of the delay model."""
-    robust = isinstance(estimator, rs.RobustSmoother)
-    bound = estimator.mean_square_bound if robust else math.inf
-    errors = rs.delta_sweep(estimator, ADMISSIBLE, "guaranteed" if robust else "filtered")
-    return Guarantee(errors[:, 0, 0], bound)
 
 
 def _poles(estimator: rs.Estimator, parameters: rs.homodyne.HomodyneParameters) -> Poles:
