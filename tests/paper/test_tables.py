@@ -84,7 +84,7 @@ def test_refusals_quote_the_library_and_nothing_else():
 def test_judged_systems_have_their_three_errors():
     table = tables.judged({("mine", "classical"): Judgement(1.0, 2.0, 3.0)})
     assert table.columns[2:] == ("nominal", "worst constant", "certified")
-    assert table.rows == (("mine", "classical", 1.0, 2.0, 3.0),)
+    assert table.rows == [("mine", "classical", 1.0, 2.0, 3.0)]
 
 
 def test_own_systems_are_predicted_by_their_equivalent_slopes():
