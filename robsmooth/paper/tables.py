@@ -14,10 +14,11 @@ from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.notation import matrix as matrix
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
-from robsmooth.analysis.choice import Choice
+from robsmooth.analysis.choice import Choice, Judgement
 from robsmooth.analysis.covariance import delta_sweep, error_covariance
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.minimax import minimax_smoother
 from robsmooth.estimators.smoother import RobustSmoother, design_equations
 from robsmooth.homodyne import PAPER, HomodyneParameters, fraction_inside
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
@@ -280,16 +281,34 @@ def candidates(choice: Choice, more: Mapping[str, Mapping[str, float]]) -> Recor
         yield record
 
 
+Design = Callable[[AugmentedSystem], object]
+
+
 @_table()
-def refusals(attempts: Mapping[str, Callable[[], object]]) -> Records:
+def refusals(attempts: Mapping[str, tuple[AugmentedSystem, Design]]) -> Records:
     """Refusals."""
-    for name, attempt in attempts.items():
-        said = "not refused"
-        try:
-            attempt()
-        except InfeasibleDesignError as error:
-            said = str(error)
-        yield {"what is wrong": name, "what the library says": said}
+    for name, (plant, design) in attempts.items():
+        minimax = _said(minimax_smoother, plant).partition(":")[0]
+        said = {"what is wrong": name, "what the library says": _said(design, plant)}
+        yield said | {"the minimax design": minimax}
+
+
+def _said(design: Design, plant: AugmentedSystem) -> str:
+    try:
+        design(plant)
+    except InfeasibleDesignError as error:
+        return str(error)
+    return "not refused"
+
+
+@_table()
+def judged(judgements: Mapping[tuple[str, str], Judgement]) -> Records:
+    """Mean square errors of the smoothed estimate: in a loop without uncertainty, under the worst
+    constant one, and the certified worst that no admissible one exceeds.
+    """
+    for (system, smoother), found in judgements.items():
+        errors = {field.replace("_", " "): error for field, error in vars(found).items()}
+        yield {"system": system, "smoother": smoother, **errors}
 
 
 @_table(digits=3)

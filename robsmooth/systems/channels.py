@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix
-from robsmooth.systems.functions import Function, check_function, combination, name_of
+from robsmooth.systems.functions import Combination, Function, check_function, compiled, name_of
 
 REFERENCES = ("filtered", "smoothed")
 
@@ -170,7 +170,7 @@ def centred(channel: Nonlinearity) -> tuple[Nonlinearity, float]:
     lower, upper = channel.sector
     slope, function = (lower + upper) / 2, channel.function
     if slope and function is not None:
-        function = combination(function, slope=slope)
+        function = compiled(Combination(function, slope=slope))
     matrices = channel.B, channel.C, channel.D
     return Nonlinearity(*matrices, (upper - lower) / 2, function, channel.reference), slope
 

@@ -1,8 +1,4 @@
-"""Functions of nonlinearities: what is asked of them, and what is made of them.
-
-They are vectorised, as NumPy's, or compiled by numba, for arrays or for numbers. What is made of a
-compiled function is compiled, so that compiled loops can call it, too.
-"""
+"""Functions of nonlinearities, vectorised or compiled by numba: what they are, and made to be."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -20,9 +16,9 @@ class Combination:
     r"""The function :math:`\nu \mapsto b f(a\nu) - c\nu`, which can be pickled if f can."""
 
     function: Function
-    argument: float  # a
-    value: float  # b
-    slope: float  # c
+    argument: float = 1.0  # a
+    value: float = 1.0  # b
+    slope: float = 0.0  # c
 
     @property
     def __name__(self) -> str:
@@ -36,12 +32,9 @@ class Combination:
         return self.value * value - np.multiply(self.slope, nu)
 
 
-def combination(
-    function: Function, *, argument: float = 1.0, value: float = 1.0, slope: float = 0.0
-) -> Function:
-    """Return `Combination`, compiled by numba if the function is."""
-    made = Combination(function, argument, value, slope)
-    return _compiled(made) if hasattr(function, "py_func") else made
+def compiled(made: Combination) -> Function:
+    """Return a combination, compiled by numba if its function is."""
+    return _compiled(made) if hasattr(made.function, "py_func") else made
 
 
 @lru_cache(maxsize=64)

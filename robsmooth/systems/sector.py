@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
 from robsmooth.systems.channels import Nonlinearity
-from robsmooth.systems.functions import Function, check_function, combination, on_arrays
+from robsmooth.systems.functions import Combination, Function, check_function, compiled, on_arrays
 
 _POINTS = 2**13  # even, so that zero is not one of them
 _UNEVEN = 0.1  # of the second differences of slopes: where they differ by more, there is a corner
@@ -55,21 +55,16 @@ class Sector:
         noise: float = 1.0,
         reference: str | None = None,
     ) -> Nonlinearity:
-        """Return f(C x), which drives the state through B and y through D, as a nonlinearity.
-
-        It is scaled: centred, it has the Lipschitz constant 1, and a noise of intensity `noise`
-        times [B; D] enters where it does with weight one (Assumption 1).
-        """
+        """Return what drives the state by B f(C x) and y by D f(C x), with noise of weight one."""
         noise = validation.positive("noise", noise)
+        given = {"B": B, "C": C, "D": D}.items()
         B, C, D = (
-            validation.matrix(f"Nonlinearity {name}", value, (None, None))
-            for name, value in (("B", B), ("C", C), ("D", D))
+            validation.matrix(f"Nonlinearity {n}", value, (None, None)) for n, value in given
         )
-        argument, slopes = noise / self.half_width, (self.lower, self.upper)
-        function = combination(self.function, argument=argument, value=1.0 / noise)
-        slopes = (self.lower / self.half_width, self.upper / self.half_width)
-        scaled = noise * B, C / argument, noise * D
-        return Nonlinearity(*scaled, function=function, reference=reference, sector=slopes)
+        argument, slopes = noise / self.half_width, np.array([self.lower, self.upper])
+        function = compiled(Combination(self.function, argument, value=1.0 / noise))
+        unit = {"sector": tuple(slopes / self.half_width), "reference": reference}
+        return Nonlinearity(noise * B, C / argument, noise * D, function=function, **unit)
 
 
 def sector(function: Function, reach: float, chords: bool = False) -> Sector:
@@ -132,7 +127,7 @@ def sector(function: Function, reach: float, chords: bool = False) -> Sector:
         line = f"a line of slope {upper:.5g}, which belongs into A and C2"
         raise ValueError(f"function must not be linear, got {line}")
     middle = (lower + upper) / 2
-    remainder = combination(function, slope=middle)
+    remainder = compiled(Combination(function, slope=middle))
     return Sector(function, reach, lower, upper, middle, (upper - lower) / 2, remainder)
 
 

@@ -68,13 +68,23 @@ def test_the_example_is_the_same_in_every_unit():
 
 
 def test_refusals_quote_the_library_and_nothing_else():
-    def refuse():
-        raise InfeasibleDesignError("Assumption 9", "for a test")
+    def refuse(plant):
+        raise InfeasibleDesignError("Assumption 9", f"for a test of {plant.n} states")
 
-    table = tables.refusals({"bad": refuse, "good": lambda: None})
-    assert [row[1] for row in table.rows] == ["Assumption 9 fails: for a test", "not refused"]
+    plant = augment(SYSTEM, 3.1e-6, 2)
+    silent = augment(replace(SYSTEM, D21=[[0.0, 0.0]]), 3.1e-6, 2)
+    table = tables.refusals({"bad": (plant, refuse), "good": (silent, lambda plant: None)})
+    said = ["Assumption 9 fails: for a test of 3 states", "not refused"]
+    assert [row[1] for row in table.rows] == said
+    assert [row[2] for row in table.rows] == ["not refused", "A measurement's noise fails"]
     with pytest.raises(ZeroDivisionError):
-        tables.refusals({"broken": lambda: 1 / 0})
+        tables.refusals({"broken": (plant, lambda plant: 1 / 0)})
+
+
+def test_judged_systems_have_their_three_errors():
+    table = tables.judged({("mine", "classical"): Judgement(1.0, 2.0, 3.0)})
+    assert table.columns[2:] == ("nominal", "worst constant", "certified")
+    assert table.rows == [("mine", "classical", 1.0, 2.0, 3.0)]
 
 
 def test_own_systems_are_predicted_by_their_equivalent_slopes():

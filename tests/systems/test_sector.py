@@ -187,6 +187,15 @@ def test_functions_made_of_a_compiled_one_are_compiled():
     assert found.remainder(0.5) == pytest.approx(math.sin(0.5) - 0.5 * found.slope, rel=1e-15)
 
 
+@pytest.mark.parametrize("f", [np.sin, compiled])
+def test_functions_made_of_one_tell_what_they_are(f):
+    made = rs.sector(f, 0.9).nonlinearity(**CHANNEL, noise=0.5)
+    (kept,) = system_of(made).nonlinearities
+    argument, slope = 0.5 / rs.sector(f, 0.9).half_width, sum(made.sector) / 2
+    assert made.function.__name__ == f"2 {f.__name__}({argument:.6g} nu)"
+    assert kept.function.__name__ == f"{made.function.__name__} - {slope:.6g} nu"
+
+
 # --- in a system ----------------------------------------------------------------------------------
 
 
