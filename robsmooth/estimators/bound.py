@@ -11,8 +11,7 @@ sought:
   its answer is a design next to it. So it is in the paper's example, for both costs, at
   :math:`\lambda = (1, \tfrac12, 0, 0)`. Known zeros are tried, and then those multipliers that are
   small where a search ends.
-- V has more than one local minimum, so that there are several starts. Where none is feasible, the
-  uncertainty is made small until one is, and brought back along the way.
+- V has more than one local minimum, so that there are several starts.
 """
 
 import math
@@ -45,17 +44,12 @@ _TAUS = 10.0 ** np.arange(-1.0, 7.0)  # relative to the natural one
 _LEAST, _LARGEST = 1e-12, 1e8  # a multiplier, relative to its natural size; if no noise bounds it
 _SMALL = (1e-1, 1e-3, 1e-6)  # multipliers that may be zero, relative to their natural size
 _SAME = 1e-9  # bounds that differ by less, relatively
-_STEP = 1e-7  # of the differences, in logarithms
+_STEP = 1e-6  # of the differences, in logarithms
 _REFUSED = 1e3  # more than the logarithm of any bound
 _ROUNDING = 1e-9  # a level of the constraint that is smaller, relatively, is rounding
 _OPTIONS = {"ftol": 1e-14, "maxiter": 100}  # of SLSQP
 _PASSES = 10  # of it, each from where the one before has stopped
 _TIGHT = 1e-11  # a pass that takes less off log V is the last
-
-# Where no start is feasible, designs for less uncertainty are continued to all of it.
-_FRACTIONS = 2.0 ** -np.arange(1.0, 12.0)  # of the uncertainty, to start with
-_LEAST_GROWTH = 1e-3  # of the fraction
-_CONTINUED = 2  # how many of the designs
 
 Found = tuple[float, "RestrictedBound", np.ndarray]  # log V, and the problem and point that have it
 
@@ -83,7 +77,7 @@ def minimize_bound(
     Raises
     ------
     InfeasibleDesignError
-        Where no design was found; it says for which fraction of the uncertainty one was.
+        Where no design was found.
 
     See Also
     --------
@@ -107,7 +101,9 @@ def minimize_bound(
     for zero in _known_zeros(plant):
         with suppress(InfeasibleDesignError):  # it has no design whatever tau is
             problems.append(RestrictedBound.of(plant, cost, zero))
-    found = _descents(problems, starts, seed) or [_by_less_uncertainty(problems, starts, seed)]
+    found = _descents(problems, starts, seed)
+    if not found:
+        raise _not_found(problems[0])
     _, problem, point = _reduced(min(found, key=itemgetter(0)), plant, cost)
     tau, multipliers, rates = problem.arguments(point)
     if not rates.any():
@@ -184,10 +180,6 @@ class RestrictedBound:
         high = [tau * _ANY_TAU, *largest[~zero], *np.ones(vanishing.sum())]
         return cls(v, ~zero, vanishing, idle, levels, natural, np.log([low, high]))
 
-    def scaled(self, size: float) -> "RestrictedBound":
-        """Return the same for uncertainty whose outputs are `size` times as large."""
-        return replace(self, v=self.v.scaled(size))
-
     def point(self, tau: float, multipliers: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """Return the point in the box that is next to these arguments."""
         multipliers = np.where(self.idle, self.natural / 2.0, multipliers)
@@ -215,9 +207,10 @@ class RestrictedBound:
 
     def gradient(self, point: np.ndarray) -> np.ndarray:
         """Return the slopes of the objective, zero next to points without a design."""
-        inward = np.where(point < self.box.mean(axis=0), _STEP, -_STEP)
-        beside = np.array([self.objective(point + step) for step in np.diag(inward)])
-        return np.where(beside < _REFUSED, (beside - self.objective(point)) / inward, 0.0)
+        ends = [np.clip(point + sign * _STEP * np.eye(len(point)), *self.box) for sign in (-1, 1)]
+        low, high = (np.array([self.objective(each) for each in side]) for side in ends)
+        run = np.diag(ends[1] - ends[0])
+        return np.where(np.maximum(low, high) < _REFUSED, (high - low) / run, 0.0)
 
     def level(self, multipliers: np.ndarray) -> Matrix:
         """Return J'M(lambda)J."""
@@ -299,6 +292,20 @@ def _descents(problems: list[RestrictedBound], starts: int, seed: int) -> list[F
     return [(value, problem, end) for problem, (value, end) in minima]
 
 
+def _not_found(problem: RestrictedBound) -> InfeasibleDesignError:
+    """Return the error of a search without a feasible start, with the condition at its middle."""
+    try:
+        problem.log_bound(problem.box.mean(axis=0))
+        condition = "A design"
+    except InfeasibleDesignError as error:
+        condition = error.condition
+    detail = (
+        "no design was found; with smaller uncertainty outputs or Lipschitz constants there may be "
+        "one, and minimax_smoother needs less"
+    )
+    return InfeasibleDesignError(condition, detail, verb="failed where the search ended")
+
+
 def _reduced(best: Found, plant: AugmentedSystem, cost: str) -> Found:
     """Return the minimum with multipliers that are small at this one at zero, if it is as low."""
     tried = [~best[1].positive]
@@ -316,44 +323,6 @@ def _reduced(best: Found, plant: AugmentedSystem, cost: str) -> Found:
             if lower < value + _SAME:
                 best = lower, reduced, end
     return best
-
-
-def _by_less_uncertainty(problems: list[RestrictedBound], starts: int, seed: int) -> Found:
-    """Return a feasible point, reached from designs for a smaller uncertainty, or say how small."""
-    reached, problem, point = 0.0, problems[0], problems[0].box.mean(axis=0)
-    for size in _FRACTIONS:
-        found = _descents([problem.scaled(size) for problem in problems], starts, seed)
-        if found:
-            lowest = sorted(found, key=itemgetter(0))[:_CONTINUED]
-            continued = [
-                _continued(problem.scaled(1.0 / size), size, point) for _, problem, point in lowest
-            ]
-            reached, problem, point = max(continued, key=itemgetter(0))
-            break
-    try:
-        return problem.log_bound(point), problem, point
-    except InfeasibleDesignError as error:
-        raise InfeasibleDesignError(
-            error.condition,
-            "no design was found; the largest fraction of the uncertainty with which one was is "
-            f"{reached:.3g} (scale the uncertainty outputs or the Lipschitz constants down)",
-            verb="failed where the search ended",
-        ) from None
-
-
-def _continued(
-    problem: RestrictedBound, size: float, point: np.ndarray
-) -> tuple[float, RestrictedBound, np.ndarray]:
-    """Return the largest size of the uncertainty that a path of designs reaches, and its end."""
-    growth = 2.0
-    while size < 1.0 and growth > 1.0 + _LEAST_GROWTH:
-        larger = min(1.0, growth * size)
-        here = problem.scaled(larger)
-        if here.objective(point) < _REFUSED:
-            size, point = larger, here.minimum(point)[1]
-        else:
-            growth = math.sqrt(growth)
-    return size, problem, point
 
 
 def _design_near(limit: RobustSmoother, rates: np.ndarray) -> RobustSmoother:

@@ -7,7 +7,7 @@ H-infinity controller, for channels weighted by :math:`M(\theta)` and :math:`N(\
 certified: the design that a search ends with is, by `design_smoother`.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, schur
@@ -45,10 +45,6 @@ class BoundFunction:
         y = np.linalg.norm(plant.system.D21, axis=1)[:, None]
         time = 1.0 / np.linalg.norm(plant.A_p / x * x.T, 2)
         return cls(DesignProblem.of(plant, cost, positive).in_units(time, x, y), time)
-
-    def scaled(self, size: float) -> "BoundFunction":
-        """Return the function for uncertainty whose outputs are `size` times as large."""
-        return replace(self, problem=self.problem.scaled(size))
 
     def natural_tau(self, multipliers: np.ndarray) -> float:
         """Return the tau at which the cost weighs as much as the measurement in the Y equation."""

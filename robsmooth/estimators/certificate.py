@@ -187,29 +187,18 @@ def least_certificate(problem: ConstraintProblem, theta: np.ndarray) -> np.ndarr
 def _by_programme(problem: ConstraintProblem, theta: np.ndarray) -> np.ndarray:
     """Return the best theta by the matrix inequality of the Riccati equation, from a feasible one.
 
-    Time and states are in natural units, P in that of the error, and theta relative to the given.
+    P is in the unit of the error, and theta relative to the given one.
     """
     import cvxpy as cp
 
-    start, covariance = (
-        problem.at(theta),
-        solve_continuous_lyapunov(problem.A, -problem.B @ problem.B.T),
-    )
-    variances = np.diag(covariance)
-    x = np.sqrt(np.where(variances > 0.0, variances, 1.0))
-    time, unit = 1.0 / np.abs(np.linalg.eigvals(problem.A)).max(), start.mean_square
+    unit, A, B, C = problem.at(theta).mean_square, problem.A, problem.B, problem.C
     root = np.linalg.inv(np.linalg.cholesky(np.tensordot(theta, problem.M, axes=1)))
-    A, B, C = time * problem.A / x[:, None] * x, problem.B / x[:, None], problem.C * x
-    inputs = np.sqrt(unit * time) * problem.inputs / x[:, None] @ root.T
-    N = [t * time / unit * np.outer(x, x) * N_i for t, N_i in zip(theta, problem.N, strict=True)]
+    inputs = np.sqrt(unit) * problem.inputs @ root.T
+    N = [t / unit * N_i for t, N_i in zip(theta, problem.N, strict=True)]
     M = [t * root @ M_i @ root.T for t, M_i in zip(theta, problem.M, strict=True)]
     P, relative = cp.Variable(A.shape, symmetric=True), cp.Variable(len(theta), nonneg=True)
-    states = (
-        A.T @ P
-        + P @ A
-        + time / unit * C.T @ C
-        + sum(r * N_i for r, N_i in zip(relative, N, strict=True))
-    )
+    known = sum(r * N_i for r, N_i in zip(relative, N, strict=True))
+    states = A.T @ P + P @ A + C.T @ C / unit + known
     worst = -sum(r * M_i for r, M_i in zip(relative, M, strict=True))
     inequality = cp.bmat([[states, P @ inputs], [inputs.T @ P, worst]])
     least = cp.Minimize(cp.trace(B.T @ P @ B))

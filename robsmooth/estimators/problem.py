@@ -89,10 +89,6 @@ class DesignProblem:
             combinations=self.combinations * y,
         )
 
-    def scaled(self, size: float) -> "DesignProblem":
-        """Return the problem of uncertainty whose outputs are `size` times as large."""
-        return replace(self, C1=size * self.C1, lipschitz=size * self.lipschitz)
-
 
 def _known_inputs(D21: Matrix, B: Matrix, D: Matrix) -> tuple[Matrix, Matrix]:
     """Return `known` and `combinations` where these channels have noise without bound."""

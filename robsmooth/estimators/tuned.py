@@ -80,7 +80,7 @@ def tuned_fixed_lag_smoother(
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> tuned = rs.baselines.tuned_fixed_lag_smoother(plant)
     >>> round(rs.worst_case(tuned, loop="real").mean_square, 4)
-    0.0837
+    0.0838
     """
     validation.choice("against", against, AGAINST)
     natural = Natural.of(plant, output)
@@ -91,7 +91,7 @@ def tuned_fixed_lag_smoother(
 
 def _least_constant(family: "_Family") -> np.ndarray:
     """Return a point with a small worst constant error: of a few Delta, and the worst is added."""
-    found = [(*_worst(family(start)), start) for start in family.starts]
+    found = [(*_worst(family(start)), start) for start in (family.untuned, *family.starts)]
     least, _, best = min(found, key=itemgetter(0))
     Deltas = [Delta for _, Delta, _ in found]
 
@@ -101,7 +101,7 @@ def _least_constant(family: "_Family") -> np.ndarray:
             return min(math.log(max(mean_square(loop, Delta) for Delta in Deltas)), _REFUSED)
         return _REFUSED
 
-    point = best
+    point = np.maximum(best, family.starts[0])  # where little noise has an effect
     for _ in range(_ROUNDS):
         steps = np.where(point > 0.0, -_STEP, _STEP) * (family.box[:, 1] - family.box[:, 0])
         options = {**_OPTIONS, "initial_simplex": np.vstack([point, point + np.diag(steps)])}
@@ -123,8 +123,8 @@ def _worst(estimator: Estimator) -> tuple[float, np.ndarray]:
 
 def _least_certified(family: "_Family") -> np.ndarray:
     """Return a point with a small certified error, by a search over it and the multipliers."""
-    least, best, logarithms = math.inf, family.starts[0], None
-    for start in family.starts:
+    least, best, logarithms = math.inf, family.untuned, None
+    for start in (family.untuned, *family.starts):
         problem = problem_of(family(start))
         fraction, theta = largest_fraction(problem)
         if fraction == 1.0:
@@ -142,7 +142,8 @@ def _least_certified(family: "_Family") -> np.ndarray:
         return _REFUSED
 
     box = [*family.box, *zip(logarithms - _MORE, logarithms + _MORE, strict=True)]
-    found = minimize(objective, np.concatenate([best, logarithms]), method="L-BFGS-B", bounds=box)
+    start = np.concatenate([np.maximum(best, family.starts[0]), logarithms])
+    found = minimize(objective, start, method="L-BFGS-B", bounds=box)
     return found.x[: len(best)] if found.fun < math.log(least) else best
 
 
@@ -162,6 +163,7 @@ class _Family:
         self.single = single + [(c, c.lipschitz) for c in system.nonlinearities]
         rest = [_LITTLE_NOISE] * len(self.uncertain) + [0.0] * len(self.single)
         self.starts = [np.array([shift] * system.l + rest) for shift in _SHIFTS]
+        self.untuned = np.where(self.starts[0] == _LITTLE_NOISE, -math.inf, 0.0)
         intensities = system.l + len(self.uncertain)
         self.box = np.array([_LOGARITHMS] * intensities + [(-1.0, 1.0)] * len(self.single))
 

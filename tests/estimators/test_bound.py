@@ -1,6 +1,5 @@
 """The least bound: certificates that nothing is below it, its structure, its invariances."""
 
-import re
 from contextlib import suppress
 from dataclasses import replace
 
@@ -20,7 +19,7 @@ from robsmooth import (
     homodyne,
     minimize_bound,
 )
-from robsmooth.estimators.bound import VANISHING, RestrictedBound, best_tau
+from robsmooth.estimators.bound import VANISHING, best_tau
 from robsmooth.estimators.bound_function import BoundFunction
 from robsmooth.estimators.conditions import multiplier_level
 from robsmooth.estimators.limit import limiting_smoother
@@ -394,34 +393,11 @@ def test_a_measurement_too_uncertain_to_use_is_an_infimum_as_its_multiplier_vani
     assert best.bound_infimum < best.bound < 1.01 * best.bound_infimum
 
 
-def test_feasible_points_are_found_by_way_of_a_smaller_uncertainty(monkeypatch):
-    plant = augment(two_channels(0.9, 0.9), 0.0, 0)
-    best = minimize_bound(plant)
-    monkeypatch.setattr(RestrictedBound, "starts", lambda *_: [])
-    with pytest.raises(InfeasibleDesignError, match=r"with which one was is 0 \("):
-        minimize_bound(plant)
-    monkeypatch.undo()
-    starts, sizes = RestrictedBound.starts, []
-
-    def few(face, count, rng):
-        # nothing is found for the whole uncertainty
-        sizes.append(np.linalg.norm(face.v.problem.C1))
-        return starts(face, count, rng) if sizes[-1] < 0.9 * max(sizes) else []
-
-    monkeypatch.setattr(RestrictedBound, "starts", few)
-    assert minimize_bound(plant).bound == pytest.approx(best.bound, rel=1e-9)
-    assert min(sizes) < 0.9 * max(sizes)
-
-
 def test_what_no_search_finds_is_not_said_to_fail():
     plant = augment(two_channels(5.0, 5.0), 0.0, 0)
     with pytest.raises(InfeasibleDesignError) as caught:
         minimize_bound(plant)
     assert " fails" not in str(caught.value)
-    fraction = float(re.search(r"one was is ([0-9.]+) \(", str(caught.value)).group(1))
-    minimize_bound(augment(two_channels(5.0 * fraction * 0.99, 5.0 * fraction * 0.99), 0.0, 0))
-    with pytest.raises(InfeasibleDesignError):
-        minimize_bound(augment(two_channels(5.0 * fraction * 1.1, 5.0 * fraction * 1.1), 0.0, 0))
 
 
 @pytest.mark.filterwarnings("error")
@@ -468,7 +444,7 @@ def test_the_default_cost_is_that_of_the_error_asked_for(example):
 
 def test_an_infeasible_problem_is_an_error_that_names_a_condition():
     plant = augment(two_channels(5.0, 5.0), 0.0, 0)
-    with pytest.raises(InfeasibleDesignError, match="no design was found; the largest") as caught:
+    with pytest.raises(InfeasibleDesignError, match="no design was found; with smaller") as caught:
         minimize_bound(plant)
     assert caught.value.condition.startswith("Assumption 3")
     unstable = replace(two_channels(0.4, 0.4), A=[[1.0]])

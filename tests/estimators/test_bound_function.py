@@ -119,11 +119,3 @@ def test_conditions_of_a_design_are_those_of_the_value(example):
         with pytest.raises(InfeasibleDesignError) as there:
             design_smoother(example, tau, multipliers)
         assert here.value.condition == there.value.condition
-
-
-def test_value_for_a_smaller_uncertainty_is_that_of_the_smaller_uncertainty(example):
-    smaller = homodyne.HomodyneParameters(9.14e3, 4e4, 1162.0, 1.0, 0.5 * 0.4)
-    theta = np.array([1.0, 0.5, 1e-4, 1e-4])
-    v = all_positive(example, "filtered")
-    w = all_positive(augment(smaller.uncertain_system(), 3.1e-6, 2), "filtered")
-    assert v.scaled(0.5)(theta, np.zeros(4)) == pytest.approx(w(theta, np.zeros(4)))

@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import OptimizeResult
 
 import robsmooth as rs
+from robsmooth.estimators import tuned
 from tests.helpers.strategies import random_system, seeds
 from tests.helpers.systems import (
     DRIVE,
@@ -87,6 +89,19 @@ def test_it_is_never_worse_than_the_classical_smoother(name, against, output):
     smoother = tuned_fixed_lag_smoother(plant, against, output)
     untuned = classical(plant, copies=plant.system.g > 0)
     assert error(smoother, output) <= error(untuned, output) * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("against", AGAINST)
+def test_a_search_that_gains_nothing_ends_at_the_classical_smoother(against, monkeypatch):
+    plant = PLANTS["gain and decay"]
+
+    def stuck(objective, start, **_):
+        return OptimizeResult(x=start, fun=objective(start))
+
+    monkeypatch.setattr(tuned, "minimize", stuck)
+    smoother, untuned = tuned_fixed_lag_smoother(plant, against), classical(plant, copies=False)
+    error = ERRORS[against]
+    assert error(smoother) <= error(untuned) * (1.0 + 1e-9)
 
 
 @settings(max_examples=10, deadline=None)

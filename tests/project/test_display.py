@@ -89,7 +89,7 @@ OBJECTS = {
     ),
     "Judgement": (
         lambda: rs.judge(smoother(), "filtered"),
-        ["nominal=0.09", "worst_constant=0.1", "certified=0.1"],
+        ["nominal=0.08", "worst_constant=0.1", "certified=0.1"],
     ),
     "LagChoice": (
         lambda: rs.choose_lag(PAPER.uncertain_system(), fraction=0.8),
@@ -237,7 +237,7 @@ RICH = {
     "WorstCase": [r"-1 &amp; 0 \\ 0 &amp; 0 &amp; -1\end{bmatrix}", "nominal"],
     "ConstantMinimaxSmoother": ["worst constant smoothed error", "0.083", r"\Delta\) 1"],
     "MinimaxSmoother": ["certified smoothed error", "0.0886", r"\theta"],
-    "Choice": ["certified worst", "classical", "refused"],
+    "Choice": ["certified worst", "classical", "best"],
     "MonteCarloResult": ["rad²", r"\pm", "no slips"],
     "SimulationResult": [r"\pm", "constraints used"],
     "StationaryErrors": ["rad²", "×10<sup>"],
