@@ -177,8 +177,8 @@ def index(found: Iterable[Run]) -> str:
         "# Figure index",
         "Every figure, table and data file, with what made it: this is the provenance that is "
         "written beside each result. The same inputs give the same bytes. Common inputs of all "
-        "notebooks are `data/published.toml`, which holds what the paper prints, and the locked "
-        "environment.",
+        "notebooks are `data/published.toml`, which holds what the paper prints, the least errors "
+        "with the sine in `data/nonlinear_floor.json`, and the locked environment.",
     ]
     for run in found:
         parts += [f"## {run.title}", _facts(run), _files(run.results)]

@@ -18,8 +18,9 @@ from robsmooth._support import files
 ROOT = Path(__file__).resolve().parents[2]
 LOCK = "requirements.lock"
 PACKAGES = ("robsmooth", "numpy", "scipy", "matplotlib", "numba", "control", "papermill")
+INPUTS = ("data/published.toml", "data/nonlinear_floor.json", LOCK)  # of all notebooks
 # What a result depends on; a figure that was just regenerated does not make the revision dirty.
-SOURCES = ("robsmooth", "notebooks", "data/published.toml", "pyproject.toml", LOCK)
+SOURCES = ("robsmooth", "notebooks", "pyproject.toml", *INPUTS)
 
 
 def collect(seed: int | None = None, started: float | None = None, **extra: object) -> dict:

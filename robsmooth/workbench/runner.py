@@ -201,7 +201,7 @@ def _profiles(folder: Path) -> dict:
 def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
     """Hash of all that a notebook's results depend on."""
     sources = [path for path in PACKAGE.rglob("*") if path.suffix in {".py", ".pyi", ".mplstyle"}]
-    inputs = [run.root / "data/published.toml", run.root / provenance.LOCK, notebook]
+    inputs = [*(run.root / name for name in provenance.INPUTS), notebook]
     named = {str(path.relative_to(PACKAGE.parent)): path for path in sorted(sources)}
     named |= {path.name: path for path in inputs if path.is_file()}
     digests = {name: sha256(path) for name, path in named.items()}

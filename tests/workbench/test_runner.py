@@ -369,6 +369,7 @@ def test_all_that_a_result_depends_on_is_in_its_key(project):
         lambda: (runner.PACKAGE / "robsmooth.mplstyle").write_text("font.size: 8"),
         lambda: (project.root / "requirements.lock").write_text("numpy==2.4.6"),
         lambda: (project.root / "data" / "published.toml").write_text("V = 0.15"),
+        lambda: (project.root / "data" / "nonlinear_floor.json").write_text("{}"),
     ):
         assert project.key() == project.key()
         change()
