@@ -18,7 +18,7 @@ from robsmooth.analysis.choice import Choice
 from robsmooth.analysis.covariance import delta_sweep, error_covariance
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.smoother import RobustSmoother, design_equations
+from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
 from robsmooth.homodyne import PAPER, HomodyneParameters, fraction_inside
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.homodyne.study import Study
@@ -100,26 +100,22 @@ def sign_readings(plant: AugmentedSystem, tau: float, multipliers: Sequence[floa
 
 def approach_to_infimum(best: RobustSmoother, vanishing: Iterable[float]) -> Table:
     """Return how bound and gains settle as the multipliers of mu and its copy go to zero."""
-    columns = (
-        r"$\lambda_3 = \lambda_4$",
-        "$V$",
-        "$B_c[0,0]$",
-        r"$\lVert X\rVert$",
-        "refused because",
-    )
-    rows = []
+    records = []
     for value in vanishing:
+        record = {r"$\lambda_3 = \lambda_4$": f"{value:.0e}"}
+        multipliers = [1.0, 0.5 - value / 2, value, value]  # on the edge of the constraint
         try:
-            design = published.design_near_edge(best, best.tau, value)
-            found = design.bound, design.B_c[0, 0], np.linalg.norm(design.X, 2), ""
+            found = design_smoother(best.plant, best.tau, multipliers, best.cost)
+            record |= {"$V$": found.bound, "$B_c[0,0]$": found.B_c[0, 0]}
+            record |= {r"$\lVert X\rVert$": np.linalg.norm(found.X, 2), "refused because": ""}
         except InfeasibleDesignError as error:
-            found = None, None, None, error.condition
-        rows.append((f"{value:.0e}", *found))
+            record["refused because"] = error.condition
+        records.append(record)
     caption = (
         "Towards the edge: the bound falls and X vanishes as the multipliers of the "
         f"nonlinearity and its copy do. Over all the infimum is {best.bound_infimum:.5f}."
     )
-    return Table(columns, rows, caption, digits=6)
+    return Table.of_records(records, caption, digits=6)
 
 
 @_table()
