@@ -8,8 +8,6 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-from scipy.optimize import brentq
-
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth.analysis.statistical_linearisation import (
     StatisticalLinearisation,
@@ -24,6 +22,8 @@ from robsmooth.homodyne.parameters import HomodyneParameters
 # What of the loop is multiplied, and the matrix of the system that has the root of its power.
 CHANGES = {"power of the shot noise": "D21", "power of the phase noise": "B1"}
 CHANGES |= {"detector gain": None}
+Designs = Mapping[str, Estimator]
+Results = Mapping[str, MonteCarloResult]
 ErrorsByMethod = Mapping[str, Mapping[str, MeanSquare]]  # by the name of an error, and the method
 
 
@@ -34,8 +34,8 @@ def outputs(design: Estimator) -> tuple[str, ...]:
 
 def errors_by_method(
     compared: Mapping[str, Estimator],
-    published: Mapping[str, MonteCarloResult],
-    ergodic: Mapping[str, MonteCarloResult],
+    published: Results,
+    ergodic: Results,
     values: HomodyneParameters,
 ) -> ErrorsByMethod:
     """Return the errors by each method, where the standard error of moments is their truncation."""
@@ -70,10 +70,8 @@ def noise_sweep(
     found = []
     for factor in factors:
         noisier = replace(values, kappa=factor * values.kappa)
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", montecarlo.LossOfLockWarning
-            )  # the slips are what is shown
+        # the slips are what is shown
+        with warnings.catch_warnings(action="ignore", category=montecarlo.LossOfLockWarning):
             simulated = montecarlo.monte_carlo(noisier, design, **arguments)
         moments = linearised = math.nan
         with suppress(UnstableLoopError, ArithmeticError):
@@ -96,14 +94,3 @@ def predicted(
     noise = {name: math.sqrt(factor) * getattr(plant.system, name)}
     noisier = replace(plant, system=replace(plant.system, **noise))
     return statistical_linearisation(replace(design, plant=noisier), slope)
-
-
-def factor_for(
-    design: Estimator, output: str, target: float, change: str, values: HomodyneParameters
-) -> float:
-    """Return the factor on one number of the loop at which the predicted error is `target`."""
-
-    def excess(factor: float) -> float:
-        return getattr(predicted(design, change, factor, values), output) - target
-
-    return float(brentq(excess, 0.7, 2.0, xtol=1e-10))

@@ -1,10 +1,8 @@
 r"""What the paper prints, in ``data/published.toml``: its numbers, and the designs they make.
 
-Beside it lies ``data/monte_carlo.json``: what it is compared with, as notebook 04 writes it; and
-``data/nonlinear_floor.json``, the least errors that are possible, as the benchmark finds them.
-This is also the home of the paper's slip of sign: the printed gains follow from the printed
-:math:`\tau` and :math:`\lambda` only with the quadratic term of the X equation negated, as a
-standard Riccati solver has it. The library's core knows nothing of that.
+Beside it lies ``data/monte_carlo.json``: what it is compared with, as notebook 04 writes it.
+The printed gains follow from the printed :math:`\tau` and :math:`\lambda` only with the quadratic
+term of the X equation negated, as a standard Riccati solver has it.
 """
 
 import itertools
@@ -14,6 +12,7 @@ import re
 import time
 import tomllib
 from collections.abc import Iterator, Mapping
+from decimal import Decimal
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
@@ -26,7 +25,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
+from robsmooth.estimators.smoother import RobustSmoother, design_equations
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.delay import DelayModel
@@ -35,17 +34,10 @@ from robsmooth.workbench import provenance
 DELAY = 3.1e-6  # s
 ORDER = 2
 RESULTS = "monte_carlo.json"
-NONLINEAR_FLOOR = "nonlinear_floor.json"
 NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that verdicts are about
-_NOT_RESULTS = ("wall_time", "provenance")
-
 # From the name of a design to its "smoothed" and its "filtered" error.
 SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]
 LAMBDA = ("lambda_1", "lambda_2", "lambda_3", "lambda_4")
-_REQUIRED = {
-    "quantity": ("id", "place", "kind", "printed"),
-    "statement": ("id", "place", "kind", "text"),
-}
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
 
@@ -66,20 +58,19 @@ def read_published(path: Path) -> dict:
     """Read a file of published values; a ValueError names the field that it lacks or has wrong."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise ValueError(f"{path.name} cannot be read: {error}") from None
-    for section, required in _REQUIRED.items():
-        entries = content.get(section)
-        if not isinstance(entries, list) or not entries:
+    for section, words in {"quantity": "printed", "statement": "text"}.items():
+        if not content.get(section):
             raise ValueError(f"{path.name} has no [[{section}]]")
-        for entry in entries:
-            name = entry.get("id", "without id")
+        for entry in content[section]:
+            name, required = entry.get("id", "without id"), ("id", "place", "kind", words)
             if missing := [field for field in required if field not in entry]:
                 raise ValueError(f"{path.name}: [[{section}]] {name} lacks {missing[0]!r}")
-            texts = [(f"{key} of {name}", entry[key]) for key in entry if key not in required]
+            texts = {f"{key} of {name}": entry[key] for key in entry if key not in required}
             if section == "quantity":
-                texts = [(f"{name}{at}", text) for at, text in each_entry(entry["printed"])]
-            for key, text in texts:
+                texts = {f"{name}{list(at)}": text for at, text in each_entry(entry["printed"])}
+            for key, text in texts.items():
                 if not (isinstance(text, str) and _NUMBER.fullmatch(text)):
                     raise ValueError(f"{path.name}: {key} must be a number in quotes, got {text!r}")
     return content
@@ -119,9 +110,7 @@ def each_entry(value: str | list) -> Iterator[tuple[tuple[int, ...], str]]:
 
 def last_digit(text: str) -> float:
     """Return the worth of the last printed digit: 0.01 for "1.13", 1e-8 for "1.13e-6"."""
-    mantissa, _, exponent = text.partition("e")
-    decimals = len(mantissa.partition(".")[2])
-    return 10.0 ** (int(exponent or 0) - decimals)
+    return 10.0 ** Decimal(text).as_tuple().exponent
 
 
 def agrees(text: str, low: float, high: float, zero: float = 0.0) -> bool:
@@ -155,24 +144,14 @@ def paper_plant() -> AugmentedSystem:
     return AugmentedSystem(homodyne.PAPER.uncertain_system(), model, np.eye(1))
 
 
-def _estimator(A_c: Matrix, B_c: Matrix, C_c: Matrix) -> Estimator:
-    """Return an estimator of the example; C_a reads out its smoothed estimate (none is printed)."""
-    plant = paper_plant()
-    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_c[:1])
-
-
-@cache
-def printed_estimator() -> Estimator:
-    """Return the estimator with the very digits that the paper prints."""
-    return _estimator(*(printed(name) for name in ("A_c", "B_c", "C_c")))
-
-
 def flipped_design(tau: float, multipliers: np.ndarray) -> tuple[Estimator, float]:
     """Return estimator and V with the quadratic term of the X equation negated."""
-    equations = design_equations(paper_plant(), tau, multipliers)
+    plant = paper_plant()
+    equations = design_equations(plant, tau, multipliers)
     X, Y = equations.solve_X(quadratic_sign=-1.0), equations.solve_Y()
-    *matrices, bound, _ = equations.gains(X.X, Y.X)
-    return _estimator(*matrices), bound
+    A_c, B_c, C_c, bound, _ = equations.gains(X.X, Y.X)
+    # the paper prints no C_a: that of the plant reads out the smoothed estimate
+    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_c[:1]), bound
 
 
 @cache
@@ -197,12 +176,6 @@ def designs() -> Mapping[str, Estimator]:
     return MappingProxyType(found)
 
 
-def design_near_edge(best: RobustSmoother, tau: float, vanishing: float) -> RobustSmoother:
-    """Return a design like another, with lambda_3 = lambda_4 given, on the constraint's edge."""
-    multipliers = [1.0, 0.5 - vanishing / 2, vanishing, vanishing]
-    return design_smoother(best.plant, tau, multipliers, best.cost)
-
-
 def x_discriminant(tau: float, multipliers: np.ndarray) -> float:
     """Return the discriminant of kappa/(tau lambda_1) X^2 - 2 lambda X + q = 0 over (2 lambda)^2.
 
@@ -217,26 +190,15 @@ def read_simulation(folder: Path) -> SimulatedErrors:
     """Read the mean square errors of a folder; ValueError where the file is missing or corrupt."""
     try:
         cases = json.loads((folder / RESULTS).read_text(encoding="utf-8"))["cases"]
-        if missing := set(NEEDED) - set(cases):
-            raise ValueError(f"no result for {', '.join(sorted(missing))}")
         return {
-            name: {output: _mean_square(case[output]) for output in ("smoothed", "filtered")}
-            for name, case in cases.items()
+            name: {output: _mean_square(cases[name][output]) for output in ("smoothed", "filtered")}
+            for name in NEEDED
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
             f"{RESULTS} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
             "make figures ONLY=04 writes it anew"
         ) from None
-
-
-def read_nonlinear_floor() -> Mapping[str, MeanSquare]:
-    """Return the least "smoothed" and "filtered" mean square error of the example with its sine.
-
-    Bayes' rule gives them, in a loop that the filter steers: ``benchmarks/nonlinear_floor.py``.
-    """
-    found = json.loads((data_folder() / NONLINEAR_FLOOR).read_text(encoding="utf-8"))
-    return {output: _mean_square(found[output]) for output in ("smoothed", "filtered")}
 
 
 def _mean_square(stored: Mapping[str, float]) -> MeanSquare:
@@ -248,11 +210,9 @@ def _mean_square(stored: Mapping[str, float]) -> MeanSquare:
 
 def write_simulation(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) -> None:
     """Write what does not differ from run to run to a folder, and the provenance beside it."""
-    path = Path(data) / RESULTS
-    cases = {
-        name: {key: value for key, value in result.to_dict().items() if key not in _NOT_RESULTS}
-        for name, result in results.items()
-    }
+    path, cases = Path(data) / RESULTS, {name: case.to_dict() for name, case in results.items()}
+    for case in cases.values():
+        del case["wall_time"], case["provenance"]
     files.write_json(path, {"cases": cases})
     times = {name: round(result.wall_time, 3) for name, result in results.items()}
     started = time.perf_counter() - sum(times.values())

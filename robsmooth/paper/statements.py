@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -13,62 +12,57 @@ from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.analysis.statistical_linearisation import statistical_linearisation
 from robsmooth.estimators import baselines
 from robsmooth.estimators.smoother import design_smoother
-from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.paper import published
-from robsmooth.paper.published import (
-    SimulatedErrors,
-    agrees,
-    paper_plant,
-    printed,
-    printed_multipliers,
-    stated,
-)
 from robsmooth.systems.augmented import AugmentedSystem
 
 Finding = tuple[bool, str, str]  # whether it holds, our value in words, and why, if need be
-Check = Callable[[], Finding]
-Sweep = Callable[[str, str], np.ndarray]
 
-# The errors that the paper compares, by the names that it has for them: design and output.
-_COMPARED = {"smoother": ("smoother, as printed", "smoothed"), "NGCF": ("NGCF", "filtered")}
+# The errors that the paper compares, the smoother's and the NGCF's: design and output.
+_COMPARED = (("smoother, as printed", "smoothed"), ("NGCF", "filtered"))
 _EQUAL = 1e-9  # relative: two numbers that rounding alone keeps apart
 
 
-def checks(simulation: SimulatedErrors | None) -> dict[str, Check]:
+def checks(simulation: published.SimulatedErrors | None) -> dict[str, Callable[[], Finding]]:
     """Return the check of each statement."""
-    parameters, plant, lag = homodyne.PAPER, paper_plant(), published.DELAY
-
-    def sweep(name: str, output: str) -> np.ndarray:
-        slopes = np.linspace(-1.0, 0.0, 21)
-        return delta_sweep(published.designs()[name], slopes, output)[:, 0, 0]
-
+    plant = published.paper_plant()
     return {
-        "smoothing improves the Kalman-Bucy filter": partial(smoothing_improves, parameters, lag),
-        "robust filter against Kalman filter": partial(robust_against_kalman, simulation),
-        "sector": partial(sector, parameters),
-        "scaled nonlinearity": partial(scaled_nonlinearity, parameters),
-        "inverse of M": partial(inverse_of_M, plant),
-        "constraints on lambda": partial(constraints, plant),
-        "printed lambda satisfies the constraints": partial(satisfies, plant),
-        "Assumption 3 at the printed design": partial(assumption_3, plant),
-        "error grows with the uncertainty": partial(grows, sweep),
-        "smoother much below NGCF": partial(below, sweep),
-        "less sensitive": partial(less_sensitive, sweep),
-        "41%": partial(percent, simulation),
-        "significant improvement": partial(significant, simulation),
+        "smoothing improves the Kalman-Bucy filter": smoothing_improves,
+        "robust filter against Kalman filter": lambda: robust_against_kalman(simulation),
+        "sector": sector,
+        "scaled nonlinearity": scaled_nonlinearity,
+        "inverse of M": lambda: inverse_of_M(plant),
+        "constraints on lambda": lambda: constraints(plant),
+        "printed lambda satisfies the constraints": lambda: satisfies(plant),
+        "Assumption 3 at the printed design": lambda: assumption_3(plant),
+        "error grows with the uncertainty": lambda: grows(*swept_errors()),
+        "smoother much below NGCF": lambda: below(*swept_errors()),
+        "less sensitive": lambda: less_sensitive(*swept_errors()),
+        "41%": lambda: percent(*simulated_errors(simulation)),
+        "significant improvement": lambda: significant(*simulated_errors(simulation)),
     }
 
 
-def smoothing_improves(parameters: HomodyneParameters, lag: float) -> Finding:
+def simulated_errors(simulation: published.SimulatedErrors) -> list[float]:
+    """Return the simulated errors of the smoother and of the NGCF."""
+    return [simulation[name][output].mean_square for name, output in _COMPARED]
+
+
+def swept_errors() -> list[np.ndarray]:
+    """Return the errors of the smoother and of the NGCF at slopes Delta_2 from 0 to -1."""
+    slopes, designs = np.linspace(0.0, -1.0, 21), published.designs()
+    return [delta_sweep(designs[name], slopes, output)[:, 0, 0] for name, output in _COMPARED]
+
+
+def smoothing_improves(lag: float = published.DELAY) -> Finding:
     """Compare the optimal errors without a lag and with one."""
-    system = parameters.uncertain_system()
+    system = homodyne.PAPER.uncertain_system()
     filtered = baselines.optimal_fixed_lag_error(system, 0.0).item()
     smoothed = baselines.optimal_fixed_lag_error(system, lag).item()
     value = f"{filtered:.5f} -> {smoothed:.5f} at the lag of {1e6 * lag:g} us"
     return smoothed < filtered, value, ""
 
 
-def sector(parameters: HomodyneParameters) -> Finding:
+def sector(parameters: homodyne.HomodyneParameters = homodyne.PAPER) -> Finding:
     """Test the remainder against gamma = (1 - m)/2 wherever the sine is in the sector [m, 1]."""
     m, gamma, beta = parameters.sector_slope, parameters.gamma, parameters.beta
     error = np.linspace(0.0, np.pi, 5001)[1:]
@@ -90,17 +84,17 @@ def sector(parameters: HomodyneParameters) -> Finding:
     return False, value, reason
 
 
-def scaled_nonlinearity(parameters: HomodyneParameters) -> Finding:
+def scaled_nonlinearity() -> Finding:
     """Test with which power of gamma f~ = f gamma^power gives gamma f~ = f, in the unit sector."""
-    gamma = parameters.gamma
-    error = np.linspace(0.0, parameters.sector_range(), 501)[1:]
-    ratio = np.abs(parameters.remainder(error) / error).max()
+    gamma = homodyne.PAPER.gamma
+    error = np.linspace(0.0, homodyne.PAPER.sector_range(), 501)[1:]
+    ratio = np.abs(homodyne.PAPER.remainder(error) / error).max()
 
     def fits(power: float) -> bool:
         scale = gamma**power
         return abs(gamma * scale - 1.0) <= _EQUAL and ratio * scale <= 1.0 + _EQUAL
 
-    power = float(stated("scaled nonlinearity", "power_of_gamma"))
+    power = float(published.stated("scaled nonlinearity", "power_of_gamma"))
     recovered, reach = gamma * gamma**power, ratio * gamma**power
     value = f"gamma f~ = {recovered:.3g} f, and |f~| <= {reach:.3g} |mu_1|"
     if fits(power):
@@ -136,7 +130,7 @@ def constraints(plant: AugmentedSystem) -> Finding:
 
 def satisfies(plant: AugmentedSystem) -> Finding:
     """Test the constraint at the printed lambda."""
-    slack = _slack(plant, printed_multipliers())
+    slack = _slack(plant, published.printed_multipliers())
     return slack >= 0.0, f"I - J'MJ >= {slack:.3g} I", ""
 
 
@@ -161,26 +155,24 @@ def _slack(plant: AugmentedSystem, multipliers: np.ndarray) -> float:
     return float(np.linalg.eigvalsh(gap).min())
 
 
-def grows(sweep: Sweep) -> Finding:
+def grows(smoothed: np.ndarray, filtered: np.ndarray) -> Finding:
     """Test that both errors rise at each step from Delta_2 = 0 to -1."""
-    errors = {name: sweep(*error)[::-1] for name, error in _COMPARED.items()}
+    errors = {"smoother": smoothed, "NGCF": filtered}
     rising = all((np.diff(values) > 0.0).all() for values in errors.values())
     rises = [f"the {name}'s from {e[0]:.3f} to {e[-1]:.3f} rad^2" for name, e in errors.items()]
     return rising, f"from Delta_2 = 0 to -1 {' and '.join(rises)}", ""
 
 
-def below(sweep: Sweep) -> Finding:
+def below(smoothed: np.ndarray, filtered: np.ndarray) -> Finding:
     """Test that the smoother's error is the smaller one at each Delta_2."""
-    smoothed, filtered = (sweep(*error) for error in _COMPARED.values())
     share = 1 - smoothed / filtered
     return bool((share > 0).all()), f"{share.min():.0%} to {share.max():.0%} below", ""
 
 
-def less_sensitive(sweep: Sweep) -> Finding:
+def less_sensitive(smoothed: np.ndarray, filtered: np.ndarray) -> Finding:
     """Compare the rises of the errors from Delta_2 = 0 to -1, also relative to their values."""
-    ends = [sweep(*error)[[0, -1]] for error in _COMPARED.values()]
-    rise, ngcf_rise = (worst - nominal for worst, nominal in ends)
-    share, ngcf_share = (worst / nominal - 1.0 for worst, nominal in ends)
+    rise, ngcf_rise = (error[-1] - error[0] for error in (smoothed, filtered))
+    share, ngcf_share = rise / smoothed[0], ngcf_rise / filtered[0]
     value = f"from Delta_2 = 0 to -1 the smoother's rises by {rise:.3f} rad^2 ({share:.0%}), "
     value += f"the NGCF's by {ngcf_rise:.3f} rad^2 ({ngcf_share:.0%})"
     if rise >= ngcf_rise:
@@ -189,7 +181,7 @@ def less_sensitive(sweep: Sweep) -> Finding:
     return True, value, absolute if share >= ngcf_share else ""
 
 
-def robust_against_kalman(simulation: SimulatedErrors) -> Finding:
+def robust_against_kalman(simulation: published.SimulatedErrors) -> Finding:
     """Test that the NGCF's error is below the Kalman-Bucy filter's by three standard errors."""
     robust, kalman = (simulation[name]["filtered"] for name in ("NGCF", "Kalman-Bucy"))
     difference = robust.mean_square - kalman.mean_square
@@ -203,28 +195,20 @@ def robust_against_kalman(simulation: SimulatedErrors) -> Finding:
     return False, value, f"{reason} same gain, and the difference is {size}"
 
 
-def percent(simulation: SimulatedErrors) -> Finding:
+def percent(smoothed: float, filtered: float) -> Finding:
     """Compare the printed percentage with how much larger than the smoother's the NGCF's is."""
-    text = stated("41%", "percent")
-    theirs = [printed(f"error covariance, {name}") for name in _COMPARED]
-    both = (theirs, simulated_errors(simulation))
-    printed_larger, larger = (100 * (filtered / smoothed - 1) for smoothed, filtered in both)
-    printed_smaller, smaller = (100 * (1 - smoothed / filtered) for smoothed, filtered in both)
-    value = f"the printed {theirs[1]:g} is {printed_larger:.0f}% larger than {theirs[0]:g}; "
+    text = published.stated("41%", "percent")
+    theirs, ngcf = (published.printed(f"error covariance, {name}") for name in ("smoother", "NGCF"))
+    larger, smaller = 100 * (filtered / smoothed - 1), 100 * (1 - smoothed / filtered)
+    value = f"the printed {ngcf:g} is {100 * (ngcf / theirs - 1):.0f}% larger than {theirs:g}; "
     value += f"ours: {larger:.0f}% larger"
-    if agrees(text, larger, larger):
+    if published.agrees(text, larger, larger):
         return True, value, ""
-    is_it = "is" if agrees(text, smaller, smaller) else "is not even"
-    both = f"printed {printed_smaller:.1f}%, ours {smaller:.1f}%"
+    is_it = "is" if published.agrees(text, smaller, smaller) else "is not even"
+    both = f"printed {100 * (1 - theirs / ngcf):.1f}%, ours {smaller:.1f}%"
     return False, value, f"{text}% {is_it} by how much the smoother's is smaller: {both}"
 
 
-def significant(simulation: SimulatedErrors) -> Finding:
+def significant(smoothed: float, filtered: float) -> Finding:
     """Test that the smoother's error is below the NGCF's."""
-    smoothed, filtered = simulated_errors(simulation)
     return smoothed < filtered, f"{1 - smoothed / filtered:.1%} below the NGCF's", ""
-
-
-def simulated_errors(simulation: SimulatedErrors) -> list[float]:
-    """Return the simulated errors that the paper compares: the smoother's and the NGCF's."""
-    return [simulation[name][output].mean_square for name, output in _COMPARED.values()]

@@ -4,10 +4,12 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import wraps
+from inspect import signature
 from itertools import product
-from typing import Any, ParamSpec
+from typing import Any
 
 import numpy as np
+from scipy.optimize import brentq
 
 from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support.errors import InfeasibleDesignError
@@ -19,7 +21,7 @@ from robsmooth.analysis.covariance import delta_sweep, error_covariance
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.minimax import minimax_smoother
-from robsmooth.estimators.smoother import RobustSmoother, design_equations
+from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
 from robsmooth.homodyne import PAPER, HomodyneParameters, fraction_inside
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.homodyne.study import Study
@@ -27,18 +29,21 @@ from robsmooth.paper import predictions, published
 from robsmooth.simulation.statistics import SimulationResult
 from robsmooth.systems.augmented import AugmentedSystem, augment
 
-P = ParamSpec("P")
 Records = Iterator[dict[str, Any]]  # the cells of each row, by their columns
 
 
-def _table(digits: int = 4) -> Callable[[Callable[P, Records]], Callable[P, Table]]:
-    """Make a function return the table of the records that it yields, with its text as caption."""
+def _table(digits: int = 4) -> Callable[[Callable[..., Records]], Callable[..., Table]]:
+    """Make a function return the table of the records that it yields, with its text as caption.
 
-    def decorate(records: Callable[P, Records]) -> Callable[P, Table]:
+    What stands in braces in the text is an argument of the function.
+    """
+
+    def decorate(records: Callable[..., Records]) -> Callable[..., Table]:
         @wraps(records)
-        def table(*args: P.args, **kwargs: P.kwargs) -> Table:
-            caption = " ".join(records.__doc__.split())
-            return Table.of_records(records(*args, **kwargs), caption, digits)
+        def table(*args: Any) -> Table:
+            given = signature(records).bind(*args).arguments
+            caption = " ".join(records.__doc__.split()).format_map(given)
+            return Table.of_records(records(*args), caption, digits)
 
         return table
 
@@ -59,23 +64,21 @@ def _numbers(values: Iterable[complex], digits: int = 4) -> str:
     return ", ".join(f"{value:.{digits}g}" for value in upper).replace("+0j", "")
 
 
-def sector_ranges(values: HomodyneParameters, variance: float) -> Table:
-    """Return how far each reading of the sector holds, and for what share of the time."""
+@_table()
+def sector_ranges(values: HomodyneParameters, variance: float) -> Records:
+    """How far each assumption on the sine holds, and how long the loop is within it, for a
+    Gaussian error of variance {variance:.4f} rad².
+    """
     wide, narrow = values.sector_slope, values.lower_slope
     readings = {
         f"sin e between {wide:.1f} e and e, as gamma = (1 - m)/2 says": values.sector_range(wide),
         f"sin e between {narrow:.1f} e and e, as the design uses": values.sector_range(),
         f"sin e - e Lipschitz with constant {values.gamma:g}": values.lipschitz_range,
     }
-    rows = []
     for text, reach in readings.items():
         inside = fraction_inside(reach, variance)
-        rows.append((text, reach, f"{inside:.5%}", f"{1 - inside:.1e}"))
-    columns = ("what is assumed", "holds up to (rad)", "time inside", "time outside")
-    caption = (
-        "How far each assumption on the sine holds, and how long the loop is within it, for a "
-    )
-    return Table(columns, rows, f"{caption}Gaussian error of variance {variance:.4f} rad².")
+        record = {"what is assumed": text, "holds up to (rad)": reach}
+        yield record | {"time inside": f"{inside:.5%}", "time outside": f"{1 - inside:.1e}"}
 
 
 @_table(digits=5)
@@ -99,28 +102,21 @@ def sign_readings(plant: AugmentedSystem, tau: float, multipliers: Sequence[floa
     yield {"sign": "printed"} | leading(*map(published.printed, names))
 
 
-def approach_to_infimum(best: RobustSmoother, vanishing: Iterable[float]) -> Table:
-    """Return how bound and gains settle as the multipliers of mu and its copy go to zero."""
-    columns = (
-        r"$\lambda_3 = \lambda_4$",
-        "$V$",
-        "$B_c[0,0]$",
-        r"$\lVert X\rVert$",
-        "refused because",
-    )
-    rows = []
+@_table(digits=6)
+def approach_to_infimum(best: RobustSmoother, vanishing: Iterable[float]) -> Records:
+    """Towards the edge: the bound falls and X vanishes as the multipliers of the nonlinearity and
+    its copy do. Over all the infimum is {best.bound_infimum:.5f}.
+    """
     for value in vanishing:
+        record = {r"$\lambda_3 = \lambda_4$": f"{value:.0e}"}
+        multipliers = [1.0, 0.5 - value / 2, value, value]  # on the edge of the constraint
         try:
-            design = published.design_near_edge(best, best.tau, value)
-            found = design.bound, design.B_c[0, 0], np.linalg.norm(design.X, 2), ""
+            found = design_smoother(best.plant, best.tau, multipliers, best.cost)
+            record |= {"$V$": found.bound, "$B_c[0,0]$": found.B_c[0, 0]}
+            record |= {r"$\lVert X\rVert$": np.linalg.norm(found.X, 2), "refused because": ""}
         except InfeasibleDesignError as error:
-            found = None, None, None, error.condition
-        rows.append((f"{value:.0e}", *found))
-    caption = (
-        "Towards the edge: the bound falls and X vanishes as the multipliers of the "
-        f"nonlinearity and its copy do. Over all the infimum is {best.bound_infimum:.5f}."
-    )
-    return Table(columns, rows, caption, digits=6)
+            record["refused because"] = error.condition
+        yield record
 
 
 @_table()
@@ -165,16 +161,14 @@ def copy_noise(designs: Mapping[float, RobustSmoother]) -> Records:
         yield record
 
 
-def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Table:
-    """Return mean squares with standard errors, one case a row."""
-    columns = ("case", "filtered (rad²)", "smoothed (rad²)", "runs")
-    columns += ("cycle slips", "in how many runs")
-    rows = []
+@_table()
+def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Records:
+    """{caption}"""
     for name, found in results.items():
-        smoothed = _estimate(found.smoothed) if found.provenance["delay"] else None
-        counts = found.runs, found.slips, found.slipped_paths
-        rows.append((name, _estimate(found.filtered), smoothed, *counts))
-    return Table(columns, rows, caption)
+        record = {"case": name, "filtered (rad²)": _estimate(found.filtered)}
+        record["smoothed (rad²)"] = _estimate(found.smoothed) if found.provenance["delay"] else None
+        record |= {"runs": found.runs, "cycle slips": found.slips}
+        yield record | {"in how many runs": found.slipped_paths}
 
 
 @_table()
@@ -219,24 +213,28 @@ def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParamete
     smoothed = published.printed("error covariance, smoother")
     filtered, runs = published.printed("error covariance, NGCF"), published.printed("runs")
     cases = {"smoother": (smoother, "smoothed", smoothed), "NGCF": (ngcf, "filtered", filtered)}
-    columns = ["changed", *(f"factor for the {name}" for name in cases)]
-    columns += [f"{name} at the mean factor" for name in cases]
-    rows = []
+
+    def excess(factor: float, change: str, design: Estimator, output: str, target: float) -> float:
+        return getattr(predictions.predicted(design, change, factor, values), output) - target
+
+    records = []
     for change in predictions.CHANGES:
-        factors = [predictions.factor_for(*case, change, values) for case in cases.values()]
-        row = [change, *factors]
-        for design, output, target in cases.values():
-            error = getattr(predictions.predicted(design, change, sum(factors) / 2, values), output)
+        record, factors = {"changed": change}, []
+        for name, case in cases.items():
+            factors.append(brentq(excess, 0.7, 2.0, (change, *case), xtol=1e-10))
+            record[f"factor for the {name}"] = factors[-1]
+        for name, (*case, target) in cases.items():
+            off = excess(sum(factors) / 2, change, *case, target)
             # the standard error of a mean of squares of Gaussian errors
-            distance = (error - target) / (target * math.sqrt(2 / runs))
-            row.append(f"{error:.4f} ({distance:+.1f})")
-        rows.append(row)
+            distance = off / (target * math.sqrt(2 / runs))
+            record[f"{name} at the mean factor"] = f"{target + off:.4f} ({distance:+.1f})"
+        records.append(record)
     caption = (
         f"The factor on one number of the loop at which each printed error ({smoothed:g} and "
         f"{filtered:g} rad²) is predicted, and what is predicted at the mean of the two factors; "
         f"in brackets, how far off, in standard errors of a simulation of {runs:.0f} runs."
     )
-    return Table(columns, rows, caption)
+    return Table.of_records(records, caption)
 
 
 @_table(digits=3)
@@ -253,16 +251,15 @@ def study(found: Study, lag: float) -> Records:
             yield record | {"slips (1/s)": "no design" if failed else "no lock"}
             continue
         k, m = np.unravel_index(np.nanargmin(ratio), ratio.shape)
-        here = {name: values[i, j] for name, values in found.quantities.items()}
         at_lag = np.fmin.reduce(ratio[:, near])  # of the orders that have a ratio
         yield record | {
-            "filtered (rad²)": here["filtered"][k, m],
-            "smoothed (rad²)": here["smoothed"][k, m],
+            "filtered (rad²)": found.quantities["filtered"][i, j, k, m],
+            "smoothed (rad²)": found.quantities["smoothed"][i, j, k, m],
             "best lag (µs)": 1e6 * found.lags[m],
             "order": str(found.orders[k]),
             "saved": f"{1 - ratio[k, m]:.0%}",
             f"saved at {1e6 * found.lags[near]:.2g} µs": _number(1 - at_lag, ".0%"),
-            "slips (1/s)": f"{np.nanmax(here['slip_rate']):.2g}",
+            "slips (1/s)": f"{np.nanmax(found.quantities['slip_rate'][i, j]):.2g}",
         }
 
 

@@ -104,28 +104,22 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     """
     for kind in kinds:
         validation.choice("kinds", kind, KINDS)
-    simulation = None
+    simulation, recompute = None, {"model": _model, "optimum": _optimum, "design": _design}
     if "simulation" in kinds:
-        simulation = published.read_simulation(
-            Path(data_dir) if data_dir else published.data_folder()
-        )
-    recompute = {"model": _model, "optimum": _optimum, "design": _design}
-    recompute["simulation"] = partial(_simulated, simulation)
+        folder = Path(data_dir) if data_dir else published.data_folder()
+        simulation = published.read_simulation(folder)
+        recompute["simulation"] = partial(_simulated, simulation)
     recomputed = {kind: values() for kind, values in recompute.items() if kind in kinds}
-    quantities, claims = (
-        [entry for entry in published.published()[section] if entry["kind"] in kinds]
-        for section in ("quantity", "statement")
-    )
-    found = Verdicts()
-    for entry in quantities:
-        values = [each[entry["id"]] for each in recomputed.get(entry["kind"], [])]
-        found.extend(_verdicts_on(entry, values))
-    checks = statements.checks(simulation)
-    for entry in claims:
-        holds, value, reason = checks[entry["id"]]()
-        verdict = REPRODUCED if holds else NOT_REPRODUCED
-        statement = entry["id"], entry["place"], entry["text"]
-        found.append(Verdict(*statement, value, None, verdict, reason))
+    found, checks = Verdicts(), statements.checks(simulation)
+    for entry in published.published()["quantity"]:
+        if entry["kind"] in kinds:
+            values = [each[entry["id"]] for each in recomputed.get(entry["kind"], [])]
+            found.extend(_verdicts_on(entry, values))
+    for entry in published.published()["statement"]:
+        if entry["kind"] in kinds:
+            holds, value, reason = checks[entry["id"]]()
+            words = entry["id"], entry["place"], entry["text"], value, None
+            found.append(Verdict(*words, REPRODUCED if holds else NOT_REPRODUCED, reason))
     return found
 
 

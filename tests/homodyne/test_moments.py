@@ -21,6 +21,7 @@ from robsmooth.homodyne.loop import OSCILLATORS, homodyne_loop
 from robsmooth.homodyne.moments import MOST_UNKNOWNS, StationaryErrors, stationary_errors
 from robsmooth.homodyne.montecarlo import monte_carlo
 from robsmooth.paper import published
+from tests.helpers.printed import printed_estimator
 from tests.helpers.strategies import orthogonal_matrix, seeds, stable_matrix
 
 GAIN = 4.5e5  # 1/s, about that of the example's filters
@@ -404,7 +405,7 @@ def test_unit_of_time_does_not_matter(name, seconds):
 
 @pytest.mark.parametrize("scales", [(1.0, 1.0, 1.0), (1e-6, 1.0, 1e6), (1e9, 1e-9, 1.0)])
 def test_coordinates_of_the_state_do_not_matter(scales):
-    design = published.printed_estimator()  # whose copy's argument is not zero
+    design = printed_estimator()  # whose copy's argument is not zero
     rng = np.random.default_rng(3)
     T = np.diag(scales) @ rng.standard_normal((3, 3))
     assert_allclose(
@@ -415,7 +416,7 @@ def test_coordinates_of_the_state_do_not_matter(scales):
 @pytest.mark.parametrize("rotated", [False, True])
 def test_redundant_and_idle_states_do_not_matter(rotated):
     # Every state twice, and the estimate the mean of both; and one that nothing drives.
-    design = published.printed_estimator()
+    design = printed_estimator()
     A = block_diag(design.A_c, design.A_c, -1.0)
     B = np.vstack([design.B_c, design.B_c, np.zeros((1, 2))])
     half = np.c_[design.C_c / 2, design.C_c / 2, np.ones((2, 1))]
@@ -451,7 +452,7 @@ def test_without_lag_and_with_one_readout_smoothed_is_filtered():
 
 
 def test_an_oscillator_at_the_copy_s_argument_leaves_the_copy_nothing_to_do():
-    design, kept = published.printed_estimator(), classical_with_copy()
+    design, kept = printed_estimator(), classical_with_copy()
     steered = errors(PAPER, design, oscillator="copy")
     # The same loop without a copy, of an estimator whose filtered estimate is the copy's argument.
     alone = in_coordinates(design, np.eye(3))
@@ -473,7 +474,7 @@ def test_after_a_very_long_lag_the_estimate_knows_nothing():
 
 
 def test_copy_that_is_off_is_no_copy():
-    design = published.printed_estimator()
+    design = printed_estimator()
     without = estimator(design.A_c, design.B_c[:, :1], design.C_c[:1], design.C_a)
     assert_allclose(
         errors(PAPER, design, 6, copy=False), errors(PAPER, without, 6), rtol=1e-12, atol=0.0

@@ -7,12 +7,12 @@ from numpy.testing import assert_allclose
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import whitened
-from robsmooth.paper import published
+from tests.helpers.printed import printed_estimator
 
 
 @pytest.mark.parametrize("shot_noise", [0.1, 1.0])
 def test_rows_have_the_variances_of_the_linear_loop(shot_noise):
-    loop = homodyne_loop(PAPER, published.printed_estimator(), shot_noise=shot_noise)
+    loop = homodyne_loop(PAPER, printed_estimator(), shot_noise=shot_noise)
     white = whitened(loop)
     P = loop.covariance(*loop.equivalent_slopes())
     for row, reader in (
@@ -25,7 +25,7 @@ def test_rows_have_the_variances_of_the_linear_loop(shot_noise):
 
 
 def test_drift_keeps_the_covariance_i_and_the_rates_of_the_loop():
-    loop = homodyne_loop(PAPER, published.printed_estimator())
+    loop = homodyne_loop(PAPER, printed_estimator())
     white = whitened(loop)
     loss = np.linalg.eigvalsh(white.drift + white.drift.T)  # minus the noise, of two sources
     assert loss[:2].max() < -1e-4

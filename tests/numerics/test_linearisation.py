@@ -17,8 +17,8 @@ from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import slopes_of_lock
-from robsmooth.paper import published
 from robsmooth.simulation.loop import nonlinear_loop
+from tests.helpers.printed import printed_estimator
 
 
 @pytest.mark.parametrize("variance", [1e-20, 0.09, 1.0, 4.0])
@@ -96,7 +96,7 @@ def test_no_nonlinearities_have_no_slopes():
 @pytest.mark.parametrize("oscillator", ["filtered", "smoothed"])
 def test_slopes_of_the_homodyne_loop_are_the_same_by_every_route_to_its_covariance(oscillator):
     """Of the homodyne loop, of its white coordinates, of any nonlinear loop, of the prediction."""
-    estimator = published.printed_estimator()
+    estimator = printed_estimator()
     loop = homodyne_loop(PAPER, estimator, oscillator=oscillator)
     slopes = loop.equivalent_slopes()
     rate = np.abs(np.linalg.eigvals(loop.linearised_drift())).max()

@@ -17,7 +17,7 @@ from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.study import QUANTITIES, Study
 from robsmooth.paper import figures, predictions
 from robsmooth.paper.figures import diagrams
-from robsmooth.paper.figures.maps import shade
+from robsmooth.paper.figures.plots import shade
 from robsmooth.paper.figures.style import FORMATS
 from tests.helpers import looks
 
@@ -75,24 +75,24 @@ OMEGA = np.geomspace(0.1, 10.0, 50)
 MAKERS = {
     "fig1": diagrams.smoother_loop,
     "fig2": diagrams.homodyne_loop,
-    "fig3": lambda: figures.paper.sector(homodyne.PAPER, 0.088),
-    "fig4": lambda: figures.paper.delta_sweep(SLOPES, CURVES, {"floor": (0.0, 0.05)}),
-    "delay": lambda: figures.paper.delay_error(3.1e-6, (1, 2), 4.6e5),
-    "monte_carlo": lambda: figures.paper.mean_squares(
+    "fig3": lambda: figures.plots.sector(homodyne.PAPER, 0.088),
+    "fig4": lambda: figures.plots.delta_sweep(SLOPES, CURVES, {"floor": (0.0, 0.05)}),
+    "delay": lambda: figures.plots.delay_error(3.1e-6, (1, 2), 4.6e5),
+    "monte_carlo": lambda: figures.plots.mean_squares(
         CASES, RESULTS, {"smoother": 0.06, "NGCF": 0.1}
     ),
-    "errors_by_method": lambda: figures.paper.errors_by_method(BY_METHOD),
-    "loss_of_lock": lambda: figures.paper.loss_of_lock(NOISY),
-    "where_smoothing_pays": lambda: figures.maps.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
-    "where_robustness_pays": lambda: figures.maps.where_robustness_pays(
+    "errors_by_method": lambda: figures.plots.errors_by_method(BY_METHOD),
+    "loss_of_lock": lambda: figures.plots.loss_of_lock(NOISY),
+    "where_smoothing_pays": lambda: figures.plots.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
+    "where_robustness_pays": lambda: figures.plots.where_robustness_pays(
         dict.fromkeys(("a gain", "a resonance", "a reference", "a difference"), FAMILY)
     ),
-    "candidates": lambda: figures.beyond.candidates(
+    "candidates": lambda: figures.plots.candidates(
         JUDGED, {"optimum": 0.045}, "rad$^2$", (0.04, 0.1)
     ),
-    "sample_path": lambda: figures.beyond.sample_path(PATHS, "µs", 1e6, "phase (rad)"),
-    "gap": lambda: figures.beyond.gap(PATHS, PATHS.smoothed[0], slice(40, 60)),
-    "smoother_response": lambda: figures.beyond.smoother_response(OMEGA, 1 / (1 + 1j * OMEGA), 0.5),
+    "sample_path": lambda: figures.plots.sample_path(PATHS, "µs", 1e6, "phase (rad)"),
+    "gap": lambda: figures.plots.gap(PATHS, PATHS.smoothed[0], slice(40, 60)),
+    "smoother_response": lambda: figures.plots.smoother_response(OMEGA, 1 / (1 + 1j * OMEGA), 0.5),
 }
 
 
@@ -275,7 +275,7 @@ def test_no_gain_and_no_design_are_told_apart():
     smoothed = ERRORS["smoothed"].copy()
     smoothed[:, 0] = np.nan  # at the least noise there is no design
     errors = ERRORS | {"smoothed": smoothed}
-    figure = figures.maps.where_smoothing_pays(replace(STUDY, quantities=errors), 0.4, 3.1e-6)
+    figure = figures.plots.where_smoothing_pays(replace(STUDY, quantities=errors), 0.4, 3.1e-6)
     no_design = hatched(figure.axes[0], "no design or lock")
     ratio = (smoothed / ERRORS["filtered"])[0, :, -1]
     points = [(1e6 * lag, noise) for noise in NOISES for lag in LAGS]
@@ -287,7 +287,7 @@ def test_no_gain_and_no_design_are_told_apart():
 
 def test_optimum_of_the_linear_loop_is_relative_to_the_filter_of_the_linear_loop():
     def drawn(study):
-        axes = figures.maps.where_smoothing_pays(study, 0.4, 3.1e-6).axes[1]
+        axes = figures.plots.where_smoothing_pays(study, 0.4, 3.1e-6).axes[1]
         (line,) = (line for line in axes.lines if "linear loop" in line.get_label())
         return line.get_ydata()
 
@@ -315,10 +315,10 @@ def test_what_is_in_several_figures_looks_the_same_in_all():
         raise AssertionError(label)
 
     for name in ("NGCF", "smoother"):
-        swept = figures.paper.delta_sweep(SLOPES, {"other": SLOPES, name: SLOPES})
+        swept = figures.plots.delta_sweep(SLOPES, {"other": SLOPES, name: SLOPES})
         simulated = MAKERS["monte_carlo"]()
         assert line(swept, name).get_color() == line(simulated, name).get_color()
-    errors = figures.paper.delay_error(3.1e-6, (2, 1), 4.6e5)
+    errors = figures.plots.delay_error(3.1e-6, (2, 1), 4.6e5)
     assert line(errors, "order 2").get_color() == line(MAKERS["delay"](), "order 2").get_color()
 
 

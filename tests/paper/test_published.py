@@ -9,6 +9,7 @@ from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.smoother import design_smoother
 from robsmooth.paper import published
 from robsmooth.systems.delay import pade_delay
+from tests.helpers.printed import printed_estimator
 
 
 def test_the_example_has_the_printed_inputs():
@@ -76,7 +77,7 @@ def test_the_discriminant_is_that_of_the_quadratic_written_out():
 def test_the_printed_estimator_performs_like_the_recomputed_one():
     delta = published.paper_plant().structured_delta()
     for output in ("filtered", "smoothed"):
-        digits = error_covariance(published.printed_estimator(), delta, output)[0, 0]
+        digits = error_covariance(printed_estimator(), delta, output)[0, 0]
         computed = error_covariance(published.recomputed_estimator(), delta, output)[0, 0]
         assert digits == pytest.approx(computed, rel=0.01)
 

@@ -27,7 +27,6 @@ from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import monte_carlo
-from robsmooth.paper import published
 from robsmooth.simulation import simulate as run
 from robsmooth.simulation.integrator import ExponentialIntegrator
 from robsmooth.simulation.loop import Function, NonlinearLoop, nonlinear_loop
@@ -36,6 +35,7 @@ from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.system import UncertainSystem
 from tests.helpers.loops import assert_within
+from tests.helpers.printed import printed_estimator
 from tests.helpers.strategies import (
     admissible_delta,
     feasible_design,
@@ -287,7 +287,7 @@ def test_uncertainty_is_given_the_time_from_the_start_of_averaging():
 
 def homodyne_estimator(name, parameters=PAPER):
     if name == "robust":
-        return published.printed_estimator()
+        return printed_estimator()
     system = parameters.uncertain_system()
     return fixed_lag_smoother(system, 3.1e-6, 2, copies=name == "classical with copies")
 

@@ -3,7 +3,7 @@
 from robsmooth._support.extras import extra
 
 with extra("plot", "a figure"):
-    from robsmooth.paper.figures import beyond, maps, paper
+    from robsmooth.paper.figures import plots
     from robsmooth.paper.figures.style import TRUTH, save_figure, styles, use_style
 
-__all__ = ["TRUTH", "beyond", "maps", "paper", "save_figure", "styles", "use_style"]
+__all__ = ["TRUTH", "plots", "save_figure", "styles", "use_style"]

@@ -66,11 +66,6 @@ def styles(names: Iterable[str | int], markers: bool = False) -> list[dict[str, 
     return [cycle[next(others) if position is None else position] for position in positions]
 
 
-def stacked(height: float, ratios: tuple[float, float]) -> tuple[Figure, tuple[Axes, Axes]]:
-    """Return a figure with two panels, one above the other, over one x axis; inches."""
-    return plt.subplots(2, 1, sharex=True, figsize=(3.4, height), height_ratios=ratios)
-
-
 def label_ticks(axis: Axis, ticks: Sequence[float]) -> None:
     """Label these ticks of a logarithmic axis, those in its view, as numbers without powers."""
     low, high = axis.get_view_interval()
