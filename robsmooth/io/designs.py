@@ -5,16 +5,12 @@ A file has the names and units of the library's fields, its matrices by rows::
     format = 1
     kind = "system"
     units = "SI"
-    A = [
-      [-1.0, 2.0],
-      [0.0, -3.0]
-    ]
+    A = [[-1.0, 2.0], [0.0, -3.0]]
     ...
     [[nonlinearities]]
-    B = [...]
-    lipschitz = 1.0
+    B = [[0.0], [1.0]]
+    ...
     function = "sin"
-    reference = "filtered"
 
 Numbers are written so that they are read back bit for bit. A function is named only: nothing in a
 file is ever imported or run, and `load` takes the functions by those names.
@@ -68,9 +64,6 @@ _ABOUT = {
 # [w_hat; nu_copy] = C_c x_hat
 # C_a x_hat estimates w one lag back, C_f x_hat estimates w now""",
 }
-
-_Design = namedtuple("_Design", "tau multipliers cost bound")
-_Certificate = namedtuple("_Certificate", "certified multipliers cost route")
 
 
 def save(
@@ -201,11 +194,11 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
     """Return the object that the content of a file describes."""
     if not isinstance(content, dict):
         raise ValueError(f"its content must be a table, got {reprlib.repr(content)}")
-    for name in _HEADER:
+    for name, allowed in _HEADER.items():
         if name not in content:
             raise ValueError(f"{name} is missing")
-    validation.integer("format", content["format"], low=1)
-    for name, allowed in _HEADER.items():
+        if name == "format":
+            validation.integer(name, content[name], low=1)
         validation.choice(name, content[name], allowed)
     named: dict[str, None] = {}
 
@@ -276,8 +269,8 @@ def _estimator(
     C_c: Any,
     C_a: Any,
     C_f: Any,
-    design: _Design | None = None,
-    certificate: _Certificate | None = None,
+    design: Any = (),
+    certificate: Any = (),
     plant: AugmentedSystem,
 ) -> Estimator:
     """Return an estimator, a design where the file has what it follows from."""
@@ -342,8 +335,8 @@ _TABLES = {
     "nonlinearities": Nonlinearity,
     "plant": augment,
     "estimator": _estimator,
-    "design": _Design,
-    "certificate": _Certificate,
+    "design": namedtuple("Design", "tau multipliers cost bound"),
+    "certificate": namedtuple("Certificate", "certified multipliers cost route"),
 }
 
 

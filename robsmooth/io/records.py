@@ -7,7 +7,7 @@ column for each measurement, the mean of dy/dt over the sample's interval.
 import csv
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from tokenize import TokenError
@@ -46,8 +46,8 @@ def smooth_record(
 ) -> int:
     """Smooth a record from file to file, gigabytes in the memory of a chunk.
 
-    The smoother goes on from its state and keeps the new one, as in `DiscreteSmoother.run`. Where
-    this fails or is interrupted, the state and the target are what they were before.
+    The smoother goes on from its state, as in `DiscreteSmoother.run`. Where this fails or is
+    interrupted, its state and the target are what they were before.
 
     Parameters
     ----------
@@ -109,18 +109,18 @@ def smooth_record(
     if target.resolve() == source.resolve():
         raise ValueError(f"target must be another file than source, got {target} for both")
     for name, path in (("source", source), ("target", target)):
-        if path.suffix.lower() not in _RECORDS:
-            raise ValueError(f"{name} must end in {' or '.join(_RECORDS)}, got {path.name!r}")
-    record = _RECORDS[source.suffix.lower()](source, delimiter)
-    writer = _WRITERS[target.suffix.lower()]
-    layout = _Layout(record, smoother, columns, reference, time)
+        if path.suffix.lower() not in _FORMATS:
+            raise ValueError(f"{name} must end in {' or '.join(_FORMATS)}, got {path.name!r}")
+    record = _FORMATS[source.suffix.lower()][0](source, delimiter)
+    writer = _FORMATS[target.suffix.lower()][1]
+    record.choose(smoother, columns, reference, time)
     before = smoother.state, smoother.samples
     bar = progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress)
     try:
         with bar, atomic_path(target) as path, writer(path, smoother.m, delimiter) as write:
             rows = 0
-            for values, size in record.chunks(layout.indices, chunk):
-                y, known = layout.parts(values, rows)
+            for values, size in record.chunks(record.chosen, chunk):
+                y, known = record.parts(values, rows)
                 estimates = smoother.run(y, reference=known, output=output)
                 write(smoother.times(len(estimates), output), estimates)
                 rows += len(values)
@@ -129,50 +129,6 @@ def smooth_record(
         smoother.reset(*before)
         raise
     return rows
-
-
-class _Layout:
-    """The columns that are used: measurements, reference and time, in this order."""
-
-    def __init__(self, record: "_Record", smoother: DiscreteSmoother, *chosen: Columns):
-        columns, reference, time = chosen
-        known = record.columns("reference", reference, smoother.g, "nonlinearities")
-        times = record.columns("time", time, 1, "time")
-        if columns is None:
-            columns = [i for i in range(record.width) if i not in (*known, *times)]
-        measurements = record.columns("columns", columns, smoother.l, "measurements")
-        self.record, self.dt = record, smoother.dt
-        self.indices = [*measurements, *known, *times]
-        self.ends = np.cumsum([len(measurements), len(known)])
-
-    def parts(self, values: Matrix, row: int) -> tuple[Matrix, Matrix | None]:
-        """Return measurements and reference of a chunk that begins at a row, after its check."""
-        y, known, times = np.split(values, self.ends, axis=1)
-        wrong = ~np.isfinite(values)
-        wrong[:, : y.shape[1]] &= ~np.isnan(y)
-        if wrong.any():
-            i, j = np.argwhere(wrong)[0]
-            place = self.record.place(row + i, self.indices[j])
-            raise ValueError(f"{place}: {values[i, j]} where there must be a finite number")
-        if times.size:
-            self._check_times(times[:, 0], row)
-        return y, known if known.shape[1] else None
-
-    def _check_times(self, times: Matrix, row: int) -> None:
-        if row == 0:
-            self.first_time, self.last_time = times[0], times[0] - self.dt
-        late = np.diff(times, prepend=self.last_time) / self.dt - 1.0
-        count = row + np.arange(len(times))
-        drift = (times - self.first_time) / self.dt - count
-        wrong = (np.abs(late) >= TIMING) | (np.abs(drift) >= TIMING + DRIFT * count)
-        if wrong.any():
-            i = int(wrong.argmax())
-            raise ValueError(
-                f"{self.record.place(row + i, self.indices[-1])}: the time {times[i]:.9g} s is "
-                f"{1 + late[i]:.6g} samples after that of the row before and {drift[i]:+.6g} "
-                f"samples off the times of the record's begin with dt = {self.dt:g} s"
-            )
-        self.last_time = times[-1]
 
 
 class _Record:
@@ -185,14 +141,18 @@ class _Record:
     first: tuple[str, int]  # what a row is called, and the number of the first one
     header: Sequence[str] = ()
 
-    def name(self, column: int) -> str:
-        return f"column {column}" + (f" ({self.header[column]!r})" if self.header else "")
+    def choose(self, smoother: DiscreteSmoother, *given: Columns) -> None:
+        """Choose the columns that are used: measurements, reference and time, in this order."""
+        columns, reference, time = given
+        known = self._columns("reference", reference, smoother.g, "nonlinearities")
+        times = self._columns("time", time, 1, "time")
+        if columns is None:
+            columns = [i for i in range(self.width) if i not in (*known, *times)]
+        measurements = self._columns("columns", columns, smoother.l, "measurements")
+        self.chosen, self.dt = [*measurements, *known, *times], smoother.dt
+        self.ends = np.cumsum([len(measurements), len(known)])
 
-    def place(self, row: int, column: int) -> str:
-        called, first = self.first
-        return f"{self.path}, {called} {first + row}, {self.name(column)}"
-
-    def columns(self, name: str, chosen: Columns, wanted: int, what: str) -> list[int]:
+    def _columns(self, name: str, chosen: Columns, wanted: int, what: str) -> list[int]:
         """Return the positions of the columns that the argument of this name chooses."""
         if chosen is None:
             return []
@@ -216,6 +176,42 @@ class _Record:
         if index >= self.width:
             raise ValueError(f"{name}: {self.path} has {self.width} columns, there is no {index}")
         return index
+
+    def name(self, column: int) -> str:
+        return f"column {column}" + (f" ({self.header[column]!r})" if self.header else "")
+
+    def place(self, row: int, column: int) -> str:
+        called, first = self.first
+        return f"{self.path}, {called} {first + row}, {self.name(column)}"
+
+    def parts(self, values: Matrix, row: int) -> tuple[Matrix, Matrix | None]:
+        """Return measurements and reference of a chunk that begins at a row, after its check."""
+        y, known, times = np.split(values, self.ends, axis=1)
+        wrong = ~np.isfinite(values)
+        wrong[:, : y.shape[1]] &= ~np.isnan(y)
+        if wrong.any():
+            i, j = np.argwhere(wrong)[0]
+            place = self.place(row + i, self.chosen[j])
+            raise ValueError(f"{place}: {values[i, j]} where there must be a finite number")
+        if times.size:
+            self._check_times(times[:, 0], row)
+        return y, known if known.shape[1] else None
+
+    def _check_times(self, times: Matrix, row: int) -> None:
+        if row == 0:
+            self.first_time, self.last_time = times[0], times[0] - self.dt
+        late = np.diff(times, prepend=self.last_time) / self.dt - 1.0
+        count = row + np.arange(len(times))
+        drift = (times - self.first_time) / self.dt - count
+        wrong = (np.abs(late) >= TIMING) | (np.abs(drift) >= TIMING + DRIFT * count)
+        if wrong.any():
+            i = int(wrong.argmax())
+            raise ValueError(
+                f"{self.place(row + i, self.chosen[-1])}: the time {times[i]:.9g} s is "
+                f"{1 + late[i]:.6g} samples after that of the row before and {drift[i]:+.6g} "
+                f"samples off the times of the record's begin with dt = {self.dt:g} s"
+            )
+        self.last_time = times[-1]
 
 
 class _Npy(_Record):
@@ -347,19 +343,16 @@ def _npy_writer(path: Path, outputs: int, _delimiter: str) -> Iterator[Write]:
 @contextmanager
 def _csv_writer(path: Path, outputs: int, delimiter: str) -> Iterator[Write]:
     """Give what appends rows, with their times, to a CSV file."""
-    with open(path, "w", encoding="utf-8", newline="\n") as file:
-        names = ["time", *(f"w[{i}]" for i in range(outputs))]
-        file.write(delimiter.join(names) + "\n")
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file, delimiter=delimiter, lineterminator="\n")
+        rows.writerow(["time", *(f"w[{i}]" for i in range(outputs))])
 
         def write(times: Matrix, estimates: Matrix) -> None:
-            for time, row in zip(times.tolist(), estimates.tolist(), strict=True):
-                file.write(delimiter.join([f"{time:.15g}", *map(repr, row)]) + "\n")
+            rows.writerows(
+                [f"{t:.15g}", *w] for t, w in zip(times, estimates.tolist(), strict=True)
+            )
 
         yield write
 
 
-_RECORDS = {".csv": _Csv, ".npy": _Npy}
-_WRITERS: dict[str, Callable[[Path, int, str], AbstractContextManager[Write]]] = {
-    ".csv": _csv_writer,
-    ".npy": _npy_writer,
-}
+_FORMATS = {".csv": (_Csv, _csv_writer), ".npy": (_Npy, _npy_writer)}

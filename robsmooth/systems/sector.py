@@ -55,16 +55,22 @@ class Sector:
         noise: float = 1.0,
         reference: str | None = None,
     ) -> Nonlinearity:
-        """Return what drives the state by B f(C x) and y by D f(C x), with noise of weight one."""
+        """Return f(C x), which drives the state through B and y through D, as a `Nonlinearity`.
+
+        It is scaled: centred, it has the Lipschitz constant 1, and a noise of intensity `noise`
+        times [B; D] enters where it does with weight one (Assumption 1).
+        """
         noise = validation.positive("noise", noise)
-        given = {"B": B, "C": C, "D": D}.items()
-        B, C, D = (
-            validation.matrix(f"Nonlinearity {n}", value, (None, None)) for n, value in given
+        argument = noise / self.half_width
+        given = Nonlinearity(B, C, D, self.half_width)
+        return Nonlinearity(
+            B=noise * given.B,
+            C=given.C / argument,
+            D=noise * given.D,
+            function=compiled(Combination(self.function, argument, value=1.0 / noise)),
+            reference=reference,
+            sector=(self.lower / self.half_width, self.upper / self.half_width),
         )
-        argument, slopes = noise / self.half_width, np.array([self.lower, self.upper])
-        function = compiled(Combination(self.function, argument, value=1.0 / noise))
-        unit = {"sector": tuple(slopes / self.half_width), "reference": reference}
-        return Nonlinearity(noise * B, C / argument, noise * D, function=function, **unit)
 
 
 def sector(function: Function, reach: float, chords: bool = False) -> Sector:
@@ -85,8 +91,7 @@ def sector(function: Function, reach: float, chords: bool = False) -> Sector:
     -------
     Sector
         With the slopes to about 1e-9 where f is smooth. Its method ``nonlinearity(B, C, D, noise)``
-        makes the `Nonlinearity` by which f(C x) drives the state through B and y through D, scaled
-        so that a noise of intensity `noise` times [B; D] has the weight one of Assumption 1.
+        makes f(C x) part of a system.
 
     Raises
     ------
