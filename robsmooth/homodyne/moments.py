@@ -351,17 +351,17 @@ def whitened(loop: Loop) -> WhitenedLoop:
     slopes = slopes_of_lock(loop, rate)
     S, inverse, rounding = _white_coordinates(loop, slopes, rate)
 
-    rows = loop.arguments() @ S
+    rows = loop.arguments @ S
     deviations = np.linalg.norm(rows, axis=1)
     # Far out of lock there are slopes again, because the noise averages the sine to nothing.
-    largest = deviations[loop.arguments()[:, 1:].any(axis=1)].max(initial=0.0)
+    largest = deviations[loop.arguments[:, 1:].any(axis=1)].max(initial=0.0)
     if largest > LARGEST_DEVIATION:
         raise UnstableLoopError(
             "the loop is not in lock: by statistical linearisation the argument of its sine has a "
             f"standard deviation of {largest:.3g} rad"
         )
     # The arguments of the sines that are not linear all the same span the first coordinates.
-    gains = inverse @ loop.gains() / rate
+    gains = inverse @ loop.gains / rate
     active = deviations**3 * np.linalg.norm(gains, axis=0) > _NEGLIGIBLE_REMAINDER
     rotation, arguments = np.linalg.qr(rows[active].T, mode="complete")
     S, inverse = S @ rotation, rotation.T @ inverse
@@ -372,8 +372,8 @@ def whitened(loop: Loop) -> WhitenedLoop:
         phase=S[0],
         filtered=S[0] - loop.readout[0] @ S[1:],
         smoothed=S[0] - loop.readout[1] @ S[1:],
-        phase_decay=loop.phase_decay / rate,
-        phase_variance=loop.phase_diffusion**2 / (2 * loop.phase_decay),
+        phase_decay=-loop.drift[0, 0] / rate,
+        phase_variance=-(loop.noise[0, 0] ** 2) / (2 * loop.drift[0, 0]),
         delay=loop.delay * rate,
         rounding=rounding,
     )
@@ -382,7 +382,7 @@ def whitened(loop: Loop) -> WhitenedLoop:
 def slopes_of_lock(loop: Loop, rate: float) -> Matrix:
     """Return the slopes of statistical linearisation, iterated from slopes of one."""
     S, inverse = _error_coordinates(loop)
-    rows = loop.arguments() @ S
+    rows = loop.arguments @ S
     return linearisation.equivalent_slopes(
         np.ones(2),
         lambda slopes: ((rows @ _root(loop, slopes, rate, S, inverse)) ** 2).sum(axis=1),
@@ -422,7 +422,7 @@ def _root(loop: Loop, slopes: Matrix, rate: float, S: Matrix, inverse: Matrix) -
     """
     drift = loop.linearised_drift(*slopes)
     check_stationary(np.linalg.eigvals(drift))
-    noise = inverse @ loop.noise_gains() / math.sqrt(rate)
+    noise = inverse @ loop.noise / math.sqrt(rate)
     try:
         return stationary_root(inverse @ (drift / rate) @ S, noise)
     except UnstableLoopError:  # the eigenvalues are stable
@@ -435,5 +435,5 @@ def _error_coordinates(loop: Loop) -> tuple[Matrix, Matrix]:
     The phase may wander far, and the estimate with it; their difference does not.
     """
     S, inverse = np.eye(1 + loop.order), np.eye(1 + loop.order)
-    S[0, 1:], inverse[0, 1:] = loop.reference, -loop.reference
+    S[0, 1:], inverse[0, 1:] = -loop.arguments[0, 1:], loop.arguments[0, 1:]
     return S, inverse

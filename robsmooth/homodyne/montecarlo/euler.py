@@ -60,14 +60,13 @@ def coefficients_of(loop: Loop, step: float) -> Coefficients:
     """Return the coefficients of a step, in s."""
     root = np.sqrt(step)
     coefficients = Coefficients(
-        step * loop.drift,  # (n, n), F
-        loop.reference,  # (n,), r
-        loop.copy,  # (n,), c
-        step * loop.sine_gain,  # (n,), b_s
-        step * loop.copy_gain,  # (n,), b_c
+        step * loop.drift[1:, 1:],  # (n, n), F
+        -loop.arguments[0, 1:],  # (n,), r
+        loop.arguments[1, 1:],  # (n,), c
+        *(step * loop.gains[1:].T),  # (n,) each, b_s and b_c
         noise=loop.sine_noise / root,  # w
-        decay=-step * loop.phase_decay,  # a
-        diffusion=root * loop.phase_diffusion,  # q
+        decay=step * loop.drift[0, 0],  # a
+        diffusion=root * loop.noise[0, 0],  # q
     )
     # Rounding noise, some of it denormal in single precision: processors are slow with those.
     tiny = np.finfo(np.float32).tiny

@@ -228,7 +228,7 @@ class ErgodicSimulation(Simulation):
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
         """Fill in numbers by the time constants of the linearised loop, which must be stable."""
         slopes = splitting.control_slopes(loop)
-        slowest = loop.rates(*slopes)[0]
+        slowest = -np.linalg.eigvals(loop.linearised_drift(*slopes)[1:, 1:]).real.max()
         if not slowest > 0:
             raise UnstableLoopError(
                 "the ergodic protocol needs a loop with a stationary state, and the linearised "

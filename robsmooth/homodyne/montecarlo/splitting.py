@@ -105,23 +105,21 @@ def draws(n: int) -> int:
 def coefficients_of(loop: Loop, step: float, slopes: tuple[float, float]) -> Coefficients:
     """Return the coefficients of a step, in s, the control with these slopes."""
     drift = loop.linearised_drift(*slopes)
-    transition, push, _ = responses(drift, -slopes[0] * loop.gains()[:, :1], step)
-    noise = noise_root(drift, loop.noise_gains(), step)
+    transition, push, _ = responses(drift, -slopes[0] * loop.gains[:, :1], step)
+    noise = noise_root(drift, loop.noise, step)
     root = np.zeros((1 + loop.order, draws(loop.order)))
     # Not the triangular root itself: with that, a seed would have other paths.
     root[:, : 1 + loop.order] = square_root(noise @ noise.T)
-    gains = step * loop.gains()[1:].T
-    curvatures = np.vstack([loop.reference, loop.copy]) @ gains.T
+    gains, arguments = step * loop.gains[1:].T, loop.arguments[:, 1:] * [[-1], [1]]
     return Coefficients(
         transition,  # (1 + n, 1 + n), Phi
         root,  # (1 + n, m), of the covariance of eta
         *gains,  # (n,) each, h b_s and h b_c
-        loop.reference,  # (n,), r
-        loop.copy,  # (n,), c
+        *arguments,  # (n,) each, r and c
         *(gains @ transition[1:, 1:].T),  # (n,) each, the gains after the transition
         push[1:],  # (n,), of the exact step by T
         slopes,  # rho_s, rho_c
-        curvatures,  # r h b_s, r h b_c, c h b_s, c h b_c
+        arguments @ gains.T,  # r h b_s, r h b_c, c h b_s, c h b_c
         quarter_turn=np.pi / 2,
         start=square_root(loop.covariance(*slopes)),  # the control is stationary
     )
