@@ -138,7 +138,6 @@ class Simulation:
         The last output of a path is the number of its cycle slips.
         """
         real, n = PRECISIONS[self.precision], self.readout.shape[1]
-        states = np.empty((count, self.kernel.state_size(n)), real)
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
         with ALONE, threads_of_kernels(worker_threads()):
             self.kernel.simulate_blocks(
@@ -149,7 +148,6 @@ class Simulation:
                 tuple(self.schedule),
                 np.uint64(self.seed),
                 first,
-                states,
                 results.reshape(count, -1),
             )
         return results[:, : self.kernel.SLIPS + 1]
