@@ -95,14 +95,14 @@ def literal_problem() -> Problem:
         return np.where(np.abs(values) < RESIDUE, 0.0, values)
 
     return Problem(
-        decay=-STEP * loop.phase_decay,
-        diffusion=root * loop.phase_diffusion,
-        drift=clean(STEP * loop.drift),
-        reference=clean(loop.reference),
-        copy=clean(loop.copy),
-        sine_gain=clean(STEP * loop.sine_gain),
-        copy_gain=clean(STEP * loop.copy_gain),
-        noise_gain=clean(root * loop.noise_gain),
+        decay=STEP * loop.drift[0, 0],
+        diffusion=root * loop.noise[0, 0],
+        drift=clean(STEP * loop.drift[1:, 1:]),
+        reference=clean(-loop.arguments[0, 1:]),
+        copy=clean(loop.arguments[1, 1:]),
+        sine_gain=clean(STEP * loop.gains[1:, 0]),
+        copy_gain=clean(STEP * loop.gains[1:, 1]),
+        noise_gain=clean(root * loop.noise[1:, 1]),
         filtered=clean(loop.readout[0]),
         smoothed=clean(loop.readout[1]),
         delay=round(loop.delay / STEP),

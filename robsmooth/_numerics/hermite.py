@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import eigh_tridiagonal
-from scipy.special import comb
 
 _ZERO_ENTRY = 1e-15  # of a matrix, relative to its largest entry, below which it is zero
 
@@ -34,66 +33,58 @@ def multiplication_matrix(
 
 
 class HermiteBasis:
-    r"""The polynomials of d variables up to a total degree.
+    """The polynomials of d variables up to a total degree, in graded order.
 
-    In graded order, the degree-one polynomials as their variables. With the tails :math:`s_k =
-    \alpha_k + \dots + \alpha_d` the position of :math:`h_\alpha` is :math:`\sum_k\binom{s_k + d -
-    k}{d - k + 1}`.
+    Those of degree one stand as their variables. What sorts them is a number that is linear in the
+    exponents, so that one step in the exponents is the same step in all these numbers.
     """
 
     def __init__(self, dimension: int, degree: int):
         self.dimension, self.degree = dimension, degree
-        indices = np.zeros((1, 0), int)
-        for _ in range(dimension):
-            room = 1 + degree - indices.sum(axis=1)
-            first = np.cumsum(room) - room
-            new = np.arange(room.sum()) - np.repeat(first, room)
-            indices = np.column_stack([np.repeat(indices, room, axis=0), new])
-        d, s = dimension - np.arange(dimension)[:, None], np.arange(degree + 1)
-        self._table = comb(s + d - 1, d, exact=False).round().astype(int)
-        self.indices = indices[np.argsort(self._positions(indices))]
-
+        variables = range(dimension)
+        products = (
+            itertools.combinations_with_replacement(variables, k) for k in range(1 + degree)
+        )
+        products = itertools.chain.from_iterable(products)
+        self.indices = np.array([[factors.count(k) for k in variables] for factors in products])
         self.degrees = self.indices.sum(axis=1)
         # the positions of the polynomials of even and of odd degree
         self.even, self.odd = (np.flatnonzero(self.degrees % 2 == k) for k in (0, 1))
-        self.identity = sparse.eye_array(len(indices))
-        lowering = [self._lowering(axis) for axis in range(dimension)]
-        self.lowering = sparse.vstack(lowering, format="csr")  # a_1 ... a_d, one above the other
-        self.coordinates = [a + a.T for a in lowering]  # multiplications with xi_1 ... xi_d
+        digits = (degree + 1) ** np.arange(dimension, -1, -1)
+        self._digits = digits[0] - digits[1:]  # first the degree, then the first exponents
+        self._numbers = self.indices @ self._digits
 
-    def _positions(self, indices: NDArray[np.int_]) -> NDArray[np.int_]:
-        tails = np.cumsum(indices[:, ::-1], axis=1)[:, ::-1]
-        return self._table[np.arange(self.dimension), tails].sum(axis=1)
+        below = [np.flatnonzero(exponents) for exponents in self.indices.T]
+        steps = -np.eye(dimension, dtype=int)
+        self.lowering = [  # a_1 ... a_d
+            self._array(np.sqrt(self.indices[columns, k]), columns, self._after(columns, steps[k]))
+            for k, columns in enumerate(below)
+        ]
+        self.coordinates = [a + a.T for a in self.lowering]  # multiplications with xi_1 ... xi_d
 
-    def _lowering(self, axis: int) -> sparse.csr_array:
-        columns = np.flatnonzero(self.indices[:, axis])
-        lower = self.indices[columns]
-        values = np.sqrt(lower[:, axis])
-        lower[:, axis] -= 1
-        return self._array(values, self._positions(lower), columns)
+    def _after(self, positions, step) -> NDArray[np.int_]:
+        """The positions of the polynomials a step in the first exponents on."""
+        return np.searchsorted(
+            self._numbers, self._numbers[positions] + step @ self._digits[: len(step)]
+        )
 
-    def _array(self, values, rows, columns) -> sparse.csr_array:
-        size = len(self.indices)
-        return sparse.csr_array((values, (rows, columns)), shape=(size, size))
+    def _array(self, values, columns, rows) -> sparse.csr_array:
+        return sparse.csr_array((values, (rows, columns)), shape=2 * self.indices.shape[:1])
 
     def derivative(self, direction: NDArray[np.float64]) -> sparse.csr_array:
         """The derivative along a direction."""
-        return sparse.kron(direction[None, :], self.identity, format="csr") @ self.lowering
+        return sum(part * a for part, a in zip(direction, self.lowering, strict=True))
 
     def multiplication(self, factors: list[NDArray[np.float64]]) -> sparse.csr_array:
         """Multiplication with f_1(xi_1) f_2(xi_2) ..., from the matrices of one variable: exact."""
         all_bands = range(-self.degree, self.degree + 1)
         bands = ([s for s in all_bands if f.diagonal(-s).any()] for f in factors)
-        axes = slice(len(factors))
-        rows, columns, values = [], [], []
-        for shifts in itertools.product(*bands):
-            room = self.degrees + sum(shifts) <= self.degree
-            inside = np.flatnonzero(room & (self.indices[:, axes] + shifts >= 0).all(axis=1))
-            start = self.indices[inside]
-            moved = start.copy()
-            moved[:, axes] += shifts
-            entries = (f[moved[:, k], start[:, k]] for k, f in enumerate(factors))
-            rows.append(self._positions(moved))
-            columns.append(inside)
-            values.append(math.prod(entries))
-        return self._array(*(np.concatenate(part) for part in (values, rows, columns)))
+        exponents, parts = self.indices[:, : len(factors)], []
+        for step in itertools.product(*bands):
+            room = self.degrees + sum(step) <= self.degree
+            columns = np.flatnonzero(room & (exponents + step >= 0).all(axis=1))
+            start = exponents[columns]
+            moved = start + step
+            values = math.prod(f[moved[:, k], start[:, k]] for k, f in enumerate(factors))
+            parts.append((values, columns, self._after(columns, step)))
+        return self._array(*map(np.concatenate, zip(*parts, strict=True)))

@@ -60,42 +60,28 @@ LARGEST_VARIANCE = 4 * np.pi**2  # rad^2, a turn: such a loop is not locked at a
 class Loop:
     """The loop in the form that is simulated (the last equation of the module's docstring)."""
 
-    phase_decay: float  # lambda, 1/s
-    phase_diffusion: float  # sqrt(kappa), rad/s^(1/2)
-    drift: Matrix  # (n, n), G, 1/s
-    reference: Matrix  # (n,), r
-    copy: Matrix  # (n,), c
-    sine_gain: Matrix  # (n,), b_s, 1/s
-    copy_gain: Matrix  # (n,), b_c, 1/s
+    drift: Matrix  # (1 + n, 1 + n), 1/s, of (phi, x_hat) without the sines: -lambda and G
+    noise: Matrix  # (1 + n, 2): how dV and dW drive it
+    gains: Matrix  # (1 + n, 2): how the sines drive it, b_s and b_c, 1/s
+    arguments: Matrix  # (2, 1 + n): rows that read the sines' arguments, (1, -r) and (0, c)
     sine_noise: float  # nu, s^(1/2)
-    noise_gain: Matrix  # (n,), nu b_s, of dW
     readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase, rad
     delay: float  # of the smoothed estimate, s
 
     @property
     def order(self) -> int:
         """Number of states of the estimator."""
-        return len(self.drift)
+        return len(self.drift) - 1
 
     def linearised_drift(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
         r"""Drift of :math:`(\varphi, \hat x)`, each sine replaced by a slope, 1/s."""
-        slopes = np.diag([sine_slope, copy_slope])
-        linear = block_diag(-self.phase_decay, self.drift)
-        return linear + self.gains() @ slopes @ self.arguments()
-
-    def gains(self) -> Matrix:
-        r"""Columns by which the two sines drive :math:`(\varphi, \hat x)`, 1/s."""
-        return np.array([[0.0, *self.sine_gain], [0.0, *self.copy_gain]]).T
-
-    def arguments(self) -> Matrix:
-        r"""Rows that read the arguments of the two sines out of :math:`(\varphi, \hat x)`."""
-        return np.array([[1.0, *-self.reference], [0.0, *self.copy]])
+        return self.drift + self.gains @ np.diag([sine_slope, copy_slope]) @ self.arguments
 
     def covariance(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
         r"""Stationary covariance of :math:`(\varphi, \hat x)`, each sine replaced by a slope."""
         drift = self.linearised_drift(sine_slope, copy_slope)
         check_stationary(np.linalg.eigvals(drift))
-        return covariances(drift, self.noise_gains()).stationary
+        return covariances(drift, self.noise).stationary
 
     def equivalent_slopes(self) -> tuple[float, float]:
         r"""Return the slopes of statistical linearisation, each :math:`e^{-\sigma^2/2}`.
@@ -104,7 +90,7 @@ class Loop:
         loop that they make linear: a fixed point, iterated from slopes of one. An UnstableLoopError
         says that there is none, because the loop loses lock.
         """
-        rows = self.arguments()
+        rows = self.arguments
         slopes = linearisation.equivalent_slopes(
             np.ones(2),
             lambda slopes: np.einsum("ij,jk,ik->i", rows, self.covariance(*slopes), rows),
@@ -114,17 +100,6 @@ class Loop:
         )
         return tuple(slopes.tolist())
 
-    def noise_gains(self) -> Matrix:
-        r"""Columns by which dV and dW drive :math:`(\varphi, \hat x)`."""
-        gains = np.zeros((1 + self.order, 2))
-        gains[0, 0], gains[1:, 1] = self.phase_diffusion, self.noise_gain
-        return gains
-
-    def rates(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> tuple[float, float]:
-        """Slowest decay rate, negative if unstable, and largest rate of the estimator, 1/s."""
-        eigenvalues = np.linalg.eigvals(self.linearised_drift(sine_slope, copy_slope)[1:, 1:])
-        return float(-eigenvalues.real.max()), float(np.abs(eigenvalues).max())
-
     def response_time(self) -> float:
         r"""The time in which the sines respond to themselves, s; infinity if never.
 
@@ -133,10 +108,10 @@ class Loop:
         Modes that no sine is driven by and sees, as a smoother's delay, have no part in it.
         """
         A = self.linearised_drift()[1:, 1:]
-        gains, rows = self.gains()[1:], self.arguments()[:, 1:]
+        gains, rows = self.gains[1:], self.arguments[:, 1:]
         rate = max(np.abs(rows @ gains).max(), math.sqrt(np.abs(rows @ A @ gains).max()))
-        rate = float(rate) or self.rates()[1]
-        return 1.0 / rate if rate else math.inf
+        rate = rate or np.abs(np.linalg.eigvals(A)).max()
+        return 1.0 / float(rate) if rate else math.inf
 
 
 def check_stationary(eigenvalues: NDArray[np.complexfloating]) -> None:
@@ -179,18 +154,15 @@ def homodyne_loop(
     drift, noise, inputs, outputs = matrices(estimator, loop="real", reference=reference)
     # of the sine and its copy, behind the channel of an uncertainty that is zero
     gains, arguments = 2 * alpha * inputs[:, 1:], outputs[1:] / scale
+    arguments[1] *= gains[:, 1].any()
     linear = drift - beta * gains @ arguments
     sine_noise = beta * system.D21[0, 1]
     return Loop(
-        phase_decay=-linear[0, 0],
-        phase_diffusion=noise[0, 0],
-        drift=linear[1:, 1:],
-        reference=-arguments[0, 1:],
-        copy=arguments[1, 1:] * gains[:, 1].any(),
-        sine_gain=gains[1:, 0],
-        copy_gain=gains[1:, 1],
+        drift=block_diag(linear[0, 0], linear[1:, 1:]),
+        noise=np.column_stack([noise[:, 0], sine_noise * gains[:, 0]]),
+        gains=gains,
+        arguments=arguments,
         sine_noise=sine_noise,
-        noise_gain=sine_noise * gains[1:, 0],
         readout=np.vstack([estimator.C_f, estimator.C_a, steering / scale]),
         delay=estimator.plant.delay,
     )

@@ -19,15 +19,11 @@ with :math:`h_\alpha` the normalised Hermite polynomials of :math:`\xi` and :mat
     \qquad \tilde A = S^{-1}AS,\quad \tilde b_k = S^{-1}b_k .
 
 With the matrix of L between the polynomials of total degree up to N, the stationary moments
-:math:`m_\alpha = E\,h_\alpha(\xi)` solve
-
-.. math::
-
-    \sum_\alpha m_\alpha L_{\alpha\beta} = 0 \quad (0 < |\beta| \le N), \qquad m_0 = 1,
-
-and a linear read-out :math:`w = pz` of the state has the expectation :math:`e^{Lt}w` a time t
-later. With :math:`d = \varphi - C_a\hat x` and :math:`L\varphi = -\lambda\varphi` the smoothed
-error is, free of cancellation when the phase wanders far,
+:math:`m_\alpha = E\,h_\alpha(\xi)` solve :math:`\sum_\alpha m_\alpha L_{\alpha\beta} = 0` for
+:math:`0 < |\beta| \le N`, with :math:`m_0 = 1`, and a linear read-out :math:`w = pz` of the state
+has the expectation :math:`e^{Lt}w` a time t later. With :math:`d = \varphi - C_a\hat x` and
+:math:`L\varphi = -\lambda\varphi` the smoothed error is, free of cancellation when the phase
+wanders far,
 
 .. math::
 
@@ -126,21 +122,20 @@ class StationaryErrors:
         smoothed = self.smoothed_truncation and self.smoothed_truncation / self.smoothed
         return max(smoothed, self.filtered_truncation and self.filtered_truncation / self.filtered)
 
-    def __repr__(self) -> str:
-        return (
-            f"StationaryErrors(smoothed {self.smoothed:.10g} +- {self.smoothed_truncation:.1g} "
-            f"rad^2, filtered {self.filtered:.10g} +- {self.filtered_truncation:.1g} rad^2; "
-            f"degree {self.degree}, {self.unknowns} unknowns)"
-        )
-
-    def _repr_html_(self) -> str:
-        rows = [
+    def _rows(self) -> list[tuple[str, str, float]]:
+        return [
             ("smoothed", f"{self.smoothed:.10g}", self.smoothed_truncation),
             ("filtered", f"{self.filtered:.10g}", self.filtered_truncation),
         ]
+
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{name} {e} +- {error:.1g} rad^2" for name, e, error in self._rows())
+        return f"StationaryErrors({errors}; degree {self.degree}, {self.unknowns} unknowns)"
+
+    def _repr_html_(self) -> str:
         columns = ("estimate", "mean square error (rad²)", "truncation (rad²)")
-        size = f"polynomials of degree {self.degree}, {self.unknowns} unknowns"
-        return Table(columns, rows, f"The loop in lock: {size}.", digits=1).html()
+        caption = f"The loop in lock: degree {self.degree}, {self.unknowns} unknowns."
+        return Table(columns, self._rows(), caption, digits=1).html()
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,11 +151,6 @@ class WhitenedLoop:
     phase_variance: float
     delay: float
     rounding: float  # relative error of the covariance
-
-    @property
-    def dimension(self) -> int:
-        """Number of coordinates."""
-        return len(self.drift)
 
 
 @one_thread
@@ -215,11 +205,10 @@ def stationary_errors(
     >>> print(f"{errors.filtered:.6f} rad^2")
     0.088235 rad^2
     """
-    least = LEAST_DEGREE
-    if degree is not None:
-        least = validation.integer("degree", degree, low=LEAST_DEGREE)
-        if degree % 2:
-            raise ValueError(f"degree must be even, got {degree}")
+    least = LEAST_DEGREE if degree is None else degree
+    least = validation.integer("degree", least, low=LEAST_DEGREE)
+    if least % 2:
+        raise ValueError(f"degree must be even, got {degree}")
     loop = homodyne_loop(parameters, smoother, oscillator, copy, nonlinearity, shot_noise)
     unknowns = _unknowns(1 + loop.order, least)
     if unknowns > MOST_UNKNOWNS:
@@ -228,7 +217,7 @@ def stationary_errors(
             f"which at most {MOST_UNKNOWNS} are solved for"
         )
     problem = whitened(loop)
-    if not problem.dimension:  # nothing drives the loop
+    if not problem.drift.size:  # nothing drives the loop
         return StationaryErrors(0.0, 0.0, 0.0, 0.0, least, 0)
     if degree is None:
         result = _converged(problem)
@@ -251,14 +240,13 @@ def _unknowns(dimension: int, degree: int) -> int:
 
 def _converged(problem: WhitenedLoop) -> StationaryErrors:
     """Raise the degree until the truncation error is small, or no longer gets smaller."""
-    errors, best = [_errors(problem, 2)], None
+    errors, results = [_errors(problem, 2)], []
     for degree in count(LEAST_DEGREE, 2):
         errors.append(_errors(problem, degree))
-        result = _result(problem, errors, degree)
-        if best is None or result._relative_truncation < best._relative_truncation:
-            best = result
+        results.append(_result(problem, errors, degree))
+        best = min(results, key=lambda result: result._relative_truncation)
         gains_nothing = degree >= best.degree + 2 * STEPS_WITHOUT_GAIN
-        too_large = _unknowns(problem.dimension, degree + 2) > DEFAULT_UNKNOWNS
+        too_large = _unknowns(len(problem.drift), degree + 2) > DEFAULT_UNKNOWNS
         if gains_nothing or too_large or best._relative_truncation <= TOLERANCE:
             return best
 
@@ -269,13 +257,13 @@ def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> Statio
         steps = np.abs(np.diff(errors[-3:], axis=0))
         steps[:-1] /= GAIN_OF_A_STEP
         truncation = steps.max(axis=0) + problem.rounding * errors[-1]
-    unknowns = _unknowns(problem.dimension, degree)
+    unknowns = _unknowns(len(problem.drift), degree)
     return StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree, unknowns)
 
 
 def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
     """Mean square errors, smoothed and filtered, infinite where the moments are of no law."""
-    basis = HermiteBasis(problem.dimension, degree)
+    basis = HermiteBasis(len(problem.drift), degree)
     generator = _generator(problem, basis)
     try:
         moments = _stationary_moments(generator[basis.even][:, basis.even])
@@ -283,7 +271,7 @@ def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
         return np.full(2, np.inf)
     # E[xi_i h_alpha], first for the alpha of degree one: the covariance of xi
     products = np.array([moments @ x[basis.even][:, basis.odd] for x in basis.coordinates])
-    covariance = products[:, : problem.dimension]
+    covariance = products[:, : len(problem.drift)]
     with np.errstate(over="ignore", invalid="ignore"):
         change = _change(problem, generator[basis.odd][:, basis.odd])
         filtered = problem.filtered @ covariance @ problem.filtered
@@ -300,11 +288,11 @@ def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
 
 def _generator(problem: WhitenedLoop, basis: HermiteBasis) -> sparse.csr_array:
     """The matrix of L."""
-    linear = basis.lowering.T @ sparse.kron(problem.drift.T, basis.identity) @ basis.lowering
-    terms = (
-        _remainder(row, slope, basis) @ basis.derivative(gain) for row, slope, gain in problem.sines
-    )
-    generator = sum(terms, start=linear).tocsr()
+    columns = zip(basis.lowering, problem.drift.T, strict=True)
+    terms = [a.T @ basis.derivative(column) for a, column in columns]
+    for row, slope, gain in problem.sines:
+        terms.append(_remainder(row, slope, basis) @ basis.derivative(gain))
+    generator = sum(terms).tocsr()
     size = np.abs(generator.data)
     generator.data[size < _ZERO_ENTRY * size.max()] = 0.0  # they would only fill the factors
     generator.eliminate_zeros()
@@ -313,15 +301,13 @@ def _generator(problem: WhitenedLoop, basis: HermiteBasis) -> sparse.csr_array:
 
 def _remainder(row: Matrix, slope: float, basis: HermiteBasis) -> sparse.csr_array:
     """The matrix of multiplication with sin(v) - slope v, v = row . (xi_1, xi_2)."""
-    sines = [multiplication_matrix(np.sin, factor, basis.degree) for factor in row]
-    cosines = [multiplication_matrix(np.cos, factor, basis.degree) for factor in row]
-    if len(row) == 1 or not row[1]:
-        product = basis.multiplication(sines[:1])
-    else:
-        product = basis.multiplication([sines[0], cosines[1]])
-        product = product + basis.multiplication([cosines[0], sines[1]])
-    linear = sum(factor * x for factor, x in zip(row, basis.coordinates, strict=False))
-    return product - slope * linear
+    product = -slope * sum(factor * x for factor, x in zip(row, basis.coordinates, strict=False))
+    row = row[: 1 + row[1:].any()]  # the second variable where the sine is of it, too
+    for functions in ((np.sin, np.cos), (np.cos, np.sin))[: len(row)]:
+        pairs = zip(functions, row, strict=False)
+        factors = [multiplication_matrix(f, factor, basis.degree) for f, factor in pairs]
+        product = product + basis.multiplication(factors)
+    return product
 
 
 def _stationary_moments(generator: sparse.csr_array) -> NDArray[np.float64]:
@@ -338,7 +324,7 @@ def _stationary_moments(generator: sparse.csr_array) -> NDArray[np.float64]:
 def _change(problem: WhitenedLoop, generator: sparse.csr_array) -> NDArray[np.float64]:
     """(e^{L delay} - 1) (phi - C_a x_hat) in the polynomials of odd degree."""
     error = np.zeros(generator.shape[0])
-    error[: problem.dimension] = problem.smoothed
+    error[: len(problem.drift)] = problem.smoothed
     slowest = -np.linalg.eigvals(problem.drift).real.max()
     if slowest * problem.delay > DECAYED:
         return -error
@@ -351,17 +337,17 @@ def whitened(loop: Loop) -> WhitenedLoop:
     slopes = slopes_of_lock(loop, rate)
     S, inverse, rounding = _white_coordinates(loop, slopes, rate)
 
-    rows = loop.arguments() @ S
+    rows = loop.arguments @ S
     deviations = np.linalg.norm(rows, axis=1)
     # Far out of lock there are slopes again, because the noise averages the sine to nothing.
-    largest = deviations[loop.arguments()[:, 1:].any(axis=1)].max(initial=0.0)
+    largest = deviations[loop.arguments[:, 1:].any(axis=1)].max(initial=0.0)
     if largest > LARGEST_DEVIATION:
         raise UnstableLoopError(
             "the loop is not in lock: by statistical linearisation the argument of its sine has a "
             f"standard deviation of {largest:.3g} rad"
         )
     # The arguments of the sines that are not linear all the same span the first coordinates.
-    gains = inverse @ loop.gains() / rate
+    gains = inverse @ loop.gains / rate
     active = deviations**3 * np.linalg.norm(gains, axis=0) > _NEGLIGIBLE_REMAINDER
     rotation, arguments = np.linalg.qr(rows[active].T, mode="complete")
     S, inverse = S @ rotation, rotation.T @ inverse
@@ -372,8 +358,8 @@ def whitened(loop: Loop) -> WhitenedLoop:
         phase=S[0],
         filtered=S[0] - loop.readout[0] @ S[1:],
         smoothed=S[0] - loop.readout[1] @ S[1:],
-        phase_decay=loop.phase_decay / rate,
-        phase_variance=loop.phase_diffusion**2 / (2 * loop.phase_decay),
+        phase_decay=-loop.drift[0, 0] / rate,
+        phase_variance=-(loop.noise[0, 0] ** 2) / (2 * loop.drift[0, 0]),
         delay=loop.delay * rate,
         rounding=rounding,
     )
@@ -382,7 +368,7 @@ def whitened(loop: Loop) -> WhitenedLoop:
 def slopes_of_lock(loop: Loop, rate: float) -> Matrix:
     """Return the slopes of statistical linearisation, iterated from slopes of one."""
     S, inverse = _error_coordinates(loop)
-    rows = loop.arguments() @ S
+    rows = loop.arguments @ S
     return linearisation.equivalent_slopes(
         np.ones(2),
         lambda slopes: ((rows @ _root(loop, slopes, rate, S, inverse)) ** 2).sum(axis=1),
@@ -422,7 +408,7 @@ def _root(loop: Loop, slopes: Matrix, rate: float, S: Matrix, inverse: Matrix) -
     """
     drift = loop.linearised_drift(*slopes)
     check_stationary(np.linalg.eigvals(drift))
-    noise = inverse @ loop.noise_gains() / math.sqrt(rate)
+    noise = inverse @ loop.noise / math.sqrt(rate)
     try:
         return stationary_root(inverse @ (drift / rate) @ S, noise)
     except UnstableLoopError:  # the eigenvalues are stable
@@ -434,6 +420,6 @@ def _error_coordinates(loop: Loop) -> tuple[Matrix, Matrix]:
 
     The phase may wander far, and the estimate with it; their difference does not.
     """
-    S, inverse = np.eye(1 + loop.order), np.eye(1 + loop.order)
-    S[0, 1:], inverse[0, 1:] = loop.reference, -loop.reference
-    return S, inverse
+    inverse = np.eye(1 + loop.order)
+    inverse[0] = loop.arguments[0]
+    return 2 * np.eye(1 + loop.order) - inverse, inverse

@@ -67,9 +67,8 @@ class HomodyneParameters:
     def uncertain_system(self) -> UncertainSystem:
         r"""Return the example in the form of Section II, as (eqsystem1).
 
-        One state, the phase; one uncertainty with zero output, for the process noise
-        (:math:`\Delta_1 = 0`); one nonlinearity, `channel` of :math:`\nu = 2\alpha\gamma\phi` less
-        the filtered estimate of it, with Lipschitz constant 1 as far as `lipschitz_range` goes.
+        One uncertainty with zero output, for the process noise (:math:`\Delta_1 = 0`), and one
+        nonlinearity, `channel` of :math:`\nu = 2\alpha\gamma\phi` less the filtered estimate of it.
         """
         return homodyne_system(vars(self), function=self.channel)
 
@@ -134,26 +133,19 @@ class HomodyneParameters:
     def equivalent_slope(self, variance: float, gain: float = 1.0) -> float:
         r"""Return :math:`\Delta_2 = (c\,e^{-P/2} - \beta)/\gamma`, statistically equivalent to f.
 
-        P is the variance of the phase error, rad^2, and c the gain of a detector that sees
-        :math:`c\sin e`.
+        P is the variance of the phase error, rad^2, and the detector sees :math:`c\sin e`.
         """
         return (gain * math.exp(-0.5 * variance) - self.beta) / self.gamma
 
     def centred(self) -> "HomodyneParameters":
-        r"""Return the parameters with a sector that ends at 1, as no slope of the sine is larger.
-
-        Its lower edge stays; a sector that ends below 1 stays as it is.
-        """
+        """Return those with the same lower edge and a sector that ends at 1, or as it is below."""
         if not self.lower_slope < 1.0:
             raise ValueError(f"beta - gamma must be below 1, got {self.lower_slope:g}")
         beta = min(self.beta, (1.0 + self.lower_slope) / 2)
         return replace(self, beta=beta, gamma=min(self.gamma, 1.0 - beta))
 
     def with_gain(self, gain: float) -> "HomodyneParameters":
-        r"""Return the parameters of a loop whose detector sees :math:`c\sin e`, noise unchanged.
-
-        An estimator that was designed for the original parameters knows nothing of the gain c.
-        """
+        r"""Return the parameters of a loop whose detector sees :math:`c\sin e`, noise unchanged."""
         gain = validation.positive("gain", gain)
         return replace(self, alpha=gain * self.alpha, beta=self.beta / gain)
 

@@ -1,9 +1,8 @@
 """A parameter study: lag, order, sector and noise, each design with covariance and simulation.
 
-The filter at the heart of a smoother whose cost is on the filtered error depends neither on the lag
-nor on the order of its model, and nor do the best tau and multipliers. So there is one search for
-each sector and noise, a *column*, and then a design for each lag and order. A column is what is
-computed in one piece, here or on a cluster, and what a checkpoint holds.
+Where the cost is on the filtered error, the best tau and multipliers depend neither on the lag nor
+on the order of its model. So there is one search for each sector and noise, a *column*, and then a
+design for each lag and order. A checkpoint holds columns.
 """
 
 import os
@@ -50,14 +49,12 @@ class Study:
     gammas, noises, orders, lags : tuples
         The axes of the arrays, in this order; lags in s.
     quantities : dict of str to (gammas, noises, orders, lags) array
-        "bound": on the filtered mean square error, twice V (rad^2); "nominal", "edge": the linear
-        smoothed mean square error where the sine is its tangent, and at the sector's edge;
-        "optimal", "optimal_filtered": the optimum of the tangent's problem, with the lag and
-        without; "filtered", "smoothed": the nonlinear mean square errors of paths in lock, and
+        "bound": on the filtered mean square error (rad^2); "nominal", "edge": the linear smoothed
+        one where the sine is its tangent, and at the sector's edge; "optimal", "optimal_filtered":
+        the optima for the tangent; "filtered", "smoothed": the nonlinear ones of paths in lock, and
         "filtered_error", "smoothed_error" their standard errors; "slip_rate" (1/s). Not a number
         without a design or a path in lock.
-    failures : dict of (gamma, noise) to str
-        Why there is no design.
+    failures : dict of (gamma, noise) to str, why there is no design
 
     See Also
     --------
@@ -97,12 +94,7 @@ class Study:
         return f"Study({sizes}: {self.designs} designs, {len(self.failures)} columns without)"
 
     def _repr_html_(self) -> str:
-        names = (
-            r"half width $\gamma$ of the sector",
-            "power of the shot noise",
-            "order",
-            "lag (s)",
-        )
+        names = (r"half width $\gamma$", "power of the shot noise", "order", "lag (s)")
         ranges = dict(zip(names, (self.gammas, self.noises, self.orders, self.lags), strict=True))
         if (found := self.ratio[np.isfinite(self.ratio)]).size:
             ranges["smoothed / filtered"] = found
@@ -132,12 +124,10 @@ def parameter_study(
     lags, orders, gammas : sequences of float, int, float
         Of the smoother, s; of the delay's Pade model; half widths of the sector.
     noises : sequence of float
-        Power of the shot noise, relative to that of `parameters`: of a beam of amplitude
+        Power of the shot noise relative to that of `parameters`: of the amplitude
         alpha / sqrt(noise).
-    runs, seed : int
-        Paths of each simulation (``protocol="ergodic"``), and of their noise.
-    client, checkpoint, progress
-        As in `monte_carlo`.
+    runs, seed, client, checkpoint, progress
+        As in `monte_carlo`, of the ergodic protocol.
 
     Returns
     -------
@@ -150,8 +140,7 @@ def parameter_study(
 
     See Also
     --------
-    design_smoother, monte_carlo : what is done for each point of the grid.
-    best_lag : the lag alone.
+    monte_carlo, best_lag : what is done for each point of the grid; the lag alone.
 
     Examples
     --------
@@ -174,20 +163,17 @@ def parameter_study(
     runs, seed = validation.integer("runs", runs, low=2), validation.integer("seed", seed, low=0)
     validation.boolean("progress", progress)
 
-    identity = {
-        "study": {**axes, "parameters": vars(parameters), "runs": runs, "seed": seed},
-        "software": cluster.software(),
-    }
+    study = {**axes, "parameters": vars(parameters), "runs": runs, "seed": seed}
+    identity = {"study": study, "software": cluster.software()}
     columns = list(product(gammas, noises))
-    loops = [replace(parameters, gamma=g, alpha=parameters.alpha / s**0.5) for g, s in columns]
+    loops = [(replace(parameters, gamma=g, alpha=parameters.alpha / s**0.5),) for g, s in columns]
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
     with open_journal(checkpoint, identity) as journal:
         results = list(journal.records()) if journal else []
-        calls = [(loop,) for loop in loops[len(results) :]]
         # what was done before counts for the progress, but not for the rate
         extent = {"total": len(loops), "initial": len(results), "unit": "column"}
         with progress_bar(**extent, shown=progress) as bar:
-            for result in cluster.in_order(compute, calls, client):
+            for result in cluster.in_order(compute, loops[len(results) :], client):
                 if journal:
                     journal.append(result)
                 results.append(result)
@@ -204,9 +190,7 @@ def parameter_study(
 
 
 @one_thread
-def _column(
-    loop: HomodyneParameters, lags: Sequence[float], orders: Sequence[int], runs: int, seed: int
-) -> dict:
+def _column(loop: HomodyneParameters, lags: Axis, orders: Axis, runs: int, seed: int) -> dict:
     """Search for tau and the multipliers, then design and measure for each order and lag."""
     system = loop.uncertain_system()
     try:
@@ -232,11 +216,6 @@ def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[s
             result = monte_carlo(loop, smoother, runs=runs, seed=seed)
     except UnstableLoopError:
         return found
-    filtered, smoothed = result.in_lock()
-    return found | {
-        "filtered": filtered.mean_square,
-        "filtered_error": filtered.standard_error,
-        "smoothed": smoothed.mean_square,
-        "smoothed_error": smoothed.standard_error,
-        "slip_rate": result.slip_rate,
-    }
+    for name, error in zip(("filtered", "smoothed"), result.in_lock(), strict=True):
+        found |= {name: error.mean_square, f"{name}_error": error.standard_error}
+    return found | {"slip_rate": result.slip_rate}

@@ -55,7 +55,7 @@ def integrated_noise(drift, Q, step):
 def test_linear_part_of_a_step_is_exact(estimator, step):
     loop = homodyne_loop(PARAMETERS, estimator)
     slopes = control_slopes(loop)
-    drift, B = loop.linearised_drift(*slopes), loop.noise_gains()
+    drift, B = loop.linearised_drift(*slopes), loop.noise
     transition, root, *_, start = coefficients_of(loop, step, slopes)
     assert_allclose(transition, expm(drift * step), rtol=1e-10, atol=1e-12)
     expected = integrated_noise(drift, B @ B.T, step)
@@ -71,7 +71,7 @@ def test_linear_part_of_a_step_is_exact(estimator, step):
 @pytest.mark.parametrize("step", [1e-5, 5e-4, 1e-3, 1.0])
 def test_noise_of_a_long_step_leaves_the_stationary_covariance(estimator, step):
     loop = homodyne_loop(PARAMETERS, estimator)
-    drift, B = loop.linearised_drift(), loop.noise_gains()
+    drift, B = loop.linearised_drift(), loop.noise
     transition, root, *_ = coefficients_of(loop, step, (1.0, 1.0))
     P = solve_continuous_lyapunov(drift, -B @ B.T)
     size = np.sqrt(np.diag(P))
@@ -89,15 +89,12 @@ def plain_splitting(loop, given, draws):
     transition, root, *_, start = given.coefficients
     m = root.shape[1]
     draws = draws.reshape(-1, m, BLOCK).astype(float)
-    gains = np.column_stack([loop.sine_gain, loop.copy_gain])
-    rows = loop.arguments()
+    gains, rows = loop.gains[1:], loop.arguments
     jacobian_rows = rows[:, 1:]  # of the arguments by x-hat
 
     drift = loop.linearised_drift(*slopes)
     push = (
-        -slopes[0]
-        * np.linalg.solve(drift, (transition - np.eye(len(drift)))[:, 1:])
-        @ (loop.sine_gain)
+        -slopes[0] * np.linalg.solve(drift, (transition - np.eye(len(drift)))[:, 1:]) @ gains[:, 0]
     )
 
     def kick(phase, x, part, turns):

@@ -145,9 +145,9 @@ def test_estimate_of_a_still_phase_has_its_density():
     still = types.SimpleNamespace(**{**vars(PAPER), "kappa": 0.0})
     pole, noise = -3.0 * GAIN, 0.5
     loop = homodyne_loop(still, one_state(pole), shot_noise=noise)
-    growth = loop.drift[0, 0]
+    growth = loop.drift[1, 1]
     exact = variance_of_density(
-        lambda x: GAIN * (1 - np.cos(x)) - growth * x**2 / 2, loop.noise_gain[0] ** 2 / 2
+        lambda x: GAIN * (1 - np.cos(x)) - growth * x**2 / 2, loop.noise[1, 1] ** 2 / 2
     )
     found = stationary_errors(still, one_state(pole), shot_noise=noise)
     assert_allclose([found.smoothed, found.filtered], exact, rtol=1e-10)
@@ -161,7 +161,7 @@ def test_literal_nonlinearity_without_copy_is_a_filter_of_the_sine(variance):
     parameters = replace(PAPER, kappa=2 * lam * variance)
     design = one_state(-a, smoothed=0.7)
     loop = homodyne_loop(parameters, design, nonlinearity="literal")
-    b, w = loop.sine_gain[0], loop.noise_gain[0]
+    b, w = loop.gains[1, 0], loop.noise[1, 1]
 
     def integral(function, start, stop):
         return quad(function, start, stop, epsabs=0.0, epsrel=1e-12, limit=200)[0]
@@ -200,21 +200,21 @@ def fokker_planck_errors(loop, points=37, width=7.0):
     It agrees with them to 1e-7 here, and to 3e-10 with 49 points and a width of 8 deviations.
     """
     P = loop.covariance(*loop.equivalent_slopes())
-    row = loop.arguments()[0]
+    row = loop.arguments[0]
     boxes = 2 * width * np.sqrt([row @ P @ row, P[0, 0]])
     grid = np.arange(points) / points - 0.5 * (1 - 1 / points)
     e, phi = (g.ravel() for g in np.meshgrid(grid * boxes[0], grid * boxes[1], indexing="ij"))
-    r = loop.reference[0]
+    r = -row[1]
     x = (phi - e) / r
 
-    phase_drift = -loop.phase_decay * phi
+    phase_drift = loop.drift[0, 0] * phi
     estimate_drift = (
-        loop.drift[0, 0] * x
-        + loop.sine_gain[0] * np.sin(e)
-        + loop.copy_gain[0] * np.sin(loop.copy[0] * x)
+        loop.drift[1, 1] * x
+        + loop.gains[1, 0] * np.sin(e)
+        + loop.gains[1, 1] * np.sin(loop.arguments[1, 1] * x)
     )
-    phase_noise = loop.phase_diffusion**2
-    error_noise = phase_noise + (r * loop.noise_gain[0]) ** 2
+    phase_noise = loop.noise[0, 0] ** 2
+    error_noise = phase_noise + (r * loop.noise[1, 1]) ** 2
     De = np.kron(periodic_derivative(points, boxes[0]), np.eye(points))
     Dphi = np.kron(np.eye(points), periodic_derivative(points, boxes[1]))
     current_e = (phase_drift - r * estimate_drift) * np.eye(len(e))

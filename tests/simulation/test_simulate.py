@@ -363,7 +363,7 @@ def test_matrices_are_those_of_the_homodyne_loop(name, options):
     homodyne = homodyne_loop(PAPER, estimator, **options)
     general = nonlinear_loop(estimator, reference=reference)
     N = general.order
-    assert_allclose(general.noise[:N, :2], homodyne.noise_gains(), rtol=1e-14)
+    assert_allclose(general.noise[:N, :2], homodyne.noise, rtol=1e-14)
     assert not general.noise[:N, 2:].any()
     readout = block_diag(1.0, homodyne.readout[:2])
     assert_array_equal(general.readout, readout)

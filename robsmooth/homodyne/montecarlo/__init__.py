@@ -18,10 +18,9 @@ protocol and step         filtered  smoothed    taken
 ========================  ========  ==========  ==============
 
 for the Kalman-Bucy filter, the paper's designs and those of `minimize_bound` with orders 0 to 4, of
-which the smoothed column has the worst. The standard errors of a default run, which tell nothing of
-this, are 0.65% ("paper") and 0.01% ("ergodic"). Above 10, loops slip that never do ("ergodic"). The
-paper's protocol refuses steps with which the Euler-Maruyama scheme is unstable, from 2 without a
-lag, and from 0.26 for a lag of 3.1 us with a delay model of order 4.
+which the smoothed column has the worst. The standard errors of a default run are 0.65% ("paper")
+and 0.01% ("ergodic"). The paper's protocol refuses steps with which the Euler-Maruyama scheme is
+unstable, from 2 without a lag, and from 0.26 for a lag of 3.1 us with a delay model of order 4.
 
 Where a loop slips, the ergodic protocol has too few slips: with ten times the paper's diffusion
 their rate is 11% too low with the default step, 15% with 1/4 and 43% with 1/2.

@@ -60,14 +60,13 @@ def coefficients_of(loop: Loop, step: float) -> Coefficients:
     """Return the coefficients of a step, in s."""
     root = np.sqrt(step)
     coefficients = Coefficients(
-        step * loop.drift,  # (n, n), F
-        loop.reference,  # (n,), r
-        loop.copy,  # (n,), c
-        step * loop.sine_gain,  # (n,), b_s
-        step * loop.copy_gain,  # (n,), b_c
+        step * loop.drift[1:, 1:],  # (n, n), F
+        -loop.arguments[0, 1:],  # (n,), r
+        loop.arguments[1, 1:],  # (n,), c
+        *(step * loop.gains[1:].T),  # (n,) each, b_s and b_c
         noise=loop.sine_noise / root,  # w
-        decay=-step * loop.phase_decay,  # a
-        diffusion=root * loop.phase_diffusion,  # q
+        decay=step * loop.drift[0, 0],  # a
+        diffusion=root * loop.noise[0, 0],  # q
     )
     # Rounding noise, some of it denormal in single precision: processors are slow with those.
     tiny = np.finfo(np.float32).tiny
@@ -151,16 +150,16 @@ def collect(order, readout, state, delayed, result):
 
 
 @njit(inline="always")
-def simulate_block(order, coefficients, readout, schedule, seed, first_path, state, result):
+def simulate_block(order, coefficients, readout, schedule, seed, first_path, result):
     """Simulate paths `first_path` to `first_path + BLOCK - 1`, from zero to the end."""
     before, delay = schedule
     generator = np.empty(WORDS * BLOCK, np.uint32)
     gaussians = np.empty(CHUNK * DRAWS * BLOCK, np.float32)
+    state = np.zeros((1 + len(order)) * BLOCK, coefficients.dtype)  # the phase, and the estimator's
     delayed = np.empty(BLOCK, state.dtype)
     turns = np.zeros(BLOCK)
 
     seed_paths(seed, first_path, generator)
-    state[:] = 0
     result[:] = 0
     advance(order, coefficients, readout, before, state, generator, gaussians, turns, result)
     delayed[:] = state[:BLOCK]
@@ -168,24 +167,15 @@ def simulate_block(order, coefficients, readout, schedule, seed, first_path, sta
     collect(order, readout, state, delayed, result)
 
 
-def state_size(n: int) -> int:
-    """Return the size of the state of a block: the phase, and the estimator's n rows."""
-    return (1 + n) * BLOCK
-
-
 @kept(parallel=True, nogil=True)
-def simulate_blocks(
-    order, coefficients, readout, schedule, seed, first, states, results, code=SOURCES
-):
+def simulate_blocks(order, coefficients, readout, schedule, seed, first, results, code=SOURCES):
     """Simulate consecutive blocks from `first` on: block b holds the paths from b BLOCK on.
 
     The readout has the rows of the filtered and the smoothed estimate and of the oscillator's
-    phase; the schedule the steps before the phase is recorded, and those of the delay. States,
-    (blocks, state_size(n)), are work space in the precision of the simulation. Each block writes
-    its own part of the results, (blocks, OUTPUTS * BLOCK), so they depend neither on threads nor on
-    how blocks are shared out over calls.
+    phase; the schedule the steps before the phase is recorded, and those of the delay. Each block
+    writes its own part of the results, (blocks, OUTPUTS * BLOCK), so they depend neither on threads
+    nor on how blocks are shared out over calls.
     """
     for block in prange(results.shape[0]):
         path = np.uint64(first + block) * np.uint64(BLOCK)
-        state, result = states[block], results[block]
-        simulate_block(order, coefficients, readout, schedule, seed, path, state, result)
+        simulate_block(order, coefficients, readout, schedule, seed, path, results[block])

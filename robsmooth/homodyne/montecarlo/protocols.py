@@ -5,9 +5,8 @@ end of each path. The *ergodic* one starts in the stationary state of the linear
 loop forget the difference, and averages along each path; its scheme is of second order, and the
 linearised loop on the same noise, of which all is known, takes out most of the chance.
 
-A simulation is all that the paths depend on. It simulates any range of blocks of `BLOCK` paths,
-always with the same result for a block, so blocks may be computed anywhere and in any order, as
-long as they are merged in the order of their index.
+A block of `BLOCK` paths always has the same result: blocks may be computed anywhere and in any
+order, as long as they are merged in the order of their index.
 """
 
 import math
@@ -66,16 +65,12 @@ def threads_of_kernels(count: int | None) -> Iterator[None]:
 
 
 class Schedule(NamedTuple):
-    """When to sample, in steps: the order of the fields is the kernel's contract.
+    """When to sample, in steps: the order of the fields is the kernel's contract."""
 
-    The phase is recorded first after `start` steps and then every `stride` steps; the errors are
-    sampled `samples` times, first when the recorded phase is `lag` records old.
-    """
-
-    start: int
-    stride: int
-    lag: int
-    samples: int
+    start: int  # after which the phase is first recorded
+    stride: int  # between records
+    lag: int  # records: the age of the phase for the smoothed error
+    samples: int  # of the errors, from when the first record is that old
 
     @property
     def steps(self) -> int:
@@ -96,11 +91,7 @@ def time_average(warm_up: int, steps: int, delay: int, longest_stride: int) -> S
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What the paths of any protocol depend on, together with their index.
-
-    Each protocol has a `default_step`, s, which divides the delay, and a `plan`, which returns the
-    simulation with these runs, seed and precision, and the rest filled in.
-    """
+    """What the paths of any protocol depend on, together with their index."""
 
     runs: int  # the last block is simulated whole, but only its first paths are returned
     seed: int
@@ -123,13 +114,13 @@ class Simulation:
     weights: ClassVar[Matrix | None] = None  # of controls
 
     def check_step(self, loop: Loop, stacklevel: int) -> None:
-        """Warn where the step is long for the loop; see `warn_of_long_step`."""
+        """Warn where the step is long for the loop."""
         fine = self.default_step(loop, self.duration)
         warn_of_long_step(self.step, loop.response_time(), self.silent, fine, stacklevel + 1)
 
     @property
     def blocks(self) -> int:
-        """Number of blocks of `BLOCK` paths."""
+        """Number of blocks of paths."""
         return -(-self.runs // BLOCK)
 
     def simulate(self, first: int, count: int) -> Matrix:
@@ -138,7 +129,6 @@ class Simulation:
         The last output of a path is the number of its cycle slips.
         """
         real, n = PRECISIONS[self.precision], self.readout.shape[1]
-        states = np.empty((count, self.kernel.state_size(n)), real)
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
         with ALONE, threads_of_kernels(worker_threads()):
             self.kernel.simulate_blocks(
@@ -149,7 +139,6 @@ class Simulation:
                 tuple(self.schedule),
                 np.uint64(self.seed),
                 first,
-                states,
                 results.reshape(count, -1),
             )
         return results[:, : self.kernel.SLIPS + 1]
@@ -228,12 +217,11 @@ class ErgodicSimulation(Simulation):
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
         """Fill in numbers by the time constants of the linearised loop, which must be stable."""
         slopes = splitting.control_slopes(loop)
-        slowest = loop.rates(*slopes)[0]
+        slowest = -np.linalg.eigvals(loop.linearised_drift(*slopes)[1:, 1:]).real.max()
         if not slowest > 0:
             raise UnstableLoopError(
-                "the ergodic protocol needs a loop with a stationary state, and the linearised "
-                f"estimator is not stable in it: its slowest mode has the decay rate {slowest:.3g} "
-                "1/s"
+                "the ergodic protocol needs a stationary state, and the linearised estimator is "
+                f"not stable in the loop: its slowest mode has the decay rate {slowest:.3g} 1/s"
             )
         default = max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
         duration = _at_least_the_delay(duration or default, loop)
@@ -257,9 +245,8 @@ class ErgodicSimulation(Simulation):
     @property
     def compiled_for(self) -> tuple:
         """The Gaussians of a step, and the copy of the nonlinearity where it has any effect."""
-        c = self.coefficients
-        runs_copy = c.copy.any() and c.copy_gain.any()
-        return (np.float32(0),) * c.root.shape[1], (0,) * int(runs_copy)
+        runs_copy = self.coefficients.copy.any() and self.coefficients.copy_gain.any()
+        return (np.float32(0),) * self.coefficients.root.shape[1], (0,) * int(runs_copy)
 
     @cached_property
     @one_thread

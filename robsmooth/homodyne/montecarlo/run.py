@@ -1,8 +1,7 @@
 """Run the Monte Carlo: check the arguments, simulate group by group, merge in order.
 
-A *group* is as many blocks as a thread simulates at a time. Their paths are summed up where they
-are simulated; what is merged here, and sent over a network, is a group's sums. Groups depend on
-nothing but the simulation, so the last bits of the result depend on nothing else, either.
+A *group* is as many blocks as a thread simulates and sums up at a time; its sums are merged here.
+Groups depend on nothing but the simulation, and so do the last bits of the result.
 """
 
 import hashlib
@@ -66,15 +65,12 @@ class MonteCarloResult:
     smoothed_in_lock, filtered_in_lock : MeanSquare
         The same over the paths that never slipped, without control variates.
     slips, slipped_paths : int
-        How many times a path has gone over to the next point, a turn away, where the loop locks;
-        and how many paths have.
+        How many times a path has gone over to the next point where the loop locks; how many have.
     runs, path_steps : int
         Independent paths, and the steps of all of them, the warm-up included.
-    wall_time : float, s, with the compilation, where there was one
-    protocol, seed, precision : str, int, str
-        As asked for.
-    duration, warm_up, step : float
-        Of a path, in whole steps; before sampling began; of the scheme; s.
+    protocol, seed, precision : str, int, str, as asked for
+    duration, warm_up, step, wall_time : float
+        What of a path is sampled, what is simulated before, a step, and the time it took, s.
     provenance : dict, everything else that the numbers depend on, in a JSON form
 
     See Also
@@ -132,31 +128,25 @@ class MonteCarloResult:
         return result
 
     def __repr__(self) -> str:
-        errors = f"smoothed {self.smoothed} rad^2, filtered {self.filtered} rad^2"
-        lock = f"smoothed {self.smoothed_in_lock}, filtered {self.filtered_in_lock}"
-        slips = f"{self._slips}, without which {lock}" if self.slips else self._slips
-        return f"MonteCarloResult({errors}, {slips}; {self._setting})"
+        errors = ", ".join(f"{name} {error} rad^2" for name, error in self._errors().items())
+        return f"MonteCarloResult({errors}; {self._setting()})"
 
     def _repr_html_(self) -> str:
-        errors = {"smoothed": self.smoothed, "filtered": self.filtered}
-        if self.slips:
-            errors["smoothed, paths in lock"] = self.smoothed_in_lock
-            errors["filtered, paths in lock"] = self.filtered_in_lock
-        rows = [(name, error._repr_latex_()) for name, error in errors.items()]
-        caption = f"The nonlinear loop, {self._slips}; {self._setting}."
+        rows = [(name, error._repr_latex_()) for name, error in self._errors().items()]
+        caption = f"The nonlinear loop, {self._setting()}."
         return Table(("estimate", "mean square error (rad²)"), rows, caption).html()
 
-    @property
-    def _slips(self) -> str:
-        paths = f"{self.slips} slips in {self.slipped_paths} of {self.runs} paths"
-        return paths if self.slips else "no slips"
+    def _errors(self) -> dict[str, MeanSquare]:
+        errors = {"smoothed": self.smoothed, "filtered": self.filtered}
+        in_lock = {f"{name}, paths in lock": getattr(self, f"{name}_in_lock") for name in errors}
+        return errors | in_lock if self.slips else errors
 
-    @property
     def _setting(self) -> str:
+        paths = f"{self.slips} slips in {self.slipped_paths} of {self.runs} paths"
         return (
-            f"{self.protocol}: {self.runs} runs of {self.duration:.4g} s, step {self.step:.4g} s, "
-            f"seed {self.seed}, {self.precision}; {self.path_steps:.3g} path-steps in "
-            f"{self.wall_time:.2g} s"
+            f"{paths if self.slips else 'no slips'}; {self.protocol}: {self.runs} runs of "
+            f"{self.duration:.4g} s, step {self.step:.4g} s, seed {self.seed}, {self.precision}; "
+            f"{self.path_steps:.3g} path-steps in {self.wall_time:.2g} s"
         )
 
 

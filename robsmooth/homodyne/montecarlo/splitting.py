@@ -105,23 +105,21 @@ def draws(n: int) -> int:
 def coefficients_of(loop: Loop, step: float, slopes: tuple[float, float]) -> Coefficients:
     """Return the coefficients of a step, in s, the control with these slopes."""
     drift = loop.linearised_drift(*slopes)
-    transition, push, _ = responses(drift, -slopes[0] * loop.gains()[:, :1], step)
-    noise = noise_root(drift, loop.noise_gains(), step)
+    transition, push, _ = responses(drift, -slopes[0] * loop.gains[:, :1], step)
+    noise = noise_root(drift, loop.noise, step)
     root = np.zeros((1 + loop.order, draws(loop.order)))
     # Not the triangular root itself: with that, a seed would have other paths.
     root[:, : 1 + loop.order] = square_root(noise @ noise.T)
-    gains = step * loop.gains()[1:].T
-    curvatures = np.vstack([loop.reference, loop.copy]) @ gains.T
+    gains, arguments = step * loop.gains[1:].T, loop.arguments[:, 1:] * [[-1], [1]]
     return Coefficients(
         transition,  # (1 + n, 1 + n), Phi
         root,  # (1 + n, m), of the covariance of eta
         *gains,  # (n,) each, h b_s and h b_c
-        loop.reference,  # (n,), r
-        loop.copy,  # (n,), c
+        *arguments,  # (n,) each, r and c
         *(gains @ transition[1:, 1:].T),  # (n,) each, the gains after the transition
         push[1:],  # (n,), of the exact step by T
         slopes,  # rho_s, rho_c
-        curvatures,  # r h b_s, r h b_c, c h b_s, c h b_c
+        arguments @ gains.T,  # r h b_s, r h b_c, c h b_s, c h b_c
         quarter_turn=np.pi / 2,
         start=square_root(loop.covariance(*slopes)),  # the control is stationary
     )
@@ -237,11 +235,8 @@ def collect(pair, copy, order, coefficients, readout, state, result):
         filtered = smoothed = lock - lock
         for j in range(n):
             y = np.float64(state[row.control + j * BLOCK + path])
-            d = fma(
-                kick_s,
-                coefficients[at.sine_gain + j],
-                np.float64(state[row.difference + j * BLOCK + path]),
-            )
+            d = np.float64(state[row.difference + j * BLOCK + path])
+            d = fma(kick_s, coefficients[at.sine_gain + j], d)
             if len(copy) > 0:
                 d = fma(kick_c, coefficients[at.copy_gain + j], d)
             control_filtered = fma(-readout[j], y, control_filtered)
@@ -263,18 +258,16 @@ def collect(pair, copy, order, coefficients, readout, state, result):
 
 
 @njit
-def simulate_block(
-    pair, copy, order, coefficients, readout, schedule, seed, first_path, state, result
-):
+def simulate_block(pair, copy, order, coefficients, readout, schedule, seed, first_path, result):
     """Simulate paths `first_path` to `first_path + BLOCK - 1`, from a stationary start."""
     start, stride, lag, samples = schedule
     n, m = len(order), len(pair)
     row, at = rows_of(n), indices(n, m)
     generator = np.empty(WORDS * BLOCK, np.uint32)
     gaussians = np.empty(CHUNK * m * BLOCK, np.float32)
+    state = np.zeros(row.end, coefficients.dtype)
     history = np.zeros((lag + 1, BLOCK), state.dtype)  # the phase at the last samples, a ring
 
-    state[:] = 0
     result[:] = 0
     seed_paths(seed, first_path, generator)
     fill_gaussians(generator, m // DRAWS, gaussians)
@@ -308,14 +301,9 @@ def simulate_block(
         result[i] /= samples
 
 
-def state_size(n: int) -> int:
-    """Return the size of the state of a block."""
-    return rows_of(n).end
-
-
 @kept(parallel=True, nogil=True)
 def simulate_blocks(
-    pair, copy, order, coefficients, readout, schedule, seed, first, states, results, code=SOURCES
+    pair, copy, order, coefficients, readout, schedule, seed, first, results, code=SOURCES
 ):
     """Simulate consecutive blocks, as `euler.simulate_blocks` does, with a `Schedule`.
 
@@ -324,7 +312,6 @@ def simulate_blocks(
     """
     for block in prange(results.shape[0]):
         path = np.uint64(first + block) * np.uint64(BLOCK)
-        state, result = states[block], results[block]
         simulate_block(
-            pair, copy, order, coefficients, readout, schedule, seed, path, state, result
+            pair, copy, order, coefficients, readout, schedule, seed, path, results[block]
         )
