@@ -1,12 +1,12 @@
 """The designs' errors in the nonlinear loop: simulated, and predicted without sampling."""
 
 import math
-import warnings
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
+from warnings import catch_warnings
 
 from scipy.optimize import brentq
 
@@ -70,10 +70,8 @@ def noise_sweep(
     found = []
     for factor in factors:
         noisier = replace(values, kappa=factor * values.kappa)
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", montecarlo.LossOfLockWarning
-            )  # the slips are what is shown
+        # the slips are what is shown
+        with catch_warnings(action="ignore", category=montecarlo.LossOfLockWarning):
             simulated = montecarlo.monte_carlo(noisier, design, **arguments)
         moments = linearised = math.nan
         with suppress(UnstableLoopError, ArithmeticError):
