@@ -8,15 +8,16 @@ from html import escape
 import ipywidgets as widgets
 from IPython.display import Javascript
 
-from robsmooth.explorer.snapshot import RANGES, Settings
+from robsmooth.estimators.conditions import COSTS
+from robsmooth.explorer.snapshot import DESIGNS, RANGES, Settings
 
 _BY_HAND = "A design by hand"
 _COLUMNS = {  # of each setting: label and tooltip
     "The smoother": {
         "lag": ("lag (µs)", "how far back the smoothed estimate looks"),
         "order": ("order", "states in the model of the lag: more follow a delay more closely"),
-        "design": ("design", "how the estimator is made"),
-        "cost": ("keep low", "the error that a design is for, and that is judged"),
+        "design": ("design", "robust: least bound V; minimax: least certified error"),
+        "cost": ("error to keep low", "the error that a design is for, and that is judged"),
     },
     "The light and the uncertainty": {
         "noise": ("noise (paper: 1)", "power of the light's shot noise; the design knows of it"),
@@ -32,16 +33,7 @@ _COLUMNS = {  # of each setting: label and tooltip
         "lambda4": ("λ₄ copy", "multiplier of the copy's own constraint"),
     },
 }
-_CHOICES = {
-    "design": {
-        "robust, least bound V": "robust",
-        "minimax, least certified": "minimax",
-        "classical": "classical",
-        "classical, tuned": "tuned classical",
-        "by hand": "by hand",
-    },
-    "cost": {"the filtered error": "filtered", "the smoothed error": "smoothed"},
-}
+_CHOICES = {"design": DESIGNS, "cost": COSTS}
 _WIDEST = "1000px"  # more would blur the panels
 # The panels stay in place whatever is above them: not all columns, or a sentence of three lines.
 _COLUMNS_HEIGHT, _SUMMARY_HEIGHT = "196px", "4.5em"

@@ -32,8 +32,7 @@ judged = rs.judge(smoother, "{settings.cost}")
 simulated = rs.monte_carlo(parameters, smoother, runs={RUNS})
 
 print(smoother)
-print("without uncertainty: filtered", filtered[-1], "smoothed", smoothed[-1])
-print("at the sector's edge: filtered", filtered[0], "smoothed", smoothed[0])
+print("from the sector's edge to no uncertainty: filtered", filtered, "smoothed", smoothed)
 print(judged)
 print(simulated)
 """

@@ -5,13 +5,12 @@ that says so.
 """
 
 import math
-import warnings
 from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from decimal import Decimal
 from functools import lru_cache, partial
 from typing import NamedTuple, TypeVar
+from warnings import catch_warnings
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +48,7 @@ class Range(NamedTuple):
 
     def si(self, shown: float) -> float:
         """Return in SI what the slider shows, to the digits that it shows."""
-        return float(Decimal(f"{shown:.4g}").scaleb(self.exponent))
+        return float(f"{shown:.4g}e{self.exponent}")
 
     def shown(self, value: float) -> float:
         """Return a value in the unit of the slider."""
@@ -112,7 +111,6 @@ class Settings:
 
 
 _MOST_STATES = 2 + int(RANGES["order"].high)  # the phase and an estimator of the largest order
-Array = NDArray[np.float64]
 Poles = NDArray[np.complex128]
 T = TypeVar("T")
 
@@ -164,10 +162,9 @@ def take_snapshot(settings: Settings) -> Snapshot:
 
 def simulate(snapshot: Snapshot) -> rs.MonteCarloResult | str:
     """Simulate the nonlinear loop of a snapshot, many times."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", rs.LossOfLockWarning)  # the slips are counted
-        parameters = snapshot.settings.parameters
-        return _found(rs.monte_carlo, parameters, snapshot.estimator, runs=RUNS)
+    parameters, estimator = snapshot.settings.parameters, snapshot.estimator
+    with catch_warnings(action="ignore", category=rs.LossOfLockWarning):  # the slips are counted
+        return _found(rs.monte_carlo, parameters, estimator, runs=RUNS)
 
 
 def judge(snapshot: Snapshot) -> Judged | str:

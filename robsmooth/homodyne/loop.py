@@ -32,6 +32,7 @@ second part is linear.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +40,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from robsmooth._numerics import linearisation
-from robsmooth._numerics.lyapunov import covariances
+from robsmooth._numerics.lyapunov import covariances, stationary_root
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
@@ -53,6 +54,10 @@ from robsmooth.systems.system import UncertainSystem
 OSCILLATORS = (*REFERENCES, "copy")
 NONLINEARITIES = ("difference", "literal")
 FIXED_POINT_TOLERANCE = 1e-10
+ILL_CONDITIONED = (
+    "the covariance of the linearised loop is lost in rounding: its rates, or the scales of the "
+    "estimator's states, are too far apart"
+)
 LARGEST_VARIANCE = 4 * np.pi**2  # rad^2, a turn: such a loop is not locked at all
 
 
@@ -83,6 +88,27 @@ class Loop:
         check_stationary(np.linalg.eigvals(drift))
         return covariances(drift, self.noise).stationary
 
+    def stationary_root(self, slopes: Sequence[float], S: Matrix, inverse: Matrix) -> Matrix:
+        """Return a root of the stationary covariance of the linear loop in the coordinates S.
+
+        It tells small deviations from none, down to rounding; the covariance only their squares.
+        """
+        drift = self.linearised_drift(*slopes)
+        check_stationary(np.linalg.eigvals(drift))
+        try:
+            return stationary_root(inverse @ drift @ S, inverse @ self.noise)
+        except UnstableLoopError:  # the eigenvalues are stable
+            raise ArithmeticError(ILL_CONDITIONED) from None
+
+    def error_coordinates(self) -> tuple[Matrix, Matrix]:
+        """Return coordinates with the argument of the first sine for the phase, and their inverse.
+
+        The phase may wander far, and the estimate with it; their difference does not.
+        """
+        inverse = np.eye(1 + self.order)
+        inverse[0] = self.arguments[0]
+        return 2 * np.eye(1 + self.order) - inverse, inverse
+
     def equivalent_slopes(self) -> tuple[float, float]:
         r"""Return the slopes of statistical linearisation, each :math:`e^{-\sigma^2/2}`.
 
@@ -90,10 +116,11 @@ class Loop:
         loop that they make linear: a fixed point, iterated from slopes of one. An UnstableLoopError
         says that there is none, because the loop loses lock.
         """
-        rows = self.arguments
+        S, inverse = self.error_coordinates()
+        rows = self.arguments @ S
         slopes = linearisation.equivalent_slopes(
             np.ones(2),
-            lambda slopes: np.einsum("ij,jk,ik->i", rows, self.covariance(*slopes), rows),
+            lambda slopes: ((rows @ self.stationary_root(slopes, S, inverse)) ** 2).sum(axis=1),
             linearisation.of_sine,
             tolerance=FIXED_POINT_TOLERANCE,
             largest=LARGEST_VARIANCE,

@@ -49,16 +49,14 @@ from scipy import sparse
 from scipy.linalg import qr, solve_triangular
 from scipy.sparse.linalg import expm_multiply, splu
 
-from robsmooth._numerics import linearisation
 from robsmooth._numerics.hermite import HermiteBasis, multiplication_matrix
-from robsmooth._numerics.lyapunov import stationary_root
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne.loop import Loop, check_stationary, homodyne_loop
+from robsmooth.homodyne.loop import ILL_CONDITIONED, Loop, homodyne_loop
 from robsmooth.homodyne.parameters import HomodyneParameters
 
 TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
@@ -73,13 +71,8 @@ _ZERO_ENTRY = 1e-16  # of a matrix, relative to its largest entry, below which i
 
 LARGEST_DEVIATION = math.pi / 2  # standard deviation of the argument of a sine in lock, rad
 _NEGLIGIBLE_REMAINDER = 1e-15  # of what sin(v) - v does to the state in a time constant
-_SLOPE_TOLERANCE = 1e-9  # change of the slopes at which they are found
 _LARGEST_ROUNDING = 1e-4  # of the covariance in white coordinates
 _NEGLIGIBLE_DEVIATION = 1e-10  # of a direction in which nothing moves, relative
-_ILL_CONDITIONED = (
-    "the covariance of the linearised loop is lost in rounding: its rates, or the scales of the "
-    "estimator's states, are too far apart"
-)
 
 
 @dataclass(frozen=True)
@@ -334,8 +327,8 @@ def _change(problem: WhitenedLoop, generator: sparse.csr_array) -> NDArray[np.fl
 def whitened(loop: Loop) -> WhitenedLoop:
     """Return the loop in white coordinates, where it is stable and in lock."""
     rate = np.abs(np.linalg.eigvals(loop.linearised_drift())).max()
-    slopes = slopes_of_lock(loop, rate)
-    S, inverse, rounding = _white_coordinates(loop, slopes, rate)
+    slopes = np.array(loop.equivalent_slopes())
+    S, inverse, rounding = _white_coordinates(loop, slopes)
 
     rows = loop.arguments @ S
     deviations = np.linalg.norm(rows, axis=1)
@@ -365,26 +358,14 @@ def whitened(loop: Loop) -> WhitenedLoop:
     )
 
 
-def slopes_of_lock(loop: Loop, rate: float) -> Matrix:
-    """Return the slopes of statistical linearisation, iterated from slopes of one."""
-    S, inverse = _error_coordinates(loop)
-    rows = loop.arguments @ S
-    return linearisation.equivalent_slopes(
-        np.ones(2),
-        lambda slopes: ((rows @ _root(loop, slopes, rate, S, inverse)) ** 2).sum(axis=1),
-        linearisation.of_sine,
-        tolerance=_SLOPE_TOLERANCE,
-    )
-
-
-def _white_coordinates(loop: Loop, slopes: Matrix, rate: float) -> tuple[Matrix, Matrix, float]:
+def _white_coordinates(loop: Loop, slopes: Matrix) -> tuple[Matrix, Matrix, float]:
     """Return S with P = S S', a left inverse, and how far from I the covariance is behind it.
 
     What does not move has no coordinate. A triangular factor, unlike one of eigenvectors, does not
     mix coordinates of different rates.
     """
-    from_error, to_error = _error_coordinates(loop)
-    root = _root(loop, slopes, rate, from_error, to_error)
+    from_error, to_error = loop.error_coordinates()
+    root = loop.stationary_root(slopes, from_error, to_error)
     deviations = np.linalg.norm(root, axis=1)
     deviations[deviations == 0.0] = 1.0
     triangle, order = qr((root / deviations[:, None]).T, mode="r", pivoting=True)
@@ -394,32 +375,8 @@ def _white_coordinates(loop: Loop, slopes: Matrix, rate: float) -> tuple[Matrix,
     S = from_error * deviations @ scaled
     moving = (to_error / deviations[:, None])[order[:rank]]
     inverse = solve_triangular(triangle[:rank, :rank].T, moving, lower=True)
-    white = _root(loop, slopes, rate, S, inverse)
+    white = loop.stationary_root(slopes, S, inverse)
     rounding = np.abs(white @ white.T - np.eye(rank)).max(initial=0.0)
     if rounding > _LARGEST_ROUNDING:
-        raise ArithmeticError(_ILL_CONDITIONED)
+        raise ArithmeticError(ILL_CONDITIONED)
     return S, inverse, rounding
-
-
-def _root(loop: Loop, slopes: Matrix, rate: float, S: Matrix, inverse: Matrix) -> Matrix:
-    """Return a root of the stationary covariance of the linear loop in the coordinates S.
-
-    It tells small deviations from none, down to rounding; the covariance only their squares.
-    """
-    drift = loop.linearised_drift(*slopes)
-    check_stationary(np.linalg.eigvals(drift))
-    noise = inverse @ loop.noise / math.sqrt(rate)
-    try:
-        return stationary_root(inverse @ (drift / rate) @ S, noise)
-    except UnstableLoopError:  # the eigenvalues are stable
-        raise ArithmeticError(_ILL_CONDITIONED) from None
-
-
-def _error_coordinates(loop: Loop) -> tuple[Matrix, Matrix]:
-    """Return coordinates with the argument of the detector's sine for the phase, and their inverse.
-
-    The phase may wander far, and the estimate with it; their difference does not.
-    """
-    inverse = np.eye(1 + loop.order)
-    inverse[0] = loop.arguments[0]
-    return 2 * np.eye(1 + loop.order) - inverse, inverse

@@ -6,12 +6,12 @@ design for each lag and order. A checkpoint holds columns.
 """
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING
+from warnings import catch_warnings
 
 import numpy as np
 from numpy.typing import NDArray
@@ -211,8 +211,8 @@ def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[s
     nominal, edge = delta_sweep(smoother, (0.0, -1.0), "smoothed", loop="real")[:, 0, 0].tolist()
     found = {"bound": smoother.mean_square_bound, "nominal": nominal, "edge": edge}
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LossOfLockWarning)  # slips are a result here
+        # slips are a result here
+        with catch_warnings(action="ignore", category=LossOfLockWarning):
             result = monte_carlo(loop, smoother, runs=runs, seed=seed)
     except UnstableLoopError:
         return found
