@@ -11,7 +11,7 @@ import math
 import re
 import time
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from decimal import Decimal
 from functools import cache
 from pathlib import Path
@@ -140,9 +140,7 @@ def paper_plant() -> AugmentedSystem:
     return AugmentedSystem(homodyne.PAPER.uncertain_system(), model, np.eye(1))
 
 
-def signed_design(
-    tau: float, multipliers: Sequence[float], sign: float = -1.0
-) -> tuple[Estimator, float]:
+def signed_design(tau: float, multipliers: Matrix, sign: float = -1.0) -> tuple[Estimator, float]:
     """Return estimator and V with this sign of the X equation's quadratic term: -1 flips it."""
     plant = paper_plant()
     equations = design_equations(plant, tau, multipliers)

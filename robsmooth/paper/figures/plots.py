@@ -52,9 +52,7 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
 
 
 def delta_sweep(
-    slopes: Sequence[float],
-    curves: Mapping[str, Sequence[float]],
-    marks: Mapping[str, tuple[float, float]] | None = None,
+    slopes: Array, curves: Mapping[str, Array], marks: Mapping[str, Any] | None = None
 ) -> Figure:
     """Draw error covariances (rad^2) at the slopes Delta_2, as Fig. 4, and mark some points."""
     several = len(curves) > 2  # some of them may lie on one another: then markers take turns
