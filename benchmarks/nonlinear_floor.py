@@ -41,7 +41,6 @@ from robsmooth.workbench import provenance
 
 Array = NDArray[np.float64]
 OUTPUTS = ("smoothed", "filtered")
-FILE = "nonlinear_floor.json"
 LAGS = (31, 62)  # steps in the delay
 SEED = 2013
 SECONDS = 600.0
@@ -283,7 +282,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = f"python -m benchmarks.nonlinear_floor --seconds {options.seconds:g}"
     about = provenance.collect(seed=SEED, started=started, command=command)
     about["revision"] = revision  # what ran, whatever was edited meanwhile
-    files.write_json(data_folder() / FILE, {"unit": "rad^2", **found, "about": about})
+    files.write_json(data_folder() / NONLINEAR_FLOOR, {"unit": "rad^2", **found, "about": about})
     for name in OUTPUTS:
         print(
             f"{name}: {found[name]['mean_square']:.6f} ± {found[name]['standard_error']:.6f} rad²"

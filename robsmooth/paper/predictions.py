@@ -6,13 +6,10 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth.analysis.statistical_linearisation import (
-    StatisticalLinearisation,
-    statistical_linearisation,
-)
+from robsmooth.analysis.statistical_linearisation import statistical_linearisation
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne import montecarlo
 from robsmooth.homodyne.moments import LARGEST_DEVIATION, stationary_errors
@@ -33,10 +30,7 @@ def outputs(design: Estimator) -> tuple[str, ...]:
 
 
 def errors_by_method(
-    compared: Mapping[str, Estimator],
-    published: Results,
-    ergodic: Results,
-    values: HomodyneParameters,
+    compared: Designs, published: Results, ergodic: Results, values: HomodyneParameters
 ) -> ErrorsByMethod:
     """Return the errors by each method, where the standard error of moments is their truncation."""
     found = {}
@@ -54,19 +48,10 @@ def errors_by_method(
     return found
 
 
-class NoisySimulation(NamedTuple):
-    """A design in the loop with a multiple of the phase noise: filtered errors, rad^2."""
-
-    factor: float
-    simulated: MonteCarloResult
-    moments: float
-    linearised: float
-
-
 def noise_sweep(
     design: Estimator, values: HomodyneParameters, factors: Iterable[float], **arguments
-) -> list[NoisySimulation]:
-    """Simulate a design with ever more phase noise, and predict its error in a loop in lock."""
+) -> list[dict[str, Any]]:
+    """Simulate a design with ever more phase noise, and predict its filtered error in lock."""
     found = []
     for factor in factors:
         noisier = replace(values, kappa=factor * values.kappa)
@@ -77,20 +62,22 @@ def noise_sweep(
         with suppress(UnstableLoopError, ArithmeticError):
             moments = stationary_errors(noisier, design).filtered
         with suppress(UnstableLoopError):
-            linearised = predicted(design, "power of the phase noise", factor, values).filtered
+            linearised = predicted(design, "filtered", "power of the phase noise", factor, values)
         if linearised > LARGEST_DEVIATION**2:  # of a loop whose sine has no mean slope any more
             linearised = math.nan
-        found.append(NoisySimulation(factor, simulated, moments, linearised))
+        errors = {"moments": moments, "statistical linearisation": linearised}
+        found.append({"factor": factor, "simulated": simulated} | errors)
     return found
 
 
 def predicted(
-    design: Estimator, change: str, factor: float, values: HomodyneParameters
-) -> StatisticalLinearisation:
-    """Predict the errors of a design in a loop with one number multiplied, a key of CHANGES."""
+    design: Estimator, output: str, change: str, factor: float, values: HomodyneParameters
+) -> float:
+    """Predict an error of a design in a loop with one number multiplied, a key of CHANGES."""
     name, slope, plant = CHANGES[change], values.equivalent_slope, design.plant
     if name is None:
-        return statistical_linearisation(design, partial(slope, gain=factor))
-    noise = {name: math.sqrt(factor) * getattr(plant.system, name)}
-    noisier = replace(plant, system=replace(plant.system, **noise))
-    return statistical_linearisation(replace(design, plant=noisier), slope)
+        slope = partial(slope, gain=factor)
+    else:
+        noise = {name: math.sqrt(factor) * getattr(plant.system, name)}
+        design = replace(design, plant=replace(plant, system=replace(plant.system, **noise)))
+    return getattr(statistical_linearisation(design, slope), output)

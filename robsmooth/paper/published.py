@@ -11,7 +11,7 @@ import math
 import re
 import time
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from decimal import Decimal
 from functools import cache
 from pathlib import Path
@@ -34,6 +34,7 @@ from robsmooth.workbench import provenance
 DELAY = 3.1e-6  # s
 ORDER = 2
 RESULTS = "monte_carlo.json"
+NONLINEAR_FLOOR = "nonlinear_floor.json"
 NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that verdicts are about
 # From the name of a design to its "smoothed" and its "filtered" error.
 SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]
@@ -69,7 +70,8 @@ def read_published(path: Path) -> dict:
                 raise ValueError(f"{path.name}: [[{section}]] {name} lacks {missing[0]!r}")
             texts = {f"{key} of {name}": entry[key] for key in entry if key not in required}
             if section == "quantity":
-                texts = {f"{name}{list(at)}": text for at, text in each_entry(entry["printed"])}
+                printed = np.ndenumerate(np.array(entry["printed"], dtype=object))
+                texts = {f"{name}{list(at)}": text for at, text in printed}
             for key, text in texts.items():
                 if not (isinstance(text, str) and _NUMBER.fullmatch(text)):
                     raise ValueError(f"{path.name}: {key} must be a number in quotes, got {text!r}")
@@ -101,11 +103,6 @@ def stated(name: str, field: str) -> str:
 def printed_multipliers() -> np.ndarray:
     """Return the printed lambda_1 ... lambda_4."""
     return np.array([printed(name) for name in LAMBDA])
-
-
-def each_entry(value: str | list) -> Iterator[tuple[tuple[int, ...], str]]:
-    """Return index and text of a number or of each entry of a matrix."""
-    return np.ndenumerate(np.array(value, dtype=object))
 
 
 def last_digit(text: str) -> float:
@@ -144,11 +141,11 @@ def paper_plant() -> AugmentedSystem:
     return AugmentedSystem(homodyne.PAPER.uncertain_system(), model, np.eye(1))
 
 
-def flipped_design(tau: float, multipliers: np.ndarray) -> tuple[Estimator, float]:
-    """Return estimator and V with the quadratic term of the X equation negated."""
+def signed_design(tau: float, multipliers: Matrix, sign: float = -1.0) -> tuple[Estimator, float]:
+    """Return estimator and V with this sign of the X equation's quadratic term: -1 flips it."""
     plant = paper_plant()
     equations = design_equations(plant, tau, multipliers)
-    X, Y = equations.solve_X(quadratic_sign=-1.0), equations.solve_Y()
+    X, Y = equations.solve_X(quadratic_sign=sign), equations.solve_Y()
     A_c, B_c, C_c, bound, _ = equations.gains(X.X, Y.X)
     # the paper prints no C_a: that of the plant reads out the smoothed estimate
     return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_c[:1]), bound
@@ -157,7 +154,7 @@ def flipped_design(tau: float, multipliers: np.ndarray) -> tuple[Estimator, floa
 @cache
 def recomputed_estimator() -> Estimator:
     """Return the estimator of the printed tau and lambda, with the sign flipped: "as printed"."""
-    return flipped_design(printed("tau"), printed_multipliers())[0]
+    return signed_design(printed("tau"), printed_multipliers())[0]
 
 
 @cache
@@ -199,6 +196,15 @@ def read_simulation(folder: Path) -> SimulatedErrors:
             f"{RESULTS} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
             "make figures ONLY=04 writes it anew"
         ) from None
+
+
+def read_nonlinear_floor() -> Mapping[str, MeanSquare]:
+    """Return the least "smoothed" and "filtered" mean square error of the example with its sine.
+
+    Bayes' rule gives them, in a loop that the filter steers: ``benchmarks/nonlinear_floor.py``.
+    """
+    found = json.loads((data_folder() / NONLINEAR_FLOOR).read_text(encoding="utf-8"))
+    return {output: _mean_square(found[output]) for output in ("smoothed", "filtered")}
 
 
 def _mean_square(stored: Mapping[str, float]) -> MeanSquare:

@@ -21,13 +21,13 @@ from robsmooth.analysis.covariance import delta_sweep, error_covariance
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.minimax import minimax_smoother
-from robsmooth.estimators.smoother import RobustSmoother, design_equations, design_smoother
+from robsmooth.estimators.smoother import RobustSmoother, design_smoother
 from robsmooth.homodyne import PAPER, HomodyneParameters, fraction_inside
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.homodyne.study import Study
 from robsmooth.paper import predictions, published
 from robsmooth.simulation.statistics import SimulationResult
-from robsmooth.systems.augmented import AugmentedSystem, augment
+from robsmooth.systems.augmented import augment
 
 Records = Iterator[dict[str, Any]]  # the cells of each row, by their columns
 
@@ -82,24 +82,21 @@ def sector_ranges(values: HomodyneParameters, variance: float) -> Records:
 
 
 @_table(digits=5)
-def sign_readings(plant: AugmentedSystem, tau: float, multipliers: Sequence[float]) -> Records:
+def sign_readings(tau: float, multipliers: Sequence[float]) -> Records:
     """The gains at the printed tau and lambda for each reading of the X equation."""
-    columns = ("$A_c[0,0]$", "$B_c[0,1]$", "$C_c[0,0]$", "$C_c[1,0]$", "$V$")
 
-    def leading(A_c: Matrix, B_c: Matrix, C_c: Matrix, bound: float) -> dict[str, float]:
-        gains = A_c[0, 0], B_c[0, 1], C_c[0, 0], C_c[1, 0], bound
-        return dict(zip(columns, gains, strict=True))
+    def record(text: str, A_c: Matrix, B_c: Matrix, C_c: Matrix, bound: float) -> dict[str, Any]:
+        gains = {"$A_c[0,0]$": A_c[0, 0], "$B_c[0,1]$": B_c[0, 1], "$C_c[0,0]$": C_c[0, 0]}
+        return {"sign": text} | gains | {"$C_c[1,0]$": C_c[1, 0], "$V$": bound}
 
-    equations = design_equations(plant, tau, multipliers)
-    Y = equations.solve_Y().X
     for text, sign in {"+, as written": 1.0, "-, flipped": -1.0, "left out": 0.0}.items():
         try:
-            X = equations.solve_X(quadratic_sign=sign).X
-            yield {"sign": text} | leading(*equations.gains(X, Y)[:4])
+            design, bound = published.signed_design(tau, multipliers, sign)
+            yield record(text, design.A_c, design.B_c, design.C_c, bound)
         except RiccatiError:
             yield {"sign": text, "$A_c[0,0]$": "no real solution"}
     names = ("A_c", "B_c", "C_c", "V at the printed tau, lambda")
-    yield {"sign": "printed"} | leading(*map(published.printed, names))
+    yield record("printed", *map(published.printed, names))
 
 
 @_table(digits=6)
@@ -190,21 +187,21 @@ def errors_by_method(found: predictions.ErrorsByMethod) -> Records:
 
 
 @_table()
-def noise_sweep(found: Iterable[predictions.NoisySimulation]) -> Records:
+def noise_sweep(found: Iterable[Mapping[str, Any]]) -> Records:
     """The filtered error of the printed smoother as the phase noise grows. Predictions are for a
     loop in lock, and are left out where their method finds no such loop.
     """
     for case in found:
-        simulated = case.simulated
+        simulated = case["simulated"]
         yield {
-            "phase noise": f"{case.factor:g}",
+            "phase noise": f"{case['factor']:g}",
             "all runs (rad²)": _estimate(simulated.filtered, ".4f"),
             "runs in lock (rad²)": _estimate(simulated.filtered_in_lock, ".4f"),
             "slips": simulated.slips,
             "runs that slipped": f"{simulated.slipped_paths} of {simulated.runs}",
             "slips (1/s)": f"{simulated.slip_rate:.3g}",
-            "moments (rad²)": _number(case.moments),
-            "statistical linearisation (rad²)": _number(case.linearised),
+            "moments (rad²)": _number(case["moments"]),
+            "statistical linearisation (rad²)": _number(case["statistical linearisation"]),
         }
 
 
@@ -215,19 +212,20 @@ def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParamete
     cases = {"smoother": (smoother, "smoothed", smoothed), "NGCF": (ngcf, "filtered", filtered)}
 
     def excess(factor: float, change: str, design: Estimator, output: str, target: float) -> float:
-        return getattr(predictions.predicted(design, change, factor, values), output) - target
+        return predictions.predicted(design, output, change, factor, values) - target
 
     records = []
     for change in predictions.CHANGES:
-        record, factors = {"changed": change}, []
+        factors = {
+            f"factor for the {name}": brentq(excess, 0.7, 2.0, (change, *case), xtol=1e-10)
+            for name, case in cases.items()
+        }
+        record = {"changed": change} | factors
         for name, case in cases.items():
-            factors.append(brentq(excess, 0.7, 2.0, (change, *case), xtol=1e-10))
-            record[f"factor for the {name}"] = factors[-1]
-        for name, (*case, target) in cases.items():
-            off = excess(sum(factors) / 2, change, *case, target)
+            off = excess(sum(factors.values()) / 2, change, *case)
             # the standard error of a mean of squares of Gaussian errors
-            distance = off / (target * math.sqrt(2 / runs))
-            record[f"{name} at the mean factor"] = f"{target + off:.4f} ({distance:+.1f})"
+            distance = off / (case[-1] * math.sqrt(2 / runs))
+            record[f"{name} at the mean factor"] = f"{case[-1] + off:.4f} ({distance:+.1f})"
         records.append(record)
     caption = (
         f"The factor on one number of the loop at which each printed error ({smoothed:g} and "

@@ -8,7 +8,6 @@ what is printed (the paper does both). What follows from the printed :math:`\tau
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -55,8 +54,7 @@ class Verdict:
     reason: str
 
     def __repr__(self) -> str:
-        ours = self.value if isinstance(self.value, float) else None
-        found = "" if ours is None else f", ours {ours:.6g}"
+        found = f", ours {self.value:.6g}" if isinstance(self.value, float) else ""
         short = self.printed if len(self.printed) <= 40 else f"{self.printed[:37]}..."
         return f"Verdict({self.name}: printed {short}{found}, {self.verdict})"
 
@@ -108,7 +106,7 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     if "simulation" in kinds:
         folder = Path(data_dir) if data_dir else published.data_folder()
         simulation = published.read_simulation(folder)
-        recompute["simulation"] = partial(_simulated, simulation)
+        recompute["simulation"] = lambda: [_simulated(simulation)]
     recomputed = {kind: values() for kind, values in recompute.items() if kind in kinds}
     found, checks = Verdicts(), statements.checks(simulation)
     for entry in published.published()["quantity"]:
@@ -164,21 +162,21 @@ def _design() -> list[Values]:
     """Return the values for the printed tau and lambda, then for others that print the same."""
     found = []
     for tau, multipliers in published.rounding_box():
-        estimator, bound = published.flipped_design(tau, multipliers)
+        estimator, bound = published.signed_design(tau, multipliers)
         matrices = {name: getattr(estimator, name) for name in ("A_c", "B_c", "C_c")}
         found.append(matrices | {"V at the printed tau, lambda": bound})
     return found
 
 
-def _simulated(errors: published.SimulatedErrors) -> list[Values]:
-    smoothed, filtered = statements.simulated_errors(errors)
-    return [{"error covariance, smoother": smoothed, "error covariance, NGCF": filtered}]
+def _simulated(errors: published.SimulatedErrors) -> Values:
+    names = ("error covariance, smoother", "error covariance, NGCF")
+    return dict(zip(names, statements.simulated_errors(errors), strict=True))
 
 
 def _verdicts_on(entry: dict, values: Sequence[float | Matrix]) -> Iterator[Verdict]:
     """Yield the verdict on each entry of a quantity: something between its values must agree."""
     unit = f" {entry['unit']}" if "unit" in entry else ""
-    for index, text in published.each_entry(entry["printed"]):
+    for index, text in np.ndenumerate(np.array(entry["printed"], dtype=object)):
         name = entry["id"] + (str(list(index)) if index else "")
         quantity = name, entry["place"], text + unit
         if not values:

@@ -15,7 +15,7 @@ from robsmooth import homodyne, sample_paths
 from robsmooth.estimators import baselines
 from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.study import QUANTITIES, Study
-from robsmooth.paper import figures, predictions
+from robsmooth.paper import figures
 from robsmooth.paper.figures import diagrams
 from robsmooth.paper.figures.plots import shade
 from robsmooth.paper.figures.style import FORMATS
@@ -50,9 +50,12 @@ BY_METHOD = {
     for error, first, second in zip(CASES, *RESULTS.values(), strict=True)
 }
 NOISY = [
-    predictions.NoisySimulation(1, noisy(0.09, 0.09, slip_rate=0.0), 0.09, 0.09),
-    predictions.NoisySimulation(3, noisy(0.2, 0.2, slip_rate=0.0), 0.19, 0.21),
-    predictions.NoisySimulation(10, noisy(9.0, 0.5, slip_rate=1e3), np.nan, np.nan),
+    {"factor": factor, "simulated": loop, "moments": first, "statistical linearisation": second}
+    for factor, loop, first, second in (
+        (1, noisy(0.09, 0.09, slip_rate=0.0), 0.09, 0.09),
+        (3, noisy(0.2, 0.2, slip_rate=0.0), 0.19, 0.21),
+        (10, noisy(9.0, 0.5, slip_rate=1e3), np.nan, np.nan),
+    )
 ]
 
 SYSTEM = homodyne.PAPER.uncertain_system()

@@ -170,7 +170,7 @@ def test_words_about_printed_numbers_have_what_is_printed(reprint):
     assert "the printed 0.1031 is 41% larger than 0.0731; ours: 70% larger" in value
     assert "printed 29.1%, ours 41.2%" in reason
     reprint('"0.15"\nwhy = "the formula', '"0.17"\nwhy = "the formula')
-    readings = tables.sign_readings(PLANT, published.printed("tau"), [0.9, 0.4, 1e-4, 1e-4])
+    readings = tables.sign_readings(published.printed("tau"), [0.9, 0.4, 1e-4, 1e-4])
     assert readings.rows[-1][-1] == 0.17
 
 

@@ -19,7 +19,7 @@ from robsmooth.systems.augmented import augment
 
 def read(folder):
     """The least mean squares of a folder's file, by the estimate."""
-    found = json.loads((folder / nonlinear_floor.FILE).read_text(encoding="utf-8"))
+    found = json.loads((folder / published.NONLINEAR_FLOOR).read_text(encoding="utf-8"))
     return {output: MeanSquare(**found[output]) for output in nonlinear_floor.OUTPUTS}
 
 

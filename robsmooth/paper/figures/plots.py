@@ -18,7 +18,7 @@ from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.homodyne.study import Study
 from robsmooth.paper.figures import style
-from robsmooth.paper.predictions import ErrorsByMethod, NoisySimulation
+from robsmooth.paper.predictions import ErrorsByMethod
 from robsmooth.simulation.statistics import SamplePaths
 from robsmooth.systems.delay import pade_delay
 
@@ -52,9 +52,7 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
 
 
 def delta_sweep(
-    slopes: Sequence[float],
-    curves: Mapping[str, Sequence[float]],
-    marks: Mapping[str, tuple[float, float]] | None = None,
+    slopes: Array, curves: Mapping[str, Array], marks: Mapping[str, Any] | None = None
 ) -> Figure:
     """Draw error covariances (rad^2) at the slopes Delta_2, as Fig. 4, and mark some points."""
     several = len(curves) > 2  # some of them may lie on one another: then markers take turns
@@ -79,11 +77,10 @@ def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure
     exact = np.exp(-1j * omega * delay)
     models = {order: pade_delay(delay, order).response(omega)[:, 0, 0] for order in orders}
     figure, axes = plt.subplots()
-    axes.set(xscale="log", yscale="log")
+    axes.set(xscale="log", yscale="log", ylabel=r"$|H(i\omega) - e^{-i\omega\delta}|$")
     style.plot_curves(axes, omega, {order: np.abs(of - exact) for order, of in models.items()})
     axes.axvline(bandwidth, label="bandwidth", **style.DOTTED)
     axes.set(xlabel=r"angular frequency $\omega$ (rad/s)", ylim=(1e-12, 4.0))
-    axes.set(ylabel=r"$|H(i\omega) - e^{-i\omega\delta}|$")
     axes.set(xlim=(omega[0], 20 * bandwidth))  # beyond, all are as wrong as can be
     axes.legend(loc="lower right")
     return figure
@@ -127,23 +124,23 @@ def errors_by_method(found: ErrorsByMethod) -> Figure:
     return style.with_legend(figure)
 
 
-def loss_of_lock(sweep: Sequence[NoisySimulation]) -> Figure:
+def loss_of_lock(sweep: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw the filtered errors and the rate of cycle slips against the phase noise."""
     figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(3.4, 3.8), height_ratios=(3, 2))
-    factors = [case.factor for case in sweep]
+    factors, simulated = ([case[name] for case in sweep] for name in ("factor", "simulated"))
     errors = {
-        "all runs": [case.simulated.filtered.mean_square for case in sweep],
-        "runs in lock": [case.simulated.filtered_in_lock.mean_square for case in sweep],
-        "moments": [case.moments for case in sweep],
-        "statistical linearisation": [case.linearised for case in sweep],
+        "all runs": [each.filtered.mean_square for each in simulated],
+        "runs in lock": [each.filtered_in_lock.mean_square for each in simulated],
     }
+    for method in ("moments", "statistical linearisation"):
+        errors[method] = [case[method] for case in sweep]
     looks = style.styles(errors, markers=True)
     for number, (look, label) in enumerate(zip(looks, errors, strict=True)):
         # all but the first lie on one another: each is seen through the next, which is smaller
         size = {"markersize": max(9 - 2 * number, 3) if number else 3, "markerfacecolor": "none"}
         top.loglog(factors, errors[label], label=label, **look | size)
     top.set(ylabel=r"filtered error (rad$^2$)")
-    rates = [case.simulated.slip_rate or np.nan for case in sweep]  # zero has no logarithm
+    rates = [each.slip_rate or np.nan for each in simulated]  # zero has no logarithm
     bottom.loglog(factors, rates, "o-", markersize=3)
     bottom.set(xlabel="factor on the power of the phase noise", ylabel="cycle slips (1/s)")
     style.label_ticks(bottom.xaxis, (1, 2, 5, 10, 20, 50))
