@@ -59,10 +59,9 @@ def smooth_record(
     target : path
         For the estimates: a ``.csv`` file with the columns ``time``, s, as in
         `DiscreteSmoother.times`, ``w[0]``, ``w[1]``..., or a ``.npy`` file of an (N, m) array.
-    columns : int, str or sequence of them, optional
-        The l columns that are measurements: indices, or names of a header. Default: all others.
-    reference : int, str or sequence of them, optional
-        The g columns with the reference of the nonlinearities, as in `DiscreteSmoother.run`.
+    columns, reference : int, str or sequence of them, optional
+        The l columns that are measurements, by default all others, and the g ones of the reference
+        of the nonlinearities, as in `DiscreteSmoother.run`: indices, or names of a header.
     time : int or str, optional
         A column with times, s: a row that is missing, or a wrong dt, is refused.
     output : {"smoothed", "filtered"}, which estimates to write

@@ -39,7 +39,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import Reference, matrices, reference_outputs
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.functions import on_arrays
+from robsmooth.systems.channels import on_arrays
 
 Uncertainties = Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]]
 

@@ -1,23 +1,31 @@
-"""The channels of an uncertain system: where uncertainties and nonlinearities act on it."""
+"""The channels of an uncertain system: where uncertainties and nonlinearities act on it.
 
-from collections.abc import Iterable
+The functions of nonlinearities are vectorised, as NumPy's, or compiled by numba. What is made of a
+compiled function is compiled, so that compiled loops can call it, too.
+"""
+
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix
-from robsmooth.systems.functions import Function, check_function, combination, name_of
 
 REFERENCES = ("filtered", "smoothed")
+
+Function = Callable[[Any], Any]
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class Uncertainty:
     r"""One uncertainty channel: :math:`\xi_s` is no larger than :math:`\zeta_s` in the mean square.
 
-    Every noise must enter where an uncertainty enters (Assumption 1): where there is none, C is
-    zero.
+    Every noise must enter where an uncertainty does (Assumption 1), if need be with C zero.
 
     Parameters
     ----------
@@ -39,8 +47,6 @@ class Uncertainty:
 
     Examples
     --------
-    A rate of decay that is known to 10%, in a system of one state:
-
     >>> import robsmooth as rs
     >>> rs.Uncertainty(B=[[1.0]], C=[[0.1]], D=[[0.0]])
     Uncertainty(B=[[1]], C=[[0.1]], D=[[0]])
@@ -56,10 +62,6 @@ class Uncertainty:
     def __repr__(self) -> str:
         return f"Uncertainty({_text(self)})"
 
-    def _repr_latex_(self) -> str:
-        B, C, D = map(notation.matrix, (self.B, self.C, self.D))
-        return rf"$$B_1 = {B},\quad C_1 = {C},\quad D_{{21}} = {D}$$"
-
 
 @dataclass(frozen=True, eq=False, init=False)
 class Nonlinearity:
@@ -74,14 +76,13 @@ class Nonlinearity:
     D : (l, 1) array
         :math:`\bar D_{21,i}`, how it enters the measurement rate.
     lipschitz : float, optional
-        :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`. Either this
-        or `sector` is given; of a sector it is the larger size of its ends.
+        :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`, or give
+        `sector`.
     function : callable, optional
         :math:`\psi_i`, vectorised or compiled by numba, for scalars too. A design needs none.
     reference : {None, "filtered", "smoothed"}
-        The estimate :math:`r_i` of :math:`\nu_i` that the detector is steered by: the nonlinearity
-        acts on :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. `simulate` uses it,
-        designs and their guarantees do not.
+        The estimate :math:`r_i` that the detector is steered by: the nonlinearity acts on
+        :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. Only `simulate` uses it.
     sector : (float, float), optional
         The least and the largest slope :math:`(\psi_i(a) - \psi_i(b))/(a - b)`, which need not lie
         around zero. `UncertainSystem` takes the slope in the middle for a linear part.
@@ -89,9 +90,8 @@ class Nonlinearity:
     Raises
     ------
     ValueError, TypeError
-        For a matrix that is not 2-D, real and finite, a constant that is not positive, a function
-        that is not callable, not vectorised or not zero at zero, another reference, no sector, or
-        one around another slope than zero with a reference and a B that is not zero.
+        For what is not as described, a function that is not zero at zero, or a sector around
+        another slope than zero with a reference and a B that is not zero.
 
     See Also
     --------
@@ -100,8 +100,6 @@ class Nonlinearity:
 
     Examples
     --------
-    A sensor that saturates, :math:`dy = \tanh(x)\,dt + \dots`:
-
     >>> import numpy as np
     >>> import robsmooth as rs
     >>> rs.Nonlinearity(B=[[0.0]], C=[[1.0]], D=[[1.0]], lipschitz=1.0, function=np.tanh)
@@ -154,11 +152,6 @@ class Nonlinearity:
         given += "" if self.reference is None else f", reference={self.reference!r}"
         return f"Nonlinearity({_text(self)}, {slopes}{given})"
 
-    def _repr_latex_(self) -> str:
-        B, C, D = map(notation.matrix, (self.B, self.C, self.D))
-        channel = rf"\bar B_1 = {B},\quad \bar C_1 = {C},\quad \bar D_{{21}} = {D}"
-        return rf"$${channel},\quad \beta = {notation.number(self.lipschitz)}$$"
-
 
 Channel = Uncertainty | Nonlinearity
 
@@ -209,3 +202,90 @@ def _slopes(sector: tuple[float, float]) -> tuple[float, float]:
         wanted = "two slopes, the least and the largest"
         raise ValueError(f"Nonlinearity sector must be {wanted}, got {sector!r}")
     return float(slopes[0]), float(slopes[1])
+
+
+@dataclass(frozen=True)
+class Combination:
+    r"""The function :math:`\nu \mapsto b f(a\nu) - c\nu`, which can be pickled if f can."""
+
+    function: Function
+    argument: float = 1.0  # a
+    value: float = 1.0  # b
+    slope: float = 0.0  # c
+
+    @property
+    def __name__(self) -> str:
+        name = name_of(self.function)
+        if (self.argument, self.value) != (1.0, 1.0):
+            name = f"{self.value:.6g} {name}({self.argument:.6g} nu)"
+        return f"{name} - {self.slope:.6g} nu" if self.slope else name
+
+    def __call__(self, nu: Any) -> Any:  # noqa: D102
+        value = self.function(np.multiply(self.argument, nu))
+        return self.value * value - np.multiply(self.slope, nu)
+
+
+def combination(function: Function, **numbers: float) -> Function:
+    """Return `Combination`, compiled by numba if the function is."""
+    made = Combination(function, **numbers)
+    return _compiled(made) if hasattr(function, "py_func") else made
+
+
+@lru_cache(maxsize=64)
+def _compiled(made: Combination) -> Function:
+    import numba
+
+    function, a, b, c = vars(made).values()
+
+    def of_number(nu):
+        return b * function(a * nu) - c * nu
+
+    of_number.__qualname__ = of_number.__name__ = made.__name__
+    return numba.njit(of_number)
+
+
+def name_of(function: Function) -> str:
+    """Return the name that a function is saved by."""
+    called = getattr(function, "__name__", type(function).__qualname__)  # NumPy's, before 2.2
+    return getattr(function, "__qualname__", called)
+
+
+def check_function(name: str, function: Function) -> None:
+    """Check that a nonlinearity can be called as the library does, and is zero at zero."""
+    if not callable(function):
+        raise TypeError(f"{name} must be callable, got {function!r}")
+    at = np.zeros(2)
+    if hasattr(function, "py_func"):  # numba has compiled it, and compiled loops call it
+        with suppress(Exception):
+            function(0.0)
+            at = 0.0
+    try:
+        values = np.asarray(function(at))
+    except Exception as error:
+        cause = str(error).partition("\n")[0]
+        raise ValueError(
+            f"{name} must be vectorised: an array of shape (2,) gave {type(error).__name__}: "
+            f"{cause}; NumPy's functions are (np.sin, not math.sin), and numpy.vectorize makes "
+            "any function so"
+        ) from error
+    if values.shape != np.shape(at):
+        given = f"an argument of shape {np.shape(at)} gave shape {values.shape}"
+        raise ValueError(f"{name} must be vectorised: {given}")
+    at_zero = np.ravel(values)[0]
+    if not at_zero == 0.0:
+        raise ValueError(
+            f"{name} must be zero at zero, got {at_zero}: "
+            "move the constant into the measurement or the state"
+        )
+
+
+def on_arrays(function: Function) -> Function:
+    """Return the function for arrays of one dimension; numba's of a number is compiled for them."""
+    if hasattr(function, "py_func"):
+        try:
+            function(np.zeros(2))
+        except Exception:  # a typing error, or a branch on an array
+            import numba
+
+            return numba.vectorize(function.py_func)
+    return function

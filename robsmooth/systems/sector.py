@@ -7,8 +7,13 @@ from numpy.typing import ArrayLike
 
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
-from robsmooth.systems.channels import Nonlinearity
-from robsmooth.systems.functions import Function, check_function, combination, on_arrays
+from robsmooth.systems.channels import (
+    Function,
+    Nonlinearity,
+    check_function,
+    combination,
+    on_arrays,
+)
 
 _POINTS = 2**13  # even, so that zero is not one of them
 _UNEVEN = 0.1  # of the second differences of slopes: where they differ by more, there is a corner
@@ -34,9 +39,8 @@ class Sector:
     --------
     >>> import numpy as np
     >>> import robsmooth as rs
-    >>> tanh = rs.sector(np.tanh, reach=0.6)
-    >>> round(tanh.lower, 6), round(tanh.upper, 6)
-    (0.711578, 1.0)
+    >>> round(rs.sector(np.tanh, reach=0.6).lower, 6)
+    0.711578
     """
 
     function: Function
@@ -83,9 +87,8 @@ def sector(function: Function, reach: float, chords: bool = False) -> Sector:
     reach : float
         The largest argument. Where it is exceeded, nothing is guaranteed.
     chords : bool
-        Whether to take the slopes f(x)/x instead of the derivative's. The sector is smaller, and
-        enough where f acts on the difference to a reference that is the argument of the copy in the
-        estimator, so that the copy's output is zero.
+        Whether to take the slopes f(x)/x, a smaller sector. They suffice where f acts on the
+        difference to a reference that is the copy's argument, so that its output is zero.
 
     Returns
     -------
@@ -96,8 +99,7 @@ def sector(function: Function, reach: float, chords: bool = False) -> Sector:
     Raises
     ------
     ValueError, TypeError
-        For a function that is not as described, not finite, of unbounded slope or linear, and for a
-        `reach` that is not positive.
+        For a function that is not as described, not finite, of unbounded slope or linear.
 
     See Also
     --------
@@ -105,8 +107,6 @@ def sector(function: Function, reach: float, chords: bool = False) -> Sector:
 
     Examples
     --------
-    The noise of a sensor that saturates has the intensity 0.1:
-
     >>> import numpy as np
     >>> import robsmooth as rs
     >>> tanh = rs.sector(np.tanh, reach=0.6)
