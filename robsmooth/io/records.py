@@ -259,8 +259,7 @@ class _Csv(_Record):
         if not cells:
             raise ValueError(f"{path} must begin with a header or a row of numbers, got a blank")
         self.width = len(cells)
-        numbers = [_is_number(cell) for cell in cells]
-        is_header = not any(numbers) and any(cells)
+        is_header = any(cells) and all(_number(cell) is None for cell in cells if cell)
         self.header = [cell.strip() for cell in cells] if is_header else []
         self.first = "line", 1 + is_header
 
@@ -303,9 +302,10 @@ class _Csv(_Record):
                 raise ValueError(f"{place}: {len(cells)} cells, {wanted}")
             for j, column in enumerate(columns):
                 cell = cells[column].strip()
-                if cell and not _is_number(cell):
+                value = _number(cell or "nan")
+                if value is None:
                     raise ValueError(f"{place}, {self.name(column)}: {cell!r} is not a number")
-                values[i, j] = float(cell or "nan")
+                values[i, j] = value
         return values
 
     def _cells(self, line: str, number: int) -> list[str]:
@@ -315,12 +315,10 @@ class _Csv(_Record):
             raise ValueError(f"{self.path}, line {number}: {error}") from None
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return "_" not in cell  # 1_000 is a number in Python only
+def _number(cell: str) -> float | None:
+    with suppress(ValueError):
+        return None if "_" in cell else float(cell)  # 1_000 is a number in Python only
+    return None
 
 
 @contextmanager

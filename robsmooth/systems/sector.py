@@ -7,13 +7,8 @@ from numpy.typing import ArrayLike
 
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
-from robsmooth.systems.channels import (
-    Function,
-    Nonlinearity,
-    check_function,
-    combination,
-    on_arrays,
-)
+from robsmooth.systems import channels
+from robsmooth.systems.channels import Function, Nonlinearity
 
 _POINTS = 2**13  # even, so that zero is not one of them
 _UNEVEN = 0.1  # of the second differences of slopes: where they differ by more, there is a corner
@@ -64,16 +59,15 @@ class Sector:
         It is scaled: centred, it has the Lipschitz constant 1, and a noise of intensity `noise`
         times [B; D] enters where it does with weight one (Assumption 1).
         """
-        noise = validation.positive("noise", noise)
-        argument = noise / self.half_width
-        given = Nonlinearity(B, C, D, self.half_width)
+        noise, width = validation.positive("noise", noise), self.half_width
+        given = Nonlinearity(B, C, D, width)
         return Nonlinearity(
             B=noise * given.B,
-            C=given.C / argument,
+            C=width / noise * given.C,
             D=noise * given.D,
-            function=combination(self.function, argument=argument, value=1.0 / noise),
+            function=channels.combination(self.function, argument=noise / width, value=1 / noise),
             reference=reference,
-            sector=(self.lower / self.half_width, self.upper / self.half_width),
+            sector=(self.lower / width, self.upper / width),
         )
 
 
@@ -114,11 +108,11 @@ def sector(function: Function, reach: float, chords: bool = False) -> Sector:
     >>> rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[0]], [[0, 0.1]], [], [sensor]).C2.round(4)
     array([[0.8558]])
     """
-    check_function("function", function)
+    channels.check_function("function", function)
     reach = validation.positive("reach", reach)
     x = reach * np.linspace(-1.0, 1.0, _POINTS)
     with np.errstate(all="ignore"):
-        values = np.asarray(on_arrays(function)(x), dtype=float)
+        values = np.asarray(channels.on_arrays(function)(x), dtype=float)
     if not np.isfinite(values).all():
         first = int(np.argmin(np.isfinite(values)))
         raise ValueError(f"function must be finite, got {values[first]} at {x[first]:.5g}")
@@ -132,7 +126,7 @@ def sector(function: Function, reach: float, chords: bool = False) -> Sector:
         line = f"a line of slope {upper:.5g}, which belongs into A and C2"
         raise ValueError(f"function must not be linear, got {line}")
     middle = (lower + upper) / 2
-    remainder = combination(function, slope=middle)
+    remainder = channels.combination(function, slope=middle)
     return Sector(function, reach, lower, upper, middle, (upper - lower) / 2, remainder)
 
 
