@@ -36,7 +36,7 @@ from robsmooth._support import files
 from robsmooth._support.progress import progress_bar
 from robsmooth.estimators import baselines
 from robsmooth.homodyne import PAPER, HomodyneParameters
-from robsmooth.paper.published import DELAY, data_folder
+from robsmooth.paper.published import DELAY, NONLINEAR_FLOOR, data_folder
 from robsmooth.workbench import provenance
 
 Array = NDArray[np.float64]

@@ -74,9 +74,8 @@ def save(
     Parameters
     ----------
     value : UncertainSystem, AugmentedSystem or Estimator
-        An estimator is saved by its matrices, with its plant; a `RobustSmoother` with its tau,
-        multipliers, cost and bound, too, and a `MinimaxSmoother` with all that it has. Of a
-        nonlinearity's function the name is saved.
+        An estimator is saved by its matrices, with its plant, and what its guarantee follows from.
+        Of a nonlinearity's function the name is saved.
     path : str or path
         Ends in .toml or .json. The file appears whole or not at all.
 
@@ -87,8 +86,8 @@ def save(
     Raises
     ------
     ValueError, TypeError
-        For another suffix or another kind of object, different functions of the same name, or a
-        design that `load` would refuse.
+        For another suffix or kind of object, different functions of the same name, or a design that
+        `load` would refuse.
     OSError
         Where the file cannot be written.
 
@@ -125,8 +124,7 @@ def load(
     ----------
     path : str or path, ends in .toml or .json
     functions : mapping of str to callable, optional
-        The functions of the nonlinearities, by the names that the file gives them. A design needs
-        none.
+        Those of the nonlinearities, by the names that the file gives them. A design needs none.
 
     Returns
     -------
@@ -137,9 +135,8 @@ def load(
     Raises
     ------
     ValueError
-        Where the file is not valid, gains do not follow from the tau and multipliers of their
-        design, or an error is not the one that the multipliers certify: one sentence that names
-        the file and the field.
+        Where the file is not valid, or gains or an error do not follow from the multipliers: one
+        sentence that names the file and the field.
     TypeError
         For functions that are not a mapping of names to callables.
     OSError

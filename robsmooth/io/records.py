@@ -59,10 +59,9 @@ def smooth_record(
     target : path
         For the estimates: a ``.csv`` file with the columns ``time``, s, as in
         `DiscreteSmoother.times`, ``w[0]``, ``w[1]``..., or a ``.npy`` file of an (N, m) array.
-    columns : int, str or sequence of them, optional
-        The l columns that are measurements: indices, or names of a header. Default: all others.
-    reference : int, str or sequence of them, optional
-        The g columns with the reference of the nonlinearities, as in `DiscreteSmoother.run`.
+    columns, reference : int, str or sequence of them, optional
+        The l columns that are measurements, by default all others, and the g ones of the reference
+        of the nonlinearities, as in `DiscreteSmoother.run`: indices, or names of a header.
     time : int or str, optional
         A column with times, s: a row that is missing, or a wrong dt, is refused.
     output : {"smoothed", "filtered"}, which estimates to write
@@ -260,8 +259,7 @@ class _Csv(_Record):
         if not cells:
             raise ValueError(f"{path} must begin with a header or a row of numbers, got a blank")
         self.width = len(cells)
-        numbers = [_is_number(cell) for cell in cells]
-        is_header = not any(numbers) and any(cells)
+        is_header = any(cells) and all(_number(cell) is None for cell in cells if cell)
         self.header = [cell.strip() for cell in cells] if is_header else []
         self.first = "line", 1 + is_header
 
@@ -304,9 +302,10 @@ class _Csv(_Record):
                 raise ValueError(f"{place}: {len(cells)} cells, {wanted}")
             for j, column in enumerate(columns):
                 cell = cells[column].strip()
-                if cell and not _is_number(cell):
+                value = _number(cell or "nan")
+                if value is None:
                     raise ValueError(f"{place}, {self.name(column)}: {cell!r} is not a number")
-                values[i, j] = float(cell or "nan")
+                values[i, j] = value
         return values
 
     def _cells(self, line: str, number: int) -> list[str]:
@@ -316,12 +315,10 @@ class _Csv(_Record):
             raise ValueError(f"{self.path}, line {number}: {error}") from None
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return "_" not in cell  # 1_000 is a number in Python only
+def _number(cell: str) -> float | None:
+    with suppress(ValueError):
+        return None if "_" in cell else float(cell)  # 1_000 is a number in Python only
+    return None
 
 
 @contextmanager

@@ -27,7 +27,7 @@ from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.homodyne.study import Study
 from robsmooth.paper import predictions, published
 from robsmooth.simulation.statistics import SimulationResult
-from robsmooth.systems.augmented import augment
+from robsmooth.systems.augmented import AugmentedSystem, augment
 
 Records = Iterator[dict[str, Any]]  # the cells of each row, by their columns
 

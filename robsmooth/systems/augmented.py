@@ -1,7 +1,7 @@
 r"""The augmented and compact system of Section III.
 
 The delay model joins the system, :math:`x_p = [x; x_a]`, and all channels are stacked as in
-(eqCsystem), in the order: k uncertainties, g nonlinearities, g copies in the estimator.
+(eqCsystem): k uncertainties, g nonlinearities, g copies in the estimator.
 
 .. math::
 
@@ -141,10 +141,7 @@ class AugmentedSystem:
 
     @cached_property
     def J(self) -> Matrix:
-        """(r + 2g, q + g) solution of Assumption 1: [B_p1; D21_bar] = [B1_tilde; D21_tilde] J.
-
-        An `InfeasibleDesignError` names a noise that enters through no uncertainty channel.
-        """
+        """(r + 2g, q + g) solution of Assumption 1: [B_p1; D21_bar] = [B1_tilde; D21_tilde] J."""
         channels = np.vstack([self.B1_tilde, self.D21_tilde])
         noise = np.vstack([self.B_p1, self.D21_bar])
         size = np.abs(np.hstack([channels, noise])).max(axis=1, initial=0.0)[:, None]
@@ -183,7 +180,7 @@ class AugmentedSystem:
         Raises
         ------
         ValueError, TypeError
-            For another number of entries, or one that is no number or block of its channel's size.
+            For an entry too few or many, or one that is no number or block of its channel's size.
 
         See Also
         --------
@@ -239,8 +236,8 @@ class AugmentedSystem:
         }
         rows = [(name, f"${notation.matrix(value)}$") for name, value in matrices.items()]
         model = f"model the delay of ${notation.number(self.delay)}$ s with order {self.order}"
-        caption = f"{self.n} states, of which {self.n - self.system.n} {model}."
-        return table_of_values(rows, f"Augmented system: {caption}").html()
+        caption = f"Augmented system: {self.n} states, of which {self.n - self.system.n} {model}."
+        return table_of_values(rows, caption).html()
 
 
 def augment(
@@ -252,8 +249,7 @@ def augment(
     ----------
     system : UncertainSystem, every row of its C0 is delayed
     delay : float, the delay of the outputs, s, at least zero: that of the smoothed estimate
-    order : int
-        Pade order of the delay model, at least zero; order 0 has no delay states.
+    order : int, that of the Pade approximation, at least zero; order 0 has no delay states
     J_21 : float or (g, g) array
         Intensity of the fictitious noise of the copies, positive definite; the paper has 1.
 
@@ -306,11 +302,7 @@ def _padded(matrix: Matrix, rows: int, columns: int) -> Matrix:
 
 
 def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix, ...]:
-    """Return the matrices of (eqIQC1) to (eqIQC4), of channels of these sizes.
-
-    They are of the uncertainties and, times the bounds, of the differences of nonlinearities and
-    copies, of the nonlinearities and of the copies.
-    """
+    """Return the matrices of (eqIQC1) to (eqIQC4): the bounds are those of the nonlinearities."""
     g, k = len(bounds), len(sizes) - 2 * len(bounds)
     rows = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))[:-1]
     own = [bound * row for bound, row in zip(bounds, rows[k : k + g], strict=True)]
@@ -322,8 +314,7 @@ def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix,
 def _combination(weights: ArrayLike, matrices: Sequence[Matrix], size: int) -> Matrix:
     if len(weights) != len(matrices):
         raise ValueError(f"multipliers must have {len(matrices)} entries, got {len(weights)}")
-    terms = (weight * matrix for weight, matrix in zip(weights, matrices, strict=True))
-    return sum(terms, np.zeros((size, size)))
+    return sum(map(np.multiply, weights, matrices), np.zeros((size, size)))
 
 
 def _blocks(name: str, given: Sequence, sizes: Sequence[tuple[int, int]]) -> list[Matrix]:
@@ -331,8 +322,9 @@ def _blocks(name: str, given: Sequence, sizes: Sequence[tuple[int, int]]) -> lis
     try:
         values = list(given) or [0.0] * len(sizes)
     except TypeError:
-        message = f"{name} must be a sequence of length {len(sizes)}, got {given!r}"
-        raise TypeError(message) from None
+        raise TypeError(
+            f"{name} must be a sequence of length {len(sizes)}, got {given!r}"
+        ) from None
     if len(values) != len(sizes):
         raise ValueError(f"{name} must have {len(sizes)} entries, got {len(values)}")
     blocks = []

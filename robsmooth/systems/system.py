@@ -11,20 +11,18 @@ with :math:`\mu_i = \psi_i(\nu_i)`, each :math:`\psi_i` Lipschitz with constant 
 zero at zero, and each :math:`\xi_s` bounded by :math:`\zeta_s` in the mean-square sense of the
 paper's integral quadratic constraint.
 
-A detector may be steered by an estimate, as in homodyne detection by the phase of the local
-oscillator. Its nonlinearity then acts on what is left, :math:`\mu_i = \psi_i(\nu_i - r_i)`, with
-the *reference* :math:`r_i` an estimate of :math:`\nu_i`. What the detector takes off, the known
-:math:`r_i`, has been added to the linear part of the measurement again, as in Section IV-A.
+A detector may be steered by an estimate, the *reference* :math:`r_i`, as in homodyne detection by
+the phase of the local oscillator: :math:`\mu_i = \psi_i(\nu_i - r_i)`. The known :math:`r_i` has
+been added to the linear part of the measurement again, as in Section IV-A.
 
-A nonlinearity whose slopes lie in a sector around another slope than zero, :math:`c_i`, is centred
-when it becomes part of a system: :math:`c_i \bar B_{1i} \bar C_{1,i}` goes to A,
-:math:`c_i \bar D_{21,i} \bar C_{1,i}` to :math:`C_2`, and :math:`\psi_i(\nu) - c_i\nu` is kept,
-whose constant is half the width of the sector. With a reference, :math:`c_i \bar D_{21,i} r_i` is
-what has been added to the measurement.
+A nonlinearity whose slopes lie in a sector around another slope than zero, :math:`c_i`, is centred:
+:math:`c_i \bar B_{1i} \bar C_{1,i}` goes to A, :math:`c_i \bar D_{21,i} \bar C_{1,i}` to
+:math:`C_2`, and :math:`\psi_i(\nu) - c_i\nu` is kept, whose constant is half the sector's width.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -60,8 +58,7 @@ class UncertainSystem:
     uncertainties : sequence of `Uncertainty`
         The k channels :math:`(B_{1s}, C_{1,s}, D_{21,s})`.
     nonlinearities : sequence of `Nonlinearity`
-        The g channels :math:`(\bar B_{1i}, \bar C_{1,i}, \bar D_{21,i}, \beta_i)`. The system
-        has them centred: A and C2 have the middle slope of one that is given with a sector.
+        The g channels :math:`(\bar B_{1i}, \bar C_{1,i}, \bar D_{21,i}, \beta_i)`, centred.
 
     Raises
     ------
@@ -74,14 +71,13 @@ class UncertainSystem:
 
     Examples
     --------
-    A sensor's gain is known to 5%, the decay of what it measures to 10%:
+    A sensor's gain is known to 5%:
 
     >>> import robsmooth as rs
-    >>> decay = rs.Uncertainty(B=[[1.0]], C=[[0.1]], D=[[0.0]])
     >>> gain = rs.Uncertainty(B=[[0.0]], C=[[0.05]], D=[[1.0]])
     >>> A, B1, C0, C2, D21 = [[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]]
-    >>> rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties=[decay, gain]).k
-    2
+    >>> rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties=[gain]).k
+    1
     """
 
     A: Matrix
@@ -139,15 +135,12 @@ class UncertainSystem:
     ) -> "UncertainSystem":
         r"""Make the system of a python-control plant and its noises, as ``control.lqe`` has them.
 
-        With plant matrices A, B, C, D, and noises of intensity Q at its inputs and R at its
-        outputs,
+        With the plant's matrices and noises of intensity Q at its inputs and R at its outputs,
 
         .. math::
 
             dx &= Ax\,dt + BQ^{1/2}(\xi_0\,dt + dW_0), \\
             dy &= Cx\,dt + DQ^{1/2}(\xi_0\,dt + dW_0) + R^{1/2}(\xi_1\,dt + dW_1).
-
-        The two uncertainties enter where the noises do, as Assumption 1 wants.
 
         Parameters
         ----------
@@ -160,8 +153,7 @@ class UncertainSystem:
         process_uncertainty, measurement_uncertainty : (h, n) arrays, optional
             :math:`C_{1,0}` and :math:`C_{1,1}`: :math:`\xi_0` and :math:`\xi_1` are no larger than
             these times x. Default: zero, no uncertainty.
-        uncertainties, nonlinearities : sequences
-            Further channels, as in the class.
+        uncertainties, nonlinearities : sequences, further channels
 
         Returns
         -------
@@ -170,8 +162,7 @@ class UncertainSystem:
         Raises
         ------
         ValueError, TypeError
-            For a plant in discrete time, without a state or of another kind, a noise intensity
-            that is no covariance, and whatever the class itself refuses.
+            For another kind of plant, an intensity that is no covariance, and as the class.
 
         See Also
         --------
@@ -228,7 +219,7 @@ class UncertainSystem:
         Raises
         ------
         ValueError, TypeError
-            For other signals or feedthrough, and whatever the class itself refuses.
+            For other signals or feedthrough, and as the class.
 
         See Also
         --------
@@ -284,9 +275,6 @@ class UncertainSystem:
     ) -> "control.StateSpace":
         """Return the linear part as a python-control object, with its channels open.
 
-        A signal has the components ``W[0]``, ``W[1]``, ...; ``interconnect`` joins it to that of an
-        estimator by its name.
-
         Parameters
         ----------
         inputs, outputs : str or sequence of str, optional
@@ -298,6 +286,7 @@ class UncertainSystem:
         Returns
         -------
         control.StateSpace
+            With the components ``W[0]``, ``W[1]``, ..., which ``interconnect`` joins by name.
 
         See Also
         --------
@@ -424,15 +413,14 @@ def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
 
 def _number_of_uncertainties(inputs: Iterable[str], outputs: Iterable[str]) -> int:
     """Check that a system's signals are those of the class, and count its uncertainties."""
-    k = 0
-    while f"xi_{k}" in inputs or f"zeta_{k}" in outputs:
-        k += 1
+    k = next(s for s in count() if f"xi_{s}" not in inputs and f"zeta_{s}" not in outputs)
     for kind, signals, known, channel in (
         ("input", inputs, ["W", "mu"], "xi"),
         ("output", outputs, ["w", "y", "nu"], "zeta"),
     ):
+        allowed = [*known, *(f"{channel}_{s}" for s in range(k))]
         for name in signals:
-            if name not in [*known, *(f"{channel}_{s}" for s in range(k))]:
+            if name not in allowed:
                 raise ValueError(
                     f"sys's {kind} {name!r} must be one of {', '.join(known)}, {channel}_0, "
                     f"{channel}_1, ..., numbered from 0 without a gap; for a plant that is not so "

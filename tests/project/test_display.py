@@ -296,15 +296,15 @@ def test_a_large_system_stays_short():
     system = large_system()
     plant = rs.augment(system, 1.0, 4)
     estimator = rs.baselines.kalman_bucy(replace(system, nonlinearities=()))
-    channels = (system.uncertainties[0], system.nonlinearities[0])
-    for shown in (system, plant, estimator, *channels):
+    channel = system.uncertainties[0]
+    for shown in (system, plant, estimator):
         found = check_display(shown)
         rich = found.get("html") or found["latex"]
         assert r"\ddots" in rich or r"\cdots" in rich
         assert len(rich) < 6000
     text = system._repr_latex_()
     assert text.count(r"\psi_") == text.count(r"\zeta_") // 2 == 4  # of nine
-    assert repr(channels[0]) == "Uncertainty(B=<100 x 1>, C=<1 x 100>, D=[[0]])"
+    assert repr(channel) == "Uncertainty(B=<100 x 1>, C=<1 x 100>, D=[[0]])"
 
 
 @given(plants(), seeds)
