@@ -368,20 +368,18 @@ def whitened(loop: Loop) -> WhitenedLoop:
 def slopes_of_lock(loop: Loop, rate: float) -> Matrix:
     """Return the slopes of statistical linearisation, iterated from slopes of one."""
     S, inverse = _error_coordinates(loop)
-    rows = loop.arguments @ S
-    return linearisation.equivalent_slopes(
-        np.ones(2),
-        lambda slopes: ((rows @ _root(loop, slopes, rate, S, inverse)) ** 2).sum(axis=1),
-        linearisation.of_sine,
-        tolerance=_SLOPE_TOLERANCE,
-    )
+    rows, how = loop.arguments @ S, {"tolerance": _SLOPE_TOLERANCE}
+
+    def variances(slopes: Matrix) -> Matrix:
+        return ((rows @ _root(loop, slopes, rate, S, inverse)) ** 2).sum(axis=1)
+
+    return linearisation.equivalent_slopes(np.ones(2), variances, linearisation.of_sine, **how)
 
 
 def _white_coordinates(loop: Loop, slopes: Matrix, rate: float) -> tuple[Matrix, Matrix, float]:
     """Return S with P = S S', a left inverse, and how far from I the covariance is behind it.
 
-    What does not move has no coordinate. A triangular factor, unlike one of eigenvectors, does not
-    mix coordinates of different rates.
+    What does not move has no coordinate. A triangular factor does not mix different rates.
     """
     from_error, to_error = _error_coordinates(loop)
     root = _root(loop, slopes, rate, from_error, to_error)

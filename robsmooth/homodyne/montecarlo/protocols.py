@@ -1,9 +1,4 @@
-"""The two protocols: what is simulated, and what is made of it.
-
-The *paper* protocol is the published simulation: Euler-Maruyama from zero, squared errors at the
-end of each path. The *ergodic* one starts in the stationary state of the linearised loop, lets the
-loop forget the difference, and averages along each path; its scheme is of second order, and the
-linearised loop on the same noise, of which all is known, takes out most of the chance.
+"""The two protocols of `monte_carlo`: what is simulated, and what is made of it.
 
 A block of `BLOCK` paths always has the same result: blocks may be computed anywhere and in any
 order, as long as they are merged in the order of their index.
@@ -103,7 +98,6 @@ class Simulation:
     readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase
     coefficients: euler.Coefficients | splitting.Coefficients
     schedule: tuple[int, ...]  # as the kernel takes it
-
     protocol: ClassVar[str]
     scheme: ClassVar[str]
     kernel: ClassVar[ModuleType]
@@ -251,11 +245,9 @@ class ErgodicSimulation(Simulation):
     @cached_property
     @one_thread
     def weights(self) -> Matrix:
-        """Weights of the three controls for the two errors, from a pilot of other paths.
+        """Weights of the three controls for the two errors, from a pilot of other paths in lock.
 
-        Of a path that has slipped the errors have nothing to do with the control's any more; where
-        hardly any has not, the weights are zero. Other machines are sent the weights of this one:
-        their BLAS has other last bits.
+        Other machines are sent the weights of this one: their BLAS has other last bits.
         """
         outputs = self.simulate(PILOT_BLOCK, 1)[0]
         in_lock = outputs[:, outputs[splitting.SLIPS] == 0]
