@@ -166,7 +166,7 @@ class PaperSimulation(Simulation):
     @classmethod
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
         """Fill in the published numbers."""
-        duration = _at_least_the_delay(duration or PAPER_DURATION, loop)
+        duration = duration or max(PAPER_DURATION, loop.delay)
         default = cls.default_step(loop, duration)
         step = step or default
         delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
@@ -217,8 +217,7 @@ class ErgodicSimulation(Simulation):
                 "the ergodic protocol needs a stationary state, and the linearised estimator is "
                 f"not stable in the loop: its slowest mode has the decay rate {slowest:.3g} 1/s"
             )
-        default = max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
-        duration = _at_least_the_delay(duration or default, loop)
+        duration = duration or max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
         step = step or cls.default_step(loop, duration)
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
         stride = int(STEP_OF_TIME_CONSTANT * loop.response_time() / step + MULTIPLE_TOLERANCE)
@@ -268,13 +267,6 @@ class ErgodicSimulation(Simulation):
 PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper": PaperSimulation}
 
 
-def _at_least_the_delay(duration: float, loop: Loop) -> float:
-    if duration < loop.delay:
-        delay = f"the smoother's delay, {loop.delay:g} s"
-        raise ValueError(f"duration must be at least {delay}, got {duration:g}")
-    return duration
-
-
 @one_thread
 def plan(
     loop: Loop,
@@ -290,6 +282,9 @@ def plan(
     runs = kind.default_runs if runs is None else validation.integer("runs", runs, low=1)
     if duration is not None:
         duration = validation.positive("duration", duration)
+        if duration < loop.delay:
+            delay = f"the smoother's delay, {loop.delay:g} s"
+            raise ValueError(f"duration must be at least {delay}, got {duration:g}")
     if step is not None:
         step = validation.positive("step", step)
     seed = validation.integer("seed", seed, low=0)
