@@ -25,10 +25,9 @@ With :math:`u`, :math:`\tilde\nu` and the estimates linear in :math:`\hat x` thi
     \qquad \nu = \frac{\sqrt s}{2\alpha},
 
 which is what is simulated. The phase u is the filtered estimate, the smoothed one, or
-:math:`\tilde\nu/2\alpha\gamma`, with which the copy's output is zero. It is the loop of any
-nonlinear system (`robsmooth.estimators.loop`) with the reference :math:`2\alpha\gamma u`, and
-written with sines: :math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) - (\beta/\gamma)v`, of which the
-second part is linear.
+:math:`\tilde\nu/2\alpha\gamma`, with which the copy's output is zero. It is the loop of
+`robsmooth.estimators.loop` with the reference :math:`2\alpha\gamma u`, written with sines:
+:math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) - (\beta/\gamma)v`.
 """
 
 import math
@@ -110,11 +109,9 @@ class Loop:
         return 2 * np.eye(1 + self.order) - inverse, inverse
 
     def equivalent_slopes(self) -> tuple[float, float]:
-        r"""Return the slopes of statistical linearisation, each :math:`e^{-\sigma^2/2}`.
+        """Return the slopes of statistical linearisation, iterated from slopes of one.
 
-        They belong to the stationary variances :math:`\sigma^2` of the sines' arguments in the
-        loop that they make linear: a fixed point, iterated from slopes of one. An UnstableLoopError
-        says that there is none, because the loop loses lock.
+        An UnstableLoopError says that there are none, because the loop loses lock.
         """
         S, inverse = self.error_coordinates()
         rows = self.arguments @ S

@@ -361,8 +361,7 @@ def whitened(loop: Loop) -> WhitenedLoop:
 def _white_coordinates(loop: Loop, slopes: Matrix) -> tuple[Matrix, Matrix, float]:
     """Return S with P = S S', a left inverse, and how far from I the covariance is behind it.
 
-    What does not move has no coordinate. A triangular factor, unlike one of eigenvectors, does not
-    mix coordinates of different rates.
+    What does not move has no coordinate. A triangular factor does not mix different rates.
     """
     from_error, to_error = loop.error_coordinates()
     root = loop.stationary_root(slopes, from_error, to_error)

@@ -6,10 +6,9 @@ r"""The example of Section IV: adaptive homodyne estimation of a varying optical
     I\,dt = 2\alpha\sin(\phi - \hat\phi)\,dt + dW,
 
 with the phase of the local oscillator at :math:`\hat\phi + \pi/2`. With :math:`e = \phi-\hat\phi`
-and :math:`\sin e = \beta e + f(e)`, the measurement is
-:math:`\bar y = (I + 2\alpha\beta\hat\phi)/2\alpha\beta`, which is linear in :math:`\phi` but for
-:math:`f(e)/\beta`, with :math:`|f(e)| \le \gamma|e|` as long as the loop stays in the sector. As f
-is of the error, the filtered estimate is its *reference* (`robsmooth.Nonlinearity`).
+and :math:`\sin e = \beta e + f(e)`, the measurement
+:math:`\bar y = (I + 2\alpha\beta\hat\phi)/2\alpha\beta` is linear in :math:`\phi` but for
+:math:`f(e)/\beta`, with :math:`|f(e)| \le \gamma|e|` as long as the loop stays in the sector.
 """
 
 import math

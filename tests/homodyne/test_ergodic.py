@@ -19,7 +19,7 @@ from robsmooth import homodyne, statistical_linearisation
 from robsmooth._support.errors import LongStepWarning
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
-from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run, splitting
+from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run
 from robsmooth.homodyne.montecarlo.euler import CHUNK
 from robsmooth.homodyne.montecarlo.noise import BLOCK, SLIP, TURN
 from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK, time_average
@@ -151,7 +151,7 @@ def plain_splitting(loop, given, draws):
 def test_kernel_agrees_with_the_scheme_as_it_is_written(estimator, options):
     given = simulation(estimator, options=options, duration=6e-6, step=1.55e-7, seed=3)
     loop = homodyne_loop(PARAMETERS, estimator, **options)
-    m = splitting.draws(loop.order)
+    m = given.coefficients.root.shape[1]
     draws = gaussians(3, BLOCK, (2 + given.schedule.steps) * m // 2)
     expected = plain_splitting(loop, given, draws)
     assert_allclose(given.simulate(1, 1)[0], expected, rtol=1e-7, atol=1e-12)

@@ -124,13 +124,11 @@ def test_euler_scheme_is_refused_from_where_it_is_unstable(order):
 def test_an_undamped_mode_and_an_unstable_one_set_no_limit_to_the_step():
     still = replace(
         homodyne_loop(PAPER, FILTER),
-        phase_decay=0.0,
-        drift=np.zeros((1, 1)),
-        sine_gain=np.zeros(1),
-        copy_gain=np.zeros(1),
+        drift=np.zeros((2, 2)),
+        gains=np.zeros((2, 2)),
     )
     assert longest_stable_step(still) == still.response_time() == np.inf
-    assert longest_stable_step(replace(still, drift=np.ones((1, 1)))) == np.inf
+    assert longest_stable_step(replace(still, drift=np.diag([0.0, 1.0]))) == np.inf
     assert PROTOCOLS["paper"].default_step(still, 1e-3) == 1e-8
 
 

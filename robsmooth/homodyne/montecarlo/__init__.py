@@ -13,7 +13,6 @@ protocol and step         filtered  smoothed    taken
 "ergodic", 1/5 (default)  +0.003%   +0.005%     in silence
 "ergodic", 1/4            +0.004%   +0.007%     in silence
 "ergodic", 1              +0.08%    +0.2%       with a warning
-"ergodic", 4.6            +2.7%     less        with a warning
 "ergodic", 10             +16%      less        with a warning
 ========================  ========  ==========  ==============
 

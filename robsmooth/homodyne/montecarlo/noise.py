@@ -14,10 +14,9 @@ where the top bit of :math:`b` is the sign and the other bits give :math:`\theta
 
 The paths of a *block* are simulated side by side: a flat array has rows of `BLOCK` numbers, one for
 each path, and the compiler turns the loops over paths into vector instructions. Logarithm, sine and
-cosine are our own polynomials, because calls to the mathematical library would not be. They are the
-minimax polynomials of their degree, and they use only integer operations, explicit fused
-multiply-adds, products and square roots: a result is the same to the last bit on every machine with
-such instructions.
+cosine are minimax polynomials, because calls to the mathematical library would not be. They use
+integer operations, explicit fused multiply-adds, products and square roots: a result is the same to
+the last bit on every machine with such instructions.
 
 References
 ----------
@@ -82,8 +81,7 @@ SINE_FLOAT64 = (
 def slip(away):
     """By how many turns a path has slipped, from how far it is from where it was locked: 0 or +-1.
 
-    A loop is locked where its phase is near the local oscillator's, up to whole turns. The quarter
-    turn beyond the middle keeps a single passage from being counted more than once.
+    The quarter turn beyond the middle keeps a single passage from being counted more than once.
     """
     return (1.0 if away > SLIP else 0.0) - (1.0 if away < -SLIP else 0.0)
 

@@ -1,9 +1,4 @@
-"""The two protocols: what is simulated, and what is made of it.
-
-The *paper* protocol is the published simulation: Euler-Maruyama from zero, squared errors at the
-end of each path. The *ergodic* one starts in the stationary state of the linearised loop, lets the
-loop forget the difference, and averages along each path; its scheme is of second order, and the
-linearised loop on the same noise, of which all is known, takes out most of the chance.
+"""The two protocols of `monte_carlo`: what is simulated, and what is made of it.
 
 A block of `BLOCK` paths always has the same result: blocks may be computed anywhere and in any
 order, as long as they are merged in the order of their index.
@@ -103,7 +98,6 @@ class Simulation:
     readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase
     coefficients: euler.Coefficients | splitting.Coefficients
     schedule: tuple[int, ...]  # as the kernel takes it
-
     protocol: ClassVar[str]
     scheme: ClassVar[str]
     kernel: ClassVar[ModuleType]
@@ -172,7 +166,7 @@ class PaperSimulation(Simulation):
     @classmethod
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
         """Fill in the published numbers."""
-        duration = _at_least_the_delay(duration or PAPER_DURATION, loop)
+        duration = duration or max(PAPER_DURATION, loop.delay)
         default = cls.default_step(loop, duration)
         step = step or default
         delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
@@ -223,8 +217,7 @@ class ErgodicSimulation(Simulation):
                 "the ergodic protocol needs a stationary state, and the linearised estimator is "
                 f"not stable in the loop: its slowest mode has the decay rate {slowest:.3g} 1/s"
             )
-        default = max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
-        duration = _at_least_the_delay(duration or default, loop)
+        duration = duration or max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
         step = step or cls.default_step(loop, duration)
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
         stride = int(STEP_OF_TIME_CONSTANT * loop.response_time() / step + MULTIPLE_TOLERANCE)
@@ -251,11 +244,9 @@ class ErgodicSimulation(Simulation):
     @cached_property
     @one_thread
     def weights(self) -> Matrix:
-        """Weights of the three controls for the two errors, from a pilot of other paths.
+        """Weights of the three controls for the two errors, from a pilot of other paths in lock.
 
-        Of a path that has slipped the errors have nothing to do with the control's any more; where
-        hardly any has not, the weights are zero. Other machines are sent the weights of this one:
-        their BLAS has other last bits.
+        Other machines are sent the weights of this one: their BLAS has other last bits.
         """
         outputs = self.simulate(PILOT_BLOCK, 1)[0]
         in_lock = outputs[:, outputs[splitting.SLIPS] == 0]
@@ -276,13 +267,6 @@ class ErgodicSimulation(Simulation):
 PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper": PaperSimulation}
 
 
-def _at_least_the_delay(duration: float, loop: Loop) -> float:
-    if duration < loop.delay:
-        delay = f"the smoother's delay, {loop.delay:g} s"
-        raise ValueError(f"duration must be at least {delay}, got {duration:g}")
-    return duration
-
-
 @one_thread
 def plan(
     loop: Loop,
@@ -298,6 +282,9 @@ def plan(
     runs = kind.default_runs if runs is None else validation.integer("runs", runs, low=1)
     if duration is not None:
         duration = validation.positive("duration", duration)
+        if duration < loop.delay:
+            delay = f"the smoother's delay, {loop.delay:g} s"
+            raise ValueError(f"duration must be at least {delay}, got {duration:g}")
     if step is not None:
         step = validation.positive("step", step)
     seed = validation.integer("seed", seed, low=0)

@@ -7,7 +7,6 @@ Groups depend on nothing but the simulation, and so do the last bits of the resu
 import hashlib
 import math
 import os
-import platform
 import time
 import warnings
 from dataclasses import dataclass, field
@@ -176,13 +175,11 @@ def monte_carlo(
 
     Parameters
     ----------
-    parameters : HomodyneParameters
-        The optical loop; any object with the numbers ``lam``, ``kappa``, ``alpha``, ``beta`` and
-        ``gamma`` will do.
+    parameters : HomodyneParameters, or any object with its five numbers
     smoother : RobustSmoother
-        The estimator; any object with ``A_c`` (n, n), ``B_c`` (n, 1 + g), ``C_c`` (1 + g, n),
-        ``C_a`` (1, n) and ``plant.delay`` in seconds will do, where g is 0 or 1. The filtered
-        estimate is ``C_f`` (1, n) times the state where there is one, else the first of ``C_c``.
+        Any object with ``A_c`` (n, n), ``B_c`` (n, 1 + g), ``C_c`` (1 + g, n), ``C_a`` (1, n) and
+        ``plant.delay`` in seconds will do, where g is 0 or 1; ``C_f`` (1, n) reads the filtered
+        estimate, or the first row of ``C_c`` where there is none.
     protocol : {"ergodic", "paper"}
         "paper" is the published simulation: Euler-Maruyama from zero, the squared errors at the end
         of each run. "ergodic" gives the stationary errors in far less time: it averages along each
@@ -201,20 +198,17 @@ def monte_carlo(
     client : distributed.Client, optional
         A Dask cluster to compute on, see `robsmooth.workbench.connect`. Default: this machine.
     checkpoint : path, optional
-        A file to which progress is saved every few seconds, and from which the same call resumes.
+        A file that is written every few seconds, from which the same call resumes.
     progress : bool, show a progress bar
     oscillator : {"filtered", "smoothed", "copy"}
         What the local oscillator's phase u follows: an estimate, or the argument of the copy,
         :math:`\tilde\nu/2\alpha\gamma`, so that the copy's output is zero.
-    copy : bool
-        Whether the estimator runs its copy of the nonlinearity; without, its input is zero.
+    copy : bool, run the estimator's copy of the nonlinearity; without, its input is zero
     nonlinearity : {"difference", "literal"}
         The nonlinearity is :math:`f(\varphi - u)`, as derived in Section IV-A, or
         :math:`f(\varphi)`, as the words of Section IV-E have it.
-    shot_noise : float
-        Power of the photocurrent's noise, :math:`s` in :math:`\sqrt s\,dW`.
-    threads : int, optional
-        Of this machine. Default: as numba is set.
+    shot_noise : float, power of the photocurrent's noise, :math:`s` in :math:`\sqrt s\,dW`
+    threads : int, optional, of this machine; default: as numba is set
 
     Returns
     -------
@@ -258,8 +252,8 @@ def monte_carlo(
     simulation.check_step(loop, stacklevel=2)
     validation.boolean("progress", progress)
     _check_threads(threads, client)
+    options |= {"copy": bool(copy), "shot_noise": float(shot_noise)}
     inputs = {"parameters": numbers_of(parameters), "delay": loop.delay, **options}
-    inputs |= {"copy": bool(copy), "shot_noise": float(shot_noise)}
     inputs |= {"estimator_sha256": _estimator_digest(smoother), "scheme": simulation.scheme}
     names = ("protocol", "runs", "seed", "precision", "step", "warm_up", "duration")
     settings = {name: getattr(simulation, name) for name in names}
@@ -275,7 +269,6 @@ def monte_carlo(
             stacklevel=2,
         )
     filtered, smoothed = simulation.estimate(tally)
-    python, versions = platform.python_version(), {m.__name__: m.__version__ for m in (np, numba)}
     return MonteCarloResult(
         smoothed=smoothed,
         filtered=filtered,
@@ -286,7 +279,7 @@ def monte_carlo(
         path_steps=simulation.runs * simulation.steps,
         wall_time=time.perf_counter() - started,
         **settings,
-        provenance={**inputs, "generator": GENERATOR, "versions": {"python": python, **versions}},
+        provenance={**inputs, "generator": GENERATOR, "versions": identity["software"]},
     )
 
 
@@ -314,12 +307,9 @@ def _estimator_digest(smoother) -> str:
 def _tally(
     simulation: Simulation, journal: Journal | None, client, progress: bool, parameters: dict
 ) -> Tally:
-    """Simulate the blocks that the journal does not have, wherever, and merge them in order.
-
-    A call is for some blocks, (the first, how many), of whole groups.
-    """
+    """Simulate the blocks that the journal does not have, wherever, and merge them in order."""
     tally, first = Tally(simulation.variables), 0
-    if journal is not None and journal.last is not None:
+    if journal and journal.last:
         tally, first = Tally.from_state(journal.last["tally"]), journal.last["blocks"]
     if first < simulation.blocks:
         _ = simulation.weights  # computed here, for all machines
@@ -331,7 +321,7 @@ def _tally(
         groups = simulation.blocks // (group * CALLS_OF_A_THREAD * cluster.workers(client))
         groups = min(max(groups, 1), GROUPS_OF_A_CALL)
     size, end = groups * group, simulation.blocks
-    calls = ((start, min(size, end - start)) for start in range(first, end, size))
+    calls = ((start, min(size, end - start)) for start in range(first, end, size))  # first, count
     saved = time.perf_counter()
     # what was done before counts for the progress, but not for the rate
     extent = {"total": simulation.runs, "initial": tally.all.count, "unit": "path"}
@@ -342,7 +332,7 @@ def _tally(
             first = min(first + size, end)
             bar.update(tally.all.count - bar.n)
             due = time.perf_counter() - saved > CHECKPOINT_EVERY or first == end
-            if journal is not None and due:
+            if journal and due:
                 journal.append({"blocks": first, "tally": tally.state()})
                 saved = time.perf_counter()
     return tally

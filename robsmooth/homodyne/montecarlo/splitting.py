@@ -23,10 +23,9 @@ A path that has slipped is linearised about the point at which it is locked now:
 of :math:`2\pi` nearest to e, the kick has :math:`e - T` in place of :math:`\rho_s e`'s e, and
 :math:`-\rho_sT\int_0^h e^{As}\,ds\,b_s` is added to the exact step.
 
-The same noise drives the linear loop :math:`y \leftarrow \Phi y + \eta` from its stationary law. It
-is the control variate: its moments are known exactly, and the loop differs from it by little. The
-state of a block is :math:`\varphi`, the estimator's part of y, and :math:`d = \hat x - y`, which
-starts at zero and has no noise of its own.
+The same noise drives the linear loop :math:`y \leftarrow \Phi y + \eta` from its stationary law:
+the control variate, whose moments are known. The state of a block is :math:`\varphi`, the
+estimator's part of y, and :math:`d = \hat x - y`, which starts at zero and has no noise of its own.
 """
 
 from collections import namedtuple
@@ -97,17 +96,13 @@ def rows_of(n):
     return Rows(0, b, (1 + n) * b, kick, kick + b, kick + 2 * b, *last)
 
 
-def draws(n: int) -> int:
-    """Return m: Gaussians a step, one for each state, in pairs."""
-    return DRAWS * -(-(1 + n) // DRAWS)
-
-
 def coefficients_of(loop: Loop, step: float, slopes: tuple[float, float]) -> Coefficients:
     """Return the coefficients of a step, in s, the control with these slopes."""
     drift = loop.linearised_drift(*slopes)
     transition, push, _ = responses(drift, -slopes[0] * loop.gains[:, :1], step)
     noise = noise_root(drift, loop.noise, step)
-    root = np.zeros((1 + loop.order, draws(loop.order)))
+    pairs = -(-(1 + loop.order) // DRAWS)  # a Gaussian for each state
+    root = np.zeros((1 + loop.order, pairs * DRAWS))
     # Not the triangular root itself: with that, a seed would have other paths.
     root[:, : 1 + loop.order] = square_root(noise @ noise.T)
     gains, arguments = step * loop.gains[1:].T, loop.arguments[:, 1:] * [[-1], [1]]
@@ -126,10 +121,7 @@ def coefficients_of(loop: Loop, step: float, slopes: tuple[float, float]) -> Coe
 
 
 def control_slopes(loop: Loop) -> tuple[float, float]:
-    """Slopes of the sines in the control: those of statistical linearisation, where it has any.
-
-    The control's means are exact for any slopes. These make it the nearest to the loop.
-    """
+    """Slopes of the sines in the control, whose means are exact for any: the equivalent ones."""
     try:
         return loop.equivalent_slopes()
     except UnstableLoopError:
@@ -220,10 +212,7 @@ def split_step(pair, copy, order, coefficients, gaussians, state):
 
 @njit
 def collect(pair, copy, order, coefficients, readout, state, result):
-    """Add the errors of a block and of its control after half a kick; note cycle slips.
-
-    The filtered error is taken against the phase, the smoothed one against the phase a delay ago.
-    """
+    """Add the errors of a block and of its control after half a kick; note cycle slips."""
     n = len(order)
     row, at = rows_of(n), indices(n, len(pair))
     for path in range(BLOCK):
