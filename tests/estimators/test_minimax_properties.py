@@ -53,6 +53,19 @@ def test_no_candidate_is_certified_lower(plant):
             assert least <= certified(design()) * (1.0 + 1e-6)
 
 
+@pytest.mark.parametrize("seed", [0, 12, 351])  # of few multipliers, nearly infeasible
+def test_what_the_design_certifies_is_certified_by_the_analysis_also_against_the_true_delay(seed):
+    rng = np.random.default_rng(1000 + seed)
+    rng.random()
+    n = int(rng.integers(1, 4))
+    system = random_system(rng, n, g=0, size=rng.uniform(0.02, 0.6))
+    smoother = rs.minimax_smoother(
+        rs.augment(system, rng.uniform(0.1, 1.0), int(rng.integers(0, 3)))
+    )
+    assert_allclose(certified(smoother), smoother.certified, rtol=1e-5)
+    assert np.isfinite(rs.judge(smoother).certified)
+
+
 @settings(max_examples=12)
 @given(plants(), seeds)
 def test_no_attack_is_above_what_is_certified(plant, seed):
