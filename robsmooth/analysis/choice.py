@@ -148,16 +148,17 @@ class Choice:
     def sentence(self) -> str:
         """What robustness buys, in one sentence."""
         kind = {"admissible": "certified worst", "constant": "worst constant"}[self.against]
-        names = (self.name, _CLASSICAL)
-        best, classical = (self.candidates[name].error(self.against) for name in names)
+        found = [self.candidates[name] for name in (self.name, _CLASSICAL)]
+        best, classical = (each.error(self.against) for each in found)
         if self.name == _CLASSICAL:
             return f"The classical smoother is as good, with a {kind} error of {best:.4g}: use it."
         if math.isinf(classical):
             return f"Use the {self.name} smoother: only designs for the uncertainty are safe here."
-        saved = 100.0 * (1.0 - best / classical)
-        digits = 2 if saved < 99.0 else 4
+        left, nominal = best / classical, found[0].judgement.nominal / found[1].judgement.nominal
+        what = "Robustness" if left < (1.0 - _WORTHWHILE) * nominal else "A closer fit to the delay"
+        digits = max(2, math.ceil(-math.log10(left)))  # so that no rest is rounded to none
         return (
-            f"Robustness buys {saved:.{digits}g}% here: the {kind} error falls from "
+            f"{what} buys {100.0 * (1.0 - left):.{digits}g}% here: the {kind} error falls from "
             f"{classical:.4g} (classical) to {best:.4g} ({self.name})."
         )
 
@@ -199,8 +200,8 @@ def best_smoother(
     Raises
     ------
     InfeasibleDesignError
-        Where no estimator has a finite error; it says with which fraction of the uncertainty one
-        has. Where the plant is not stable, or a measurement has no noise.
+        Where no estimator has a finite error; for the certified one it says which fraction of the
+        uncertainty has one. Where the plant is not stable, or a measurement has no noise.
     ValueError, TypeError
         For an argument that is not as described.
 

@@ -50,7 +50,7 @@ def uncertain_reference(size: float, noise: float) -> UncertainSystem:
 def uncertain_cancellation(size: float, noise: float) -> UncertainSystem:
     """A sensor sees a difference of two signals; how one drives the other is known to `size`."""
     drive = Uncertainty([[1.0], [0.0]], [[0.0, size]], [[0.0]])
-    A, B1 = [[0.0, -1.0], [1.0, -0.5]], [[-2.0, 0.0], [1.0, 0.0]]
+    A, B1 = [[0.0, -1.0], [1.0, -0.5]], np.array([[-2.0, 0.0], [1.0, 0.0]]) / math.sqrt(8.0)
     return UncertainSystem(A, B1, [[1.0, 0.0]], [[-1.0, 1.0]], [[0.0, noise]], [drive])
 
 

@@ -156,6 +156,11 @@ def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
         else:
             theta = _quasi_newton(problem, feasible, trial, iterations=_CONTINUATION_ITERATIONS)
             fraction = trial
+    if 0.0 < fraction < 1.0:  # where few theta have a bound, none may be near that for less
+        found = _by_programme(problem, theta, fraction)
+        with suppress(RiccatiError):
+            problem.at(found)
+            return 1.0, found
     return fraction, theta
 
 
@@ -184,14 +189,16 @@ def least_certificate(problem: ConstraintProblem, theta: np.ndarray) -> np.ndarr
     return min((theta, _by_programme(problem, theta)), key=lambda t: problem.at(t).mean_square)
 
 
-def _by_programme(problem: ConstraintProblem, theta: np.ndarray) -> np.ndarray:
-    """Return the best theta by the matrix inequality of the Riccati equation, from a feasible one.
+def _by_programme(
+    problem: ConstraintProblem, theta: np.ndarray, fraction: float = 1.0
+) -> np.ndarray:
+    """Return the best theta by the matrix inequality of the Riccati equation, or the given one.
 
-    P is in the unit of the error, and theta relative to the given one.
+    P is in the unit of the error, and theta relative to the given one, feasible for a fraction.
     """
     import cvxpy as cp
 
-    unit, A, B, C = problem.at(theta).mean_square, problem.A, problem.B, problem.C
+    unit, A, B, C = problem.at(theta, fraction).mean_square, problem.A, problem.B, problem.C
     root = np.linalg.inv(np.linalg.cholesky(np.tensordot(theta, problem.M, axes=1)))
     inputs = np.sqrt(unit) * problem.inputs @ root.T
     N = [t / unit * N_i for t, N_i in zip(theta, problem.N, strict=True)]

@@ -11,6 +11,7 @@ from scipy.optimize import OptimizeResult
 
 import robsmooth as rs
 from robsmooth.estimators import tuned
+from tests.helpers.certificates import certified
 from tests.helpers.strategies import random_system, seeds
 from tests.helpers.systems import (
     DRIVE,
@@ -30,19 +31,6 @@ tuned_fixed_lag_smoother = rs.baselines.tuned_fixed_lag_smoother
 
 def worst(estimator, output="smoothed"):
     return rs.worst_case(estimator, output, loop="real").mean_square
-
-
-def certified(estimator, output="smoothed"):
-    """What is certified against the delay model's output, or of the filtered estimate."""
-    plant, m = estimator.plant, estimator.plant.system.m
-    C = estimator.C_a if output == "smoothed" else estimator.C_f
-    C_c = np.vstack([C, estimator.C_c[m:]])
-    parts = {name: getattr(estimator, name) for name in ("A_c", "B_c", "C_a", "C_f")}
-    asked = rs.MinimaxSmoother(
-        plant=plant, C_c=C_c, certified=np.nan, multipliers=np.zeros(0), cost=output,
-        route="none", **parts,
-    )  # fmt: skip
-    return rs.analysis_bound(asked, "guaranteed", loop="real").mean_square
 
 
 ERRORS = {"constant": worst, "admissible": certified}
