@@ -239,7 +239,8 @@ def best_smoother(
     errors = {name: each.error(against) for name, each in candidates.items()}
     best = min(errors, key=errors.__getitem__)
     if math.isinf(errors[best]):
-        raise failures["minimax" if against == "admissible" else "constant minimax"]
+        none = InfeasibleDesignError("A finite error", "no candidate has one")
+        raise failures.get("minimax" if against == "admissible" else "constant minimax", none)
     if errors[_CLASSICAL] <= (1.0 + _WORTHWHILE) * errors[best]:
         best = _CLASSICAL
     return Choice(candidates[best].estimator, best, candidates, against, output)
