@@ -24,6 +24,7 @@ from scipy.linalg import LinAlgError, null_space, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
+from robsmooth._support.extras import convex_modelling
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
 from robsmooth.estimators.estimator import Estimator
@@ -196,7 +197,7 @@ def _by_programme(
 
     P is in the unit of the error, and theta relative to the given one, feasible for a fraction.
     """
-    import cvxpy as cp
+    cp = convex_modelling()
 
     unit, A, B, C = problem.at(theta, fraction).mean_square, problem.A, problem.B, problem.C
     root = np.linalg.inv(np.linalg.cholesky(np.tensordot(theta, problem.M, axes=1)))

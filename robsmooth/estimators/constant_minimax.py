@@ -23,7 +23,7 @@ from robsmooth.estimators.constant import mean_square, slopes, worst_delta
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import open_loop
-from robsmooth.estimators.minimax import minimax_smoother
+from robsmooth.estimators.minimax import is_convex, minimax_smoother
 from robsmooth.estimators.tuned import tuned_fixed_lag_smoother
 from robsmooth.estimators.units import Natural, in_plant_states
 from robsmooth.systems.augmented import AugmentedSystem
@@ -140,7 +140,8 @@ def _candidates(plant: AugmentedSystem) -> list[Estimator]:
     found = [fixed_lag_smoother(plant.system, plant.delay, plant.order, kind) for kind in kinds]
     found.append(tuned_fixed_lag_smoother(plant))
     with suppress(InfeasibleDesignError):
-        found.append(minimax_smoother(plant))
+        if is_convex(plant):  # else it takes a descent itself
+            found.append(minimax_smoother(plant))
     return found
 
 

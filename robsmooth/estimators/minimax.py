@@ -143,7 +143,7 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     """
     natural = Natural.of(plant, output)
     route, found = ROUTES[0], None
-    if natural.plant.n <= LARGEST and copies_are_known(natural.plant):
+    if is_convex(natural.plant):
         with suppress(NoSolution, RiccatiError, LinAlgError):
             estimator, theta = least_certified(natural.plant, natural.plant.C_a)
             positive = theta > 0.0
@@ -159,6 +159,11 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
         cost=output,
         route=route,
     )
+
+
+def is_convex(plant: AugmentedSystem) -> bool:
+    """Return whether the design is made by the semidefinite programme."""
+    return plant.n <= LARGEST and copies_are_known(plant)
 
 
 def certified_error(smoother: MinimaxSmoother) -> float:
