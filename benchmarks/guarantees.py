@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 import robsmooth as rs
-from robsmooth.estimators.certificate import largest_fraction, least_certificate, problem_of
+from robsmooth.estimators.certificate import certify, problem_of
 from robsmooth.paper.published import DELAY, ORDER
 
 LONGEST = 1.0  # s, for a design
@@ -56,9 +56,7 @@ def guarantees(repeats: int = 5) -> list[dict]:
 
 def _certified(estimator: rs.Estimator) -> float:
     """Return the certified error against the output of the delay model."""
-    problem = problem_of(estimator)
-    _, theta = largest_fraction(problem)
-    return problem.at(least_certificate(problem, theta)).mean_square
+    return certify(problem_of(estimator))[0]
 
 
 def _median(

@@ -87,6 +87,12 @@ def check_certainty(what: str, P: Matrix, error: Matrix) -> None:
         raise ArithmeticError(f"{what} is lost in rounding: {found}")
 
 
+def deviations(P: Matrix) -> Matrix:
+    """Return the states' standard deviations as units: one for a state that does not move."""
+    variances = np.diag(P)
+    return np.sqrt(np.where(variances > 0.0, variances, 1.0))
+
+
 def square_root(P: Matrix) -> Matrix:
     """Return an L with P = L L', of an (n, n) covariance; no digit depends on its units."""
     units = np.sqrt(np.maximum(P.diagonal(), 0.0))

@@ -18,7 +18,7 @@ from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.constant_minimax import constant_minimax_smoother
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.minimax import minimax_smoother
-from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.augmented import AugmentedSystem, check_is_plant
 
 _ERRORS = {"admissible": "certified", "constant": "worst_constant"}
 _WORTHWHILE = 0.01  # of the classical smoother's error: a design that gains less is not chosen
@@ -221,9 +221,7 @@ def best_smoother(
     >>> print(rs.best_smoother(rs.augment(system, delay=0.2, order=4)).sentence)
     The classical smoother is as good, with a certified worst error of 0.05974: use it.
     """
-    validation.instance(
-        "plant", plant, AugmentedSystem, "; augment(system, delay, order) makes one"
-    )
+    check_is_plant(plant)
     validation.choice("against", against, tuple(_ERRORS))
     validation.choice("output", output, COSTS)
     validation.boolean("progress", progress)

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
-from robsmooth.analysis.choice import judge
+from robsmooth.analysis.constraints import analysis_bound
 from robsmooth.estimators.baselines import fixed_lag_smoother
+from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.minimax import minimax_smoother
 from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import Uncertainty
@@ -70,8 +71,12 @@ def robustness_map(
     for i, j in progress_bar(list(np.ndindex(ratios.shape)), unit="system", shown=progress):
         system = family(sizes[j], noises[i])
         try:
-            robust = judge(minimax_smoother(augment(system, LAG, ORDER))).certified
+            robust = _certified(minimax_smoother(augment(system, LAG, ORDER)))
         except InfeasibleDesignError:
             continue
-        ratios[i, j] = judge(fixed_lag_smoother(system, LAG, ORDER)).certified / robust
+        ratios[i, j] = _certified(fixed_lag_smoother(system, LAG, ORDER)) / robust
     return ratios
+
+
+def _certified(estimator: Estimator) -> float:
+    return analysis_bound(estimator, "smoothed", loop="real").mean_square

@@ -12,11 +12,13 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.bound import minimize_bound
+from robsmooth.estimators.constant import cut_at_one
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.kalman import kalman_gain, with_copies
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.estimators.tuned import tuned_fixed_lag_smoother as tuned_fixed_lag_smoother
 from robsmooth.systems.augmented import augment
+from robsmooth.systems.channels import with_feedback
 from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import UncertainSystem
 
@@ -244,9 +246,7 @@ def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
     def gain(entries: np.ndarray) -> float:
         A, C2, ends = system.A, system.C2, np.cumsum(sizes)[:-1]
         for (c, size), part, shape in zip(channels, np.split(entries, ends), shapes, strict=True):
-            U, scales, V = np.linalg.svd(part.reshape(shape), full_matrices=False)
-            argument = size * (U * np.minimum(scales, 1.0)) @ V @ c.C
-            A, C2 = A + c.B @ argument, C2 + c.D @ argument
+            A, C2 = with_feedback(A, C2, c, size * cut_at_one(part.reshape(shape)) @ c.C)
         known = replace(system, A=A, C2=C2)
         return -math.log(np.trace(optimal_fixed_lag_error(known, delay)))
 

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, schur
 
-from robsmooth._numerics.lyapunov import covariances
+from robsmooth._numerics.lyapunov import covariances, deviations
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.conditions import ASSUMPTION_X, ASSUMPTION_Y, check_nonnegative, refusal
 from robsmooth.estimators.equations import DesignEquations
 from robsmooth.estimators.problem import DesignProblem
-from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.delay import pade_delay
+from robsmooth.systems.augmented import AugmentedSystem, undelayed
 
 _STABILITY_MARGIN = 1e-10  # of a Riccati equation's closed loop, relative to its Hamiltonian's norm
 
@@ -36,12 +35,10 @@ class BoundFunction:
     def of(cls, plant: AugmentedSystem, cost: str, positive: np.ndarray) -> "BoundFunction":
         """Return the function where the multipliers that `positive` marks are not zero."""
         if cost == "filtered":  # which does not see the delay model
-            system = plant.system
-            plant = AugmentedSystem(system, pade_delay(0.0, 0, system.m), plant.J_21)
+            plant = undelayed(plant)
         # each state's deviation, where white noise of order one drives all channels
         inputs = np.hstack([plant.B_p1, plant.B1_tilde])
-        variances = np.diag(covariances(plant.A_p, inputs).stationary)
-        x = np.sqrt(np.where(variances > 0.0, variances, 1.0))[:, None]
+        x = deviations(covariances(plant.A_p, inputs).stationary)[:, None]
         y = np.linalg.norm(plant.system.D21, axis=1)[:, None]
         time = 1.0 / np.linalg.norm(plant.A_p / x * x.T, 2)
         return cls(DesignProblem.of(plant, cost, positive).in_units(time, x, y), time)

@@ -165,6 +165,15 @@ def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
     return fraction, theta
 
 
+def certify(problem: ConstraintProblem) -> tuple[float, float, np.ndarray]:
+    """Return the least bound, the largest fraction, and theta; without a bound it is infinite."""
+    fraction, theta = largest_fraction(problem)
+    if fraction < 1.0:
+        return math.inf, fraction, theta
+    theta = least_certificate(problem, theta)
+    return problem.at(theta).mean_square, fraction, theta
+
+
 def _feasible_multiple(
     problem: ConstraintProblem, theta: np.ndarray, fraction: float
 ) -> np.ndarray | None:

@@ -7,7 +7,7 @@ import numpy as np
 from robsmooth._numerics.riccati import RiccatiError, RiccatiSolution
 from robsmooth._support import validation
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.systems.augmented import AugmentedSystem, check_noise
+from robsmooth.systems.augmented import AugmentedSystem, check_is_plant, check_noise
 
 COSTS = ("filtered", "smoothed")
 ASSUMPTION_Y = "Assumption 3.1 (Riccati equation for Y)"
@@ -23,8 +23,7 @@ _EQUALITY_SLACK = 1e-9  # of inequalities that hold with equality at an optimum
 
 def check_plant(plant: AugmentedSystem, cost: str) -> None:
     """Check what a design is for, and Assumptions 1 and 2."""
-    hint = "; augment(system, delay, order) makes one"
-    validation.instance("plant", plant, AugmentedSystem, hint)
+    check_is_plant(plant)
     validation.choice("cost", cost, COSTS)
     _ = plant.J  # exists by Assumption 1
     check_noise("Assumption 2", plant.D21_bar)

@@ -13,7 +13,8 @@ from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
 
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
-from robsmooth.estimators.loop import OpenLoop, is_stable
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import OpenLoop, is_stable, open_loop
 
 _ITERATIONS = 200
 _LONGEST_STEP, _SHORTEST_STEP = 1e3, 1e-9  # relative to the unit ball
@@ -60,6 +61,17 @@ def worst_delta(loop: OpenLoop, starts: int, seed: int) -> tuple[float, Matrix]:
     return largest, loop.assemble(worst)
 
 
+def worst_constant(estimator: Estimator, starts: int) -> tuple[float, Matrix]:
+    """Return the same for the smoothed error of an estimator in a real loop."""
+    return worst_delta(open_loop(estimator, "smoothed", "real"), starts, seed=0)
+
+
+def cut_at_one(block: Matrix) -> Matrix:
+    """Return the block of norm at most one that is next to this one: singular values are cut."""
+    U, scales, V = np.linalg.svd(block, full_matrices=False)
+    return U * np.minimum(scales, 1.0) @ V
+
+
 def _moments(loop: OpenLoop, Delta: Matrix) -> tuple[float, Matrix, Matrix, Matrix, Matrix]:
     """Return the error, A, the covariance of X, what X becomes in a delay, and the estimate's."""
     A = loop.A + loop.inputs @ Delta @ loop.outputs
@@ -96,7 +108,10 @@ def _ascent(loop: OpenLoop, blocks: list[Matrix]) -> tuple[float, list[Matrix]]:
             drift = slopes(loop, loop.assemble(blocks))[1].A
             gradients = loop.in_blocks(loop.inputs.T @ drift @ loop.outputs.T)
         pairs = zip(blocks, gradients, strict=True)
-        trial = [_projected(block, step, gradient) for block, gradient in pairs]
+        trial = [
+            cut_at_one(block + step * gradient / (np.linalg.norm(gradient) or 1.0))
+            for block, gradient in pairs
+        ]
         found = mean_square(loop, loop.assemble(trial))
         moved = found >= (1.0 - _CHANGE) * value
         if not moved:
@@ -105,10 +120,3 @@ def _ascent(loop: OpenLoop, blocks: list[Matrix]) -> tuple[float, list[Matrix]]:
         without_gain = 0 if found > (1.0 + _CHANGE) * value else without_gain + 1
         value, blocks, step = found, trial, min(3.0 * step, _LONGEST_STEP)
     return value, blocks
-
-
-def _projected(block: Matrix, step: float, gradient: Matrix) -> Matrix:
-    """Step along the gradient, and cut singular values at one."""
-    size = np.linalg.norm(gradient) or 1.0
-    U, scales, V = np.linalg.svd(block + step * gradient / size, full_matrices=False)
-    return U * np.minimum(scales, 1.0) @ V

@@ -10,6 +10,7 @@ made smooth as :math:`\tfrac1s\log\tfrac1N\sum_i J_i^s`, with a sharpness s that
 import math
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,8 @@ from numpy.typing import NDArray
 from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth._support.validation import frozen
 from robsmooth.estimators.baselines import fixed_lag_smoother
-from robsmooth.estimators.constant import mean_square, slopes, worst_delta
+from robsmooth.estimators.constant import mean_square, slopes, worst_constant
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import open_loop
@@ -60,15 +60,8 @@ class ConstantMinimaxSmoother(Estimator):
     Deltas: NDArray[np.float64]
     cost: str
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        frozen(self.Deltas)
-
     def __repr__(self) -> str:
-        return (
-            f"ConstantMinimaxSmoother(worst_constant={self.worst_constant:.5g}, "
-            f"cost={self.cost!r}, delay={self.plant.delay:g} s, order={self.plant.order})"
-        )
+        return self._summary(f"worst_constant={self.worst_constant:.5g}")
 
     def _repr_html_(self) -> str:
         rows = [(f"worst constant {self.cost} error, (unit of $w$)²", self.worst_constant)]
@@ -115,14 +108,15 @@ def constant_minimax_smoother(
     0.0837
     """
     natural = Natural.of(plant, output)
-    start = min(_candidates(natural.plant), key=lambda candidate: _worst(candidate)[0])
-    if math.isinf(_worst(start)[0]):
+    found = [(*worst_constant(each, _STARTS), each) for each in _candidates(natural.plant)]
+    start = min(found, key=itemgetter(0))
+    if math.isinf(start[0]):
         raise InfeasibleDesignError(
             "A finite error under constant uncertainty",
             "some constant uncertainty destabilises the plant, so that its error has no limit; "
             "less uncertainty (smaller outputs C or Lipschitz constants) may help",
         )
-    value, estimator, Deltas = _designed(start)
+    value, estimator, Deltas = _designed(*start)
     return ConstantMinimaxSmoother(
         **natural.restored(in_plant_states(estimator)),
         worst_constant=natural.units.w**2 * value,
@@ -136,7 +130,7 @@ def _candidates(plant: AugmentedSystem) -> list[Estimator]:
 
     The first runs no copies, so that its error has a limit wherever the plant is stable.
     """
-    kinds = {False: None, plant.system.g > 0: None}
+    kinds = sorted({False, plant.system.g > 0})
     found = [fixed_lag_smoother(plant.system, plant.delay, plant.order, kind) for kind in kinds]
     found.append(tuned_fixed_lag_smoother(plant))
     with suppress(InfeasibleDesignError):
@@ -145,20 +139,17 @@ def _candidates(plant: AugmentedSystem) -> list[Estimator]:
     return found
 
 
-def _worst(estimator: Estimator) -> tuple[float, np.ndarray]:
-    return worst_delta(open_loop(estimator, "smoothed", "real"), _STARTS, seed=0)
-
-
-def _designed(estimator: Estimator) -> tuple[float, Estimator, np.ndarray]:
+def _designed(
+    value: float, Delta: np.ndarray, estimator: Estimator
+) -> tuple[float, Estimator, np.ndarray]:
     """Return the least largest error from a start, the estimator and the set of Delta."""
-    value, Delta = _worst(estimator)
     Deltas, best = [np.zeros_like(Delta), Delta], (value, estimator)
     for _ in range(_ROUNDS):
         for sharpness in _SHARPNESS:
             estimator = _descended(estimator, Deltas, sharpness)
         loop = open_loop(estimator, "smoothed", "real")
         inner = max(mean_square(loop, each) for each in Deltas)
-        value, Delta = _worst(estimator)
+        value, Delta = worst_constant(estimator, _STARTS)
         if value < best[0]:
             best = value, estimator
         if value <= (1.0 + _CLOSED) * inner:

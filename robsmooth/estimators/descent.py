@@ -97,15 +97,7 @@ def balanced(estimator: Estimator) -> Estimator:
     covariance = solve_continuous_lyapunov(A, -B @ B.T)[estimator.plant.n :, estimator.plant.n :]
     sizes, directions = np.linalg.eigh(covariance)
     sizes = np.sqrt(np.maximum(sizes, 1e-14 * sizes.max()))
-    to, back = directions * sizes, (directions / sizes).T
-    return replace(
-        estimator,
-        A_c=back @ estimator.A_c @ to,
-        B_c=back @ estimator.B_c,
-        C_c=estimator.C_c @ to,
-        C_a=estimator.C_a @ to,
-        C_f=estimator.C_f @ to,
-    )
+    return estimator.in_coordinates((directions / sizes).T, directions * sizes)
 
 
 Objective = Callable[[Estimator, np.ndarray], tuple[float, np.ndarray]]

@@ -10,8 +10,8 @@ filter is the case where the copies' gains are zero.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -64,8 +64,9 @@ class Estimator:
     cost: str | None = None
 
     def __post_init__(self) -> None:
-        for value in (self.A_c, self.B_c, self.C_c, self.C_a, self.C_f):
-            frozen(value)
+        for value in vars(self).values():  # also of those with more to them
+            if isinstance(value, np.ndarray):
+                frozen(value)
 
     @property
     def mean_square_bound(self) -> float | None:
@@ -158,6 +159,18 @@ class Estimator:
         from robsmooth.estimators.discrete import DiscreteSmoother  # numba takes long to import
 
         return DiscreteSmoother(self, dt, functions)
+
+    def in_coordinates(self, to: Matrix, back: Matrix) -> Self:
+        """Return the same estimator with the states `to` times x_hat; `back` is the inverse."""
+        reads = {name: getattr(self, name) @ back for name in ("C_c", "C_a", "C_f")}
+        return replace(self, A_c=to @ self.A_c @ back, B_c=to @ self.B_c, **reads)
+
+    def _summary(self, error: str) -> str:
+        """Return a repr with the one error that a design is about."""
+        return (
+            f"{type(self).__name__}({error}, cost={self.cost!r}, delay={self.plant.delay:g} s, "
+            f"order={self.plant.order})"
+        )
 
     def __repr__(self) -> str:
         plant = self.plant

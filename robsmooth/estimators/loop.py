@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robsmooth._numerics.lyapunov import covariances
+from robsmooth._numerics.lyapunov import covariances, deviations
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
@@ -196,8 +196,7 @@ def scaled(loop: OpenLoop) -> tuple[OpenLoop, Matrix]:
     poles = np.linalg.eigvals(loop.A)
     if not is_stable(poles):
         return loop, np.ones(len(loop.A))
-    time, variances = 1.0 / np.abs(poles).max(), np.diag(covariances(loop.A, loop.B).stationary)
-    x = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    time, x = 1.0 / np.abs(poles).max(), deviations(covariances(loop.A, loop.B).stationary)
     natural = replace(
         loop,
         A=time * loop.A / x[:, None] * x,

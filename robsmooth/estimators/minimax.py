@@ -19,15 +19,9 @@ from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth._support.validation import frozen
 from robsmooth.estimators.baselines import fixed_lag_smoother, tuned_fixed_lag_smoother
 from robsmooth.estimators.bound import minimize_bound
-from robsmooth.estimators.certificate import (
-    ConstraintProblem,
-    largest_fraction,
-    least_certificate,
-    problem_of,
-)
+from robsmooth.estimators.certificate import ConstraintProblem, certify, problem_of
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
@@ -76,20 +70,13 @@ class MinimaxSmoother(Estimator):
     cost: str
     route: str
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        frozen(self.multipliers)
-
     @property
     def mean_square_bound(self) -> float:
         """The guarantee: `certified`, by the name that it has for a `RobustSmoother`."""
         return self.certified
 
     def __repr__(self) -> str:
-        return (
-            f"MinimaxSmoother(certified={self.certified:.5g}, cost={self.cost!r}, "
-            f"delay={self.plant.delay:g} s, order={self.plant.order})"
-        )
+        return self._summary(f"certified={self.certified:.5g}")
 
     def _repr_html_(self) -> str:
         rows = [
@@ -182,18 +169,15 @@ def _by_descent(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray, float]:
     InfeasibleDesignError
         Where no candidate has a guarantee for all of the uncertainty.
     """
-    fraction, best = 0.0, None
+    fraction, least, best = 0.0, math.inf, None
     for candidate in _candidates(plant):
         problem = problem_of(candidate)
-        reached, theta = largest_fraction(problem)
+        found, reached, theta = certify(problem)
         fraction = max(fraction, reached)
-        if reached == 1.0:
-            theta = least_certificate(problem, theta)
-            found = problem.at(theta).mean_square
-            if best is None or found < best[0]:
-                multipliers = problem.all_multipliers(theta)
-                multipliers[problem.forbidding] = theta.max(initial=1.0)
-                best = found, candidate, multipliers
+        if found < least:
+            multipliers = problem.all_multipliers(theta)
+            multipliers[problem.forbidding] = theta.max(initial=1.0)
+            least, best = found, (candidate, multipliers)
     if best is None:
         raise InfeasibleDesignError(
             CONDITION,
@@ -201,7 +185,7 @@ def _by_descent(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray, float]:
             f"estimator has one; {fraction:.3g} of the uncertainty has one (scale its outputs C or "
             "the Lipschitz constants down)",
         )
-    found, estimator, theta = best
+    estimator, theta = best
     for _ in range(_ROUNDS):
         estimator, logarithms, found = descend(estimator, _objective, np.log(theta))
         theta = np.exp(logarithms)
@@ -222,20 +206,12 @@ def _candidates(plant: AugmentedSystem) -> Iterator[Estimator]:
     """Yield classical smoothers, tuned too, those of the paper's theory, and the estimate zero."""
     n, m, g = plant.n, plant.system.m, plant.system.g
     with suppress(InfeasibleDesignError):
-        for copies in {False, g > 0}:
-            yield _of_w_hat(fixed_lag_smoother(plant.system, plant.delay, plant.order, copies))
-        yield _of_w_hat(tuned_fixed_lag_smoother(plant, "admissible"))
+        for copies in sorted({False, g > 0}):
+            yield fixed_lag_smoother(plant.system, plant.delay, plant.order, copies)
+        yield tuned_fixed_lag_smoother(plant, "admissible")
     for cost in COSTS:
         with suppress(InfeasibleDesignError):
-            yield _of_w_hat(minimize_bound(plant, cost, starts=1))
+            yield minimize_bound(plant, cost, starts=1)
     zeros = {"B_c": np.zeros((n, plant.system.l + g)), "C_c": np.zeros((m + g, n))}
     none = np.zeros((m, n))
     yield Estimator(plant=plant, A_c=-np.eye(n), C_a=none, C_f=none, **zeros)
-
-
-def _of_w_hat(estimator: Estimator) -> Estimator:
-    """Return an estimator whose w-hat is its smoothed estimate."""
-    arguments = estimator.C_c[estimator.plant.system.m :]
-    matrices = {name: getattr(estimator, name) for name in ("A_c", "B_c", "C_a")}
-    C_c = np.vstack([estimator.C_a, arguments])
-    return Estimator(plant=estimator.plant, C_c=C_c, C_f=estimator.C_a, **matrices)

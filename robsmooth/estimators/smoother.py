@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._numerics.riccati import RiccatiSolution
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Matrix
 from robsmooth.estimators import conditions
 from robsmooth.estimators.equations import DesignEquations
 from robsmooth.estimators.estimator import Estimator
@@ -56,11 +56,6 @@ class RobustSmoother(Estimator):
     spectral_radius: float
     bound_infimum: float | None = None
     limit: "RobustSmoother | None" = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for value in (self.multipliers, self.X, self.Y):
-            frozen(value)
 
     @property
     def mean_square_bound(self) -> float:

@@ -17,13 +17,14 @@ from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.estimators.certificate import largest_fraction, least_certificate, problem_of
-from robsmooth.estimators.constant import mean_square, worst_delta
+from robsmooth.estimators.certificate import certify, problem_of
+from robsmooth.estimators.constant import mean_square, worst_constant
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.kalman import kalman_gain, with_copies
 from robsmooth.estimators.loop import open_loop
 from robsmooth.estimators.units import Natural
 from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.channels import with_feedback
 from robsmooth.systems.system import UncertainSystem
 
 AGAINST = ("constant", "admissible")
@@ -91,7 +92,8 @@ def tuned_fixed_lag_smoother(
 
 def _least_constant(family: "_Family") -> np.ndarray:
     """Return a point with a small worst constant error: of a few Delta, and the worst is added."""
-    found = [(*_worst(family(start)), start) for start in (family.untuned, *family.starts)]
+    starts = family.untuned, *family.starts
+    found = [(*worst_constant(family(start), _STARTS), start) for start in starts]
     least, _, best = min(found, key=itemgetter(0))
     Deltas = [Delta for _, Delta, _ in found]
 
@@ -108,7 +110,7 @@ def _least_constant(family: "_Family") -> np.ndarray:
         how = {"method": "Nelder-Mead", "bounds": family.box, "options": options}
         point = minimize(objective, point, **how).x
         expected = math.exp(objective(point))
-        value, Delta = _worst(family(point))
+        value, Delta = worst_constant(family(point), _STARTS)
         Deltas.append(Delta)
         if value < least:
             least, best = value, point
@@ -117,21 +119,13 @@ def _least_constant(family: "_Family") -> np.ndarray:
     return best
 
 
-def _worst(estimator: Estimator) -> tuple[float, np.ndarray]:
-    return worst_delta(open_loop(estimator, "smoothed", "real"), _STARTS, seed=0)
-
-
 def _least_certified(family: "_Family") -> np.ndarray:
     """Return a point with a small certified error, by a search over it and the multipliers."""
     least, best, logarithms = math.inf, family.untuned, None
     for start in (family.untuned, *family.starts):
-        problem = problem_of(family(start))
-        fraction, theta = largest_fraction(problem)
-        if fraction == 1.0:
-            theta = least_certificate(problem, theta)
-            value = problem.at(theta).mean_square
-            if value < least:
-                least, best, logarithms = value, start, np.log(theta)
+        value, _, theta = certify(problem_of(family(start)))
+        if value < least:
+            least, best, logarithms = value, start, np.log(theta)
     if logarithms is None:
         return best
 
@@ -171,25 +165,22 @@ class _Family:
         """Return the smoother at a point."""
         plant, system = self.plant, self.plant.system
         factors, noises, slopes = np.split(point, np.cumsum([system.l, len(self.uncertain)]))
-        A, C2 = plant.A_p.copy(), plant.C2_tilde[: system.l].copy()
-        own = slice(system.n)
-        designed_A, designed_C2 = system.A, system.C2
+        model = designed = system.A, system.C2
         for (channel, size), slope in zip(self.single, slopes, strict=True):
-            argument = size * slope * channel.C
-            designed_A, designed_C2 = (
-                designed_A + channel.B @ argument,
-                designed_C2 + channel.D @ argument,
-            )
+            rows = size * slope * channel.C
+            designed = with_feedback(*designed, channel, rows)
             if channel in self.uncertain:
-                A[own, own] += channel.B @ argument
-                C2[:, own] += channel.D @ argument
+                model = with_feedback(*model, channel, rows)
+        A, C2, own = plant.A_p.copy(), plant.C2_tilde[: system.l].copy(), slice(system.n)
+        A[own, own], C2[:, own] = model
         levels = [np.exp(log / 2) * size for log, size in zip(noises, self.sizes, strict=True)]
         channels = list(zip(levels, self.uncertain, strict=True))
-        designed = UncertainSystem(
-            A=designed_A,
+        A_designed, C2_designed = designed
+        nominal = UncertainSystem(
+            A=A_designed,
             B1=np.hstack([system.B1, *(level * u.B for level, u in channels)]),
             C0=system.C0,
-            C2=designed_C2,
+            C2=C2_designed,
             D21=np.hstack(
                 [
                     np.exp(factors / 2)[:, None] * system.D21,
@@ -197,5 +188,5 @@ class _Family:
                 ]
             ),
         )
-        _, gain = kalman_gain(designed, plant.delay_model)
+        _, gain = kalman_gain(nominal, plant.delay_model)
         return with_copies(plant, A - gain @ C2, gain, plant.C_p0, copies=system.g > 0)

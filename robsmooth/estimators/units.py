@@ -8,19 +8,19 @@ keeps its form with :math:`W = \sqrt T W'` and :math:`\xi = \xi'/\sqrt T`. A des
 natural units and then brought back, so that it does not depend on the units of its problem.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.linalg import null_space, orth
 
-from robsmooth._numerics.lyapunov import covariances
+from robsmooth._numerics.lyapunov import covariances, deviations
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.conditions import COSTS, check_stable
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import matrices
-from robsmooth.systems.augmented import AugmentedSystem, check_noise
+from robsmooth.systems.augmented import AugmentedSystem, check_is_plant, check_noise, undelayed
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import UncertainSystem
@@ -48,8 +48,7 @@ class Units:
             sizes = [np.sqrt(np.trace(u.C @ covariance @ u.C.T)) for u in system.uncertainties]
             driven = [u.B * size for u, size in zip(system.uncertainties, sizes, strict=True)]
             noise = np.hstack([system.B1, *(np.sqrt(time) * B for B in driven)])
-        variances = np.diag(covariance)
-        x = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+        x = deviations(covariance)
         w = np.linalg.norm(system.C0 * x)
         return cls(
             time=time,
@@ -111,16 +110,14 @@ class Natural:
     @classmethod
     def of(cls, plant: AugmentedSystem, output: str) -> "Natural":
         """Return the problem of a plant; an InfeasibleDesignError says what it must be."""
-        hint = "; augment(system, delay, order) makes one"
-        validation.instance("plant", plant, AugmentedSystem, hint)
+        check_is_plant(plant)
         validation.choice("output", output, COSTS)
         check_noise("A measurement's noise", plant.system.D21)
         check_stable(plant)
         units = Units.of(plant.system)
         natural = units.plant(plant)
         if output == "filtered":  # which does not see the delay model
-            model = pade_delay(0.0, 0, plant.system.m)
-            natural = AugmentedSystem(natural.system, model, plant.J_21)
+            natural = undelayed(natural)
         return cls(units, natural, plant, output)
 
     def restored(self, estimator: Estimator) -> dict[str, Any]:
@@ -147,16 +144,8 @@ class Natural:
 
 def in_plant_states(estimator: Estimator) -> Estimator:
     """Return the same estimator with states of which the first n estimate those of the plant."""
-    T = _to_plant_states(estimator)
-    back = np.linalg.inv(T)
-    return replace(
-        estimator,
-        A_c=T @ estimator.A_c @ back,
-        B_c=T @ estimator.B_c,
-        C_c=estimator.C_c @ back,
-        C_a=estimator.C_a @ back,
-        C_f=estimator.C_f @ back,
-    )
+    to_plant = _to_plant_states(estimator)
+    return estimator.in_coordinates(to_plant, np.linalg.inv(to_plant))
 
 
 def _to_plant_states(estimator: Estimator) -> Matrix:

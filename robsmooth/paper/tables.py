@@ -261,6 +261,10 @@ def study(found: Study, lag: float) -> Records:
         }
 
 
+def _errors(found: Judgement) -> dict[str, float]:
+    return {field.replace("_", " "): error for field, error in vars(found).items()}
+
+
 @_table()
 def candidates(choice: Choice, more: Mapping[str, Mapping[str, float]]) -> Records:
     """Mean square errors of the smoothed estimate by each candidate: in a loop without uncertainty,
@@ -269,8 +273,7 @@ def candidates(choice: Choice, more: Mapping[str, Mapping[str, float]]) -> Recor
     for name, each in choice.candidates.items():
         record = {"smoother": name}
         if each.estimator is not None:
-            errors = vars(each.judgement).items()
-            record |= {field.replace("_", " "): error for field, error in errors}
+            record |= _errors(each.judgement)
             record |= {column: errors[name] for column, errors in more.items()}
             record["$2V$"] = each.estimator.mean_square_bound
         yield record
@@ -302,8 +305,7 @@ def judged(judgements: Mapping[tuple[str, str], Judgement]) -> Records:
     constant one, and the certified worst that no admissible one exceeds.
     """
     for (system, smoother), found in judgements.items():
-        errors = {field.replace("_", " "): error for field, error in vars(found).items()}
-        yield {"system": system, "smoother": smoother, **errors}
+        yield {"system": system, "smoother": smoother} | _errors(found)
 
 
 @_table(digits=3)

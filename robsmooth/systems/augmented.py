@@ -282,6 +282,17 @@ def augment(
     return AugmentedSystem(system, pade_delay(delay, order, system.m), J_21)
 
 
+def check_is_plant(plant: AugmentedSystem) -> None:
+    """Check the type of what is given as a plant."""
+    hint = "; augment(system, delay, order) makes one"
+    validation.instance("plant", plant, AugmentedSystem, hint)
+
+
+def undelayed(plant: AugmentedSystem) -> AugmentedSystem:
+    """Return the plant without its delay model, which the filtered error does not see."""
+    return AugmentedSystem(plant.system, pade_delay(0.0, 0, plant.system.m), plant.J_21)
+
+
 def check_noise(condition: str, D: Matrix) -> None:
     """Check D D' > 0 in a form free of units: no measurement without noise of its own."""
     intensity = D @ D.T

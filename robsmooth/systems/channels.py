@@ -175,6 +175,11 @@ def centred(channel: Nonlinearity) -> tuple[Nonlinearity, float]:
     return Nonlinearity(*matrices, (upper - lower) / 2, function, channel.reference), slope
 
 
+def with_feedback(A: Matrix, C2: Matrix, channel: Channel, rows: Matrix) -> tuple[Matrix, Matrix]:
+    """Return drift and measurement where the input of a channel is `rows` times the state."""
+    return A + channel.B @ rows, C2 + channel.D @ rows
+
+
 def fitting(
     name: str, values: Iterable, kind: type[Channel], states: int, measurements: int
 ) -> tuple[Channel, ...]:

@@ -29,9 +29,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems import statespace
-from robsmooth.systems.channels import Channel, Nonlinearity, Uncertainty, centred, fitting
+from robsmooth.systems.channels import (
+    Channel,
+    Nonlinearity,
+    Uncertainty,
+    centred,
+    fitting,
+    with_feedback,
+)
 from robsmooth.systems.statespace import Feedthrough, Signals
 
 if TYPE_CHECKING:
@@ -115,8 +122,7 @@ class UncertainSystem:
         for channel, slope in map(centred, nonlinearities):
             kept.append(channel)
             if slope:
-                A = validation.frozen(A + slope * channel.B @ channel.C)
-                C2 = validation.frozen(C2 + slope * channel.D @ channel.C)
+                A, C2 = map(frozen, with_feedback(A, C2, channel, slope * channel.C))
         vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21)
         vars(self).update(uncertainties=uncertainties, nonlinearities=tuple(kept))
 

@@ -25,13 +25,10 @@ from tests.helpers.systems import (
     in_other_units,
     of_gain,
     referenced,
+    worst,
 )
 
 NOTHING = rs.Uncertainty(B=[[1]], C=[[0]], D=[[0]])
-
-
-def worst(estimator, output="smoothed"):
-    return rs.worst_case(estimator, output, loop="real").mean_square
 
 
 # --- the error and its slopes ---------------------------------------------------------------------

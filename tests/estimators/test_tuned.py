@@ -23,14 +23,11 @@ from tests.helpers.systems import (
     in_other_units,
     of_gain,
     referenced,
+    worst,
 )
 
 AGAINST = ("constant", "admissible")
 tuned_fixed_lag_smoother = rs.baselines.tuned_fixed_lag_smoother
-
-
-def worst(estimator, output="smoothed"):
-    return rs.worst_case(estimator, output, loop="real").mean_square
 
 
 ERRORS = {"constant": worst, "admissible": certified}

@@ -55,3 +55,8 @@ def in_other_units(system, time, x, y):
 def classical(plant, copies):
     """The classical smoother of a plant."""
     return rs.baselines.fixed_lag_smoother(plant.system, plant.delay, plant.order, copies)
+
+
+def worst(estimator, output="smoothed"):
+    """The worst constant error of an estimator in a real loop."""
+    return rs.worst_case(estimator, output, loop="real").mean_square
