@@ -129,12 +129,16 @@ def _first_step(A: Matrix, span: float) -> tuple[float, int]:
     """
     speed = 1.0
     if A.size:
-        largest = np.abs(A).max(axis=tuple(range(A.ndim - 2)))
-        speed = float(np.linalg.norm(dgebal(largest, scale=1)[0], 1)) or 1.0
+        speed = balanced_norm(np.abs(A).max(axis=tuple(range(A.ndim - 2))))
     if span > 0.0:
         doublings = math.ceil(math.log2(span * speed / _FIRST_STEP))
         return span * 2.0 ** -max(doublings, 0), doublings
     return 2.0 ** math.floor(math.log2(_FIRST_STEP / speed)), 0
+
+
+def balanced_norm(A: Matrix) -> float:
+    """Return the norm of A in units of the states in which that is small; one for zero."""
+    return float(np.linalg.norm(dgebal(A, scale=1)[0], 1)) or 1.0
 
 
 def _doubled(A: Matrix, B: Matrix, first: float) -> Iterator[tuple[Matrix, Matrix, Matrix]]:

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.analysis.constraints import analysis_bound
@@ -83,7 +84,9 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     validation.instance("estimator", estimator, Estimator)
     validation.choice("output", output, COSTS)
     constant = worst_case(estimator, output, loop="real")
-    certified = analysis_bound(estimator, output, loop="real").mean_square
+    certified = math.inf
+    with suppress(UnstableLoopError):  # what an uncertainty sees grows without bound
+        certified = analysis_bound(estimator, output, loop="real").mean_square
     return Judgement(constant.nominal, constant.mean_square, certified)
 
 

@@ -152,7 +152,7 @@ def analysis_bound(
         fraction=1.0,
         guarantee=proven,
         multipliers=frozen(problem.all_multipliers(theta)),
-        feedback=frozen(point.feedback / x),
+        feedback=frozen(point.feedback @ problem.states / x),
     )
 
 

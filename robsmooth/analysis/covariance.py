@@ -25,23 +25,29 @@ what the state one lag back contributes, and the noise since then. The state is
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
 from robsmooth._numerics.lyapunov import check_certainty, covariances
+from robsmooth._numerics.modes import hardly_decays
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import OUTPUTS, Reference, error_rows, matrices, which_loop
+from robsmooth.estimators.loop import (
+    OUTPUTS,
+    Reference,
+    drifting_error,
+    error_rows,
+    matrices,
+    which_loop,
+)
 from robsmooth.systems.augmented import AugmentedSystem
 
 _BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once
-_EIGENVALUE_ERROR = 1e-12  # relative to the largest entry; the covariance tells the rest
 _NORM_ERROR = 1e-12
 
 
@@ -66,6 +72,12 @@ class ClosedLoop:
         """Return the (..., m, m) stationary covariance of one of the errors of `open_loop`."""
         T = self._error_coordinates
         truth, estimate, delay = error_rows(self.estimator, output)
+        if hardly_decays(self.A):
+            if self.A.ndim > 2:
+                return np.array([replace(self, A=A).error_covariance(output) for A in self.A])
+            result, error = drifting_error(self.A, self.B, truth, estimate, delay)
+            check_certainty("the error covariance", result, error)
+            return result
         truth, estimate = truth @ T, estimate @ T
         found = covariances(T @ self.A @ T, T @ self.B, delay)
         E, error = found.transition, found.error
@@ -117,14 +129,9 @@ def _check_norm(plant: AugmentedSystem, Delta: Matrix) -> None:
 def _closed(
     estimator: Estimator, Delta: Matrix, loop: str, reference: Reference = None
 ) -> ClosedLoop:
-    """Close the loop for one Delta or (N, ., .) of them; refuse what is clearly not stable."""
+    """Close the loop for one Delta or (N, ., .) of them."""
     A, B, inputs, outputs = matrices(estimator, loop, reference)
     A = A + inputs @ Delta @ outputs
-    abscissa = np.linalg.eigvals(A).real.max()
-    if not abscissa < _EIGENVALUE_ERROR * np.abs(A).max():
-        raise UnstableLoopError(
-            f"the closed loop is not stable: it has an eigenvalue with real part {abscissa:.4g} 1/s"
-        )
     return ClosedLoop(A, B, estimator)
 
 

@@ -14,7 +14,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.constant import cut_at_one
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.kalman import kalman_gain, with_copies
+from robsmooth.estimators.kalman import classical, kalman_gain
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.estimators.tuned import tuned_fixed_lag_smoother as tuned_fixed_lag_smoother
 from robsmooth.systems.augmented import augment
@@ -91,10 +91,7 @@ def fixed_lag_smoother(
     >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, order=2)
     Estimator(3 states, delay=3.1e-06 s, order=2, 1 measurements, 1 outputs, 1 copies)
     """
-    plant = augment(system, delay, order)
-    _, gain = kalman_gain(system, plant.delay_model)
-    A_c = plant.A_p - gain @ plant.C2_tilde[: system.l]
-    return with_copies(plant, A_c, gain, plant.C_p0, copies)
+    return classical(augment(system, delay, order), copies)
 
 
 def ngcf(system: UncertainSystem) -> RobustSmoother:

@@ -23,12 +23,14 @@ import numpy as np
 from scipy.linalg import LinAlgError, null_space, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
+from robsmooth._numerics.modes import hardly_decays, modes
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.extras import convex_modelling
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import OpenLoop, open_loop
+from robsmooth.estimators.loop import OpenLoop, drifting_output, open_loop
 from robsmooth.systems.augmented import AugmentedSystem
 
 _LEAST_START = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
@@ -62,19 +64,22 @@ class ConstraintProblem:
     A constraint whose right hand side is zero forbids its input: `free` spans the inputs that are
     left, and M (between these) and N (between states) are those of the `active` constraints.
     Constraints that are not `kept` have the multiplier zero. Then inputs may be `unbounded`, and
-    there is a certificate only where they have no effect on the error.
+    there is a certificate only where they have no effect on the error. Modes that hardly decay are
+    left out where no output sees them; a nonlinearity's own constraint, which does, is not kept.
     """
 
     def __init__(
         self, loop: OpenLoop, plant: AugmentedSystem, kept: np.ndarray | None = None
     ) -> None:
         constraints, inputs = len(plant.M_i), loop.inputs.shape[1]
+        kept = np.ones(constraints, dtype=bool) if kept is None else kept
+        loop, seen, self.states = _without_drift(loop, plant)
         M = np.reshape(plant.M_i, (constraints, inputs, inputs))
         N = [loop.outputs.T @ N_i @ loop.outputs for N_i in plant.N_i]
         N = np.reshape(N, (constraints, *loop.A.shape))
         self.loop, self.A, self.B, self.C = loop, loop.A, loop.B, loop.truth - loop.estimate
-        self.forbidding = ~N.any(axis=(1, 2))
-        self.active = ~self.forbidding if kept is None else ~self.forbidding & kept
+        self.forbidding = ~N.any(axis=(1, 2)) & ~seen
+        self.active = ~self.forbidding & ~seen & kept
         allowed = null_space(M[self.forbidding].sum(axis=0))
         between = allowed.T @ M[self.active].sum(axis=0) @ allowed
         unbounded = null_space(between)
@@ -130,15 +135,58 @@ class ConstraintProblem:
         return float(theta @ np.maximum(found.slack, 0.0)) / found.mean_square
 
 
+def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np.ndarray, Matrix]:
+    """Return the loop without modes that hardly decay, where it can be.
+
+    Also which constraints see these modes, and what the states are of the whole loop's, (., N).
+
+    Raises
+    ------
+    UnstableLoopError
+        Where a mode does not decay, and the output of an uncertainty holds it.
+    """
+    none = np.zeros(len(plant.N_i), dtype=bool)
+    if not hardly_decays(loop.A):
+        return loop, none, np.eye(len(loop.A))
+    found, k, g = modes(loop.A, loop.B), plant.system.k, plant.system.g
+    sees = found.seen_by(loop.outputs)
+    first = len(sees) - 2 * g
+    differences = found.seen_by(loop.outputs[first : first + g] - loop.outputs[first + g :])
+    of_channels = np.split(sees[:first], np.cumsum(plant.output_sizes[:k])[:-1]) if k else []
+    seen = np.array([*(s.any() for s in of_channels), *differences, *sees[first:]], dtype=bool)
+    in_error = found.seen_by(loop.truth - loop.estimate).any()
+    if in_error or (seen[: k + g].any() and not found.standing):
+        return loop, none, np.eye(len(loop.A))
+    if seen[: k + g].any():
+        names = [f"uncertainties[{s}]" for s in range(k)]
+        names += [f"nonlinearities[{i}], less its copy's," for i in range(g)]
+        raise UnstableLoopError(drifting_output(names[int(seen.argmax())], found.A))
+    V, W = found.V_rest, found.W_rest
+    rest = replace(
+        loop,
+        A=found.A_rest,
+        B=W @ loop.B,
+        inputs=W @ loop.inputs,
+        outputs=loop.outputs @ V,
+        truth=loop.truth @ V,
+        estimate=loop.estimate @ V,
+    )
+    return rest, seen, W
+
+
 def problem_of(estimator: Estimator, kept: np.ndarray | None = None) -> ConstraintProblem:
+    """Return the constraints for `model_loop`."""
+    return ConstraintProblem(model_loop(estimator), estimator.plant, kept)
+
+
+def model_loop(estimator: Estimator) -> OpenLoop:
     """Return the loop with the error of w-hat against the delay model's output."""
     plant, none = estimator.plant, np.zeros_like(estimator.C_a)
-    loop = replace(
+    return replace(
         open_loop(estimator, "filtered", "real"),
         truth=np.hstack([plant.C_a, none]),
         estimate=np.hstack([np.zeros_like(plant.C_a), estimator.C_a]),
     )
-    return ConstraintProblem(loop, plant, kept)
 
 
 def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:

@@ -81,8 +81,8 @@ def check_stable(plant: AugmentedSystem) -> None:
         raise InfeasibleDesignError(
             ASSUMPTION_X,
             "the system's A must be stable for a nonnegative solution to exist, but it has an "
-            f"eigenvalue with real part {abscissa:.3g}; give an integrator a slow decay, or "
-            "stabilise the plant first (baselines.kalman_bucy needs no stability)",
+            f"eigenvalue with real part {abscissa + 0.0:.3g}; give an integrator a slow decay, or "
+            "use minimax_smoother or the baselines, which need no stability",
         )
 
 

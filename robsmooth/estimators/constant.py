@@ -11,27 +11,39 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
 
+from robsmooth._numerics.modes import hardly_decays, is_stable
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import OpenLoop, is_stable, open_loop
+from robsmooth.estimators.loop import OpenLoop, drifting_error, open_loop, scaled
 
 _ITERATIONS = 200
 _LONGEST_STEP, _SHORTEST_STEP = 1e3, 1e-9  # relative to the unit ball
 _CHANGE = 1e-13  # a step whose gain or loss is less, relatively, changes nothing
+_DIFFERENCE = 1e-6
+_STEEP = 1e100  # a slope next to where the error has no limit
 _STEPS_WITHOUT_GAIN = 3  # in a row: then the search is over
 
 
 def mean_square(loop: OpenLoop, Delta: Matrix) -> float:
-    """Return the mean square error; infinity where the loop is not stable."""
-    return _moments(loop, Delta)[0]
+    """Return the mean square error; infinity where it has no limit."""
+    A = loop.A + loop.inputs @ Delta @ loop.outputs
+    if not hardly_decays(A):
+        return _moments(loop, A)[0]
+    try:
+        error, _ = drifting_error(A, loop.B, loop.truth, loop.estimate, loop.delay)
+    except UnstableLoopError:
+        return math.inf
+    return float(np.trace(error))
 
 
 def slopes(loop: OpenLoop, Delta: Matrix) -> tuple[float, Slopes]:
     """Return the error and its slopes; an ArithmeticError says that the loop is not stable."""
-    value, A, P, through, after = _moments(loop, Delta)
-    if math.isinf(value):
+    A = loop.A + loop.inputs @ Delta @ loop.outputs
+    if not is_stable(A):
         raise ArithmeticError("the loop is not stable")
+    value, P, through, after = _moments(loop, A)
     truth, estimate, delay = loop.truth, loop.estimate, loop.delay
     mixed = truth.T @ after
     weight = truth.T @ truth + estimate.T @ estimate - mixed - mixed.T
@@ -61,9 +73,9 @@ def worst_delta(loop: OpenLoop, starts: int, seed: int) -> tuple[float, Matrix]:
     return largest, loop.assemble(worst)
 
 
-def worst_constant(estimator: Estimator, starts: int) -> tuple[float, Matrix]:
-    """Return the same for the smoothed error of an estimator in a real loop."""
-    return worst_delta(open_loop(estimator, "smoothed", "real"), starts, seed=0)
+def worst_constant(estimator: Estimator, output: str, starts: int) -> tuple[float, Matrix]:
+    """Return the same for an error of an estimator in a real loop."""
+    return worst_delta(scaled(open_loop(estimator, output, "real"))[0], starts, seed=0)
 
 
 def cut_at_one(block: Matrix) -> Matrix:
@@ -72,17 +84,14 @@ def cut_at_one(block: Matrix) -> Matrix:
     return U * np.minimum(scales, 1.0) @ V
 
 
-def _moments(loop: OpenLoop, Delta: Matrix) -> tuple[float, Matrix, Matrix, Matrix, Matrix]:
-    """Return the error, A, the covariance of X, what X becomes in a delay, and the estimate's."""
-    A = loop.A + loop.inputs @ Delta @ loop.outputs
-    if not is_stable(np.linalg.eigvals(A)):
-        return math.inf, A, A, A, A
+def _moments(loop: OpenLoop, A: Matrix) -> tuple[float, Matrix, Matrix, Matrix]:
+    """Return the error, the covariance of X, what X becomes in a delay, and the estimate's."""
     P = solve_continuous_lyapunov(A, -loop.B @ loop.B.T)
     through = expm(loop.delay * A)
     after = loop.estimate @ through  # the mean of the estimate to come, given the state now
     cross = np.trace(after @ P @ loop.truth.T)
     squares = (np.trace(rows @ P @ rows.T) for rows in (loop.truth, loop.estimate))
-    return float(sum(squares) - 2.0 * cross), A, P, through, after
+    return float(sum(squares) - 2.0 * cross), P, through, after
 
 
 def _starts(loop: OpenLoop, count: int, seed: int) -> Iterator[list[Matrix]]:
@@ -97,6 +106,21 @@ def _starts(loop: OpenLoop, count: int, seed: int) -> Iterator[list[Matrix]]:
         yield [-block for block in corner]
 
 
+def _slopes_in_blocks(loop: OpenLoop, blocks: list[Matrix]) -> list[Matrix]:
+    """Return the gradients of the error with respect to the blocks, by differences."""
+    result = [np.zeros(block.shape) for block in blocks]
+    for block, gradient in zip(blocks, result, strict=True):
+        for entry in np.ndindex(block.shape):
+            middle, ends = block[entry], []
+            for change in (_DIFFERENCE, -_DIFFERENCE):
+                block[entry] = middle + change
+                ends.append(mean_square(loop, loop.assemble(blocks)))
+            block[entry] = middle
+            slope = (ends[0] - ends[1]) / (2.0 * _DIFFERENCE)
+            gradient[entry] = np.nan_to_num(slope, posinf=_STEEP, neginf=-_STEEP)
+    return result
+
+
 def _ascent(loop: OpenLoop, blocks: list[Matrix]) -> tuple[float, list[Matrix]]:
     """Return what a projected gradient search reaches, and where; it ends at infinity."""
     value, step, without_gain = mean_square(loop, loop.assemble(blocks)), 1.0, 0
@@ -105,8 +129,7 @@ def _ascent(loop: OpenLoop, blocks: list[Matrix]) -> tuple[float, list[Matrix]]:
         if math.isinf(value) or step < _SHORTEST_STEP or without_gain == _STEPS_WITHOUT_GAIN:
             break
         if moved:
-            drift = slopes(loop, loop.assemble(blocks))[1].A
-            gradients = loop.in_blocks(loop.inputs.T @ drift @ loop.outputs.T)
+            gradients = _slopes_in_blocks(loop, blocks)
         pairs = zip(blocks, gradients, strict=True)
         trial = [
             cut_at_one(block + step * gradient / (np.linalg.norm(gradient) or 1.0))

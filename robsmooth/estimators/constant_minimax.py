@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.estimators.baselines import fixed_lag_smoother
-from robsmooth.estimators.constant import mean_square, slopes, worst_constant
+from robsmooth.estimators.certificate import model_loop
+from robsmooth.estimators.constant import mean_square, slopes, worst_constant, worst_delta
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import open_loop
+from robsmooth.estimators.kalman import classical
+from robsmooth.estimators.loop import OpenLoop, open_loop
 from robsmooth.estimators.minimax import is_convex, minimax_smoother
 from robsmooth.estimators.tuned import tuned_fixed_lag_smoother
 from robsmooth.estimators.units import Natural, in_plant_states
@@ -108,7 +109,9 @@ def constant_minimax_smoother(
     0.0837
     """
     natural = Natural.of(plant, output)
-    found = [(*worst_constant(each, _STARTS), each) for each in _candidates(natural.plant)]
+    drifts = natural.drift.V.size > 0
+    candidates = _candidates(natural.plant)
+    found = [(*worst_delta(_loop(each, drifts), _STARTS, seed=0), each) for each in candidates]
     start = min(found, key=itemgetter(0))
     if math.isinf(start[0]):
         raise InfeasibleDesignError(
@@ -116,10 +119,14 @@ def constant_minimax_smoother(
             "some constant uncertainty destabilises the plant, so that its error has no limit; "
             "less uncertainty (smaller outputs C or Lipschitz constants) may help",
         )
-    value, estimator, Deltas = _designed(*start)
+    value, estimator, Deltas = _designed(*start, drifts)
+    fields = natural.restored(in_plant_states(estimator))
+    value *= natural.units.w**2
+    if drifts:
+        value, _ = worst_constant(Estimator(**fields), output, _STARTS)
     return ConstantMinimaxSmoother(
-        **natural.restored(in_plant_states(estimator)),
-        worst_constant=natural.units.w**2 * value,
+        **fields,
+        worst_constant=value,
         Deltas=Deltas,
         cost=output,
     )
@@ -131,7 +138,7 @@ def _candidates(plant: AugmentedSystem) -> list[Estimator]:
     The first runs no copies, so that its error has a limit wherever the plant is stable.
     """
     kinds = sorted({False, plant.system.g > 0})
-    found = [fixed_lag_smoother(plant.system, plant.delay, plant.order, kind) for kind in kinds]
+    found = [classical(plant, kind) for kind in kinds]
     found.append(tuned_fixed_lag_smoother(plant))
     with suppress(InfeasibleDesignError):
         if is_convex(plant):  # else it takes a descent itself
@@ -139,17 +146,22 @@ def _candidates(plant: AugmentedSystem) -> list[Estimator]:
     return found
 
 
+def _loop(estimator: Estimator, drifts: bool) -> OpenLoop:
+    """Return the loop with the error against the delayed w, by the delay model's if it drifts."""
+    return model_loop(estimator) if drifts else open_loop(estimator, "smoothed", "real")
+
+
 def _designed(
-    value: float, Delta: np.ndarray, estimator: Estimator
+    value: float, Delta: np.ndarray, estimator: Estimator, drifts: bool
 ) -> tuple[float, Estimator, np.ndarray]:
     """Return the least largest error from a start, the estimator and the set of Delta."""
     Deltas, best = [np.zeros_like(Delta), Delta], (value, estimator)
     for _ in range(_ROUNDS):
         for sharpness in _SHARPNESS:
-            estimator = _descended(estimator, Deltas, sharpness)
-        loop = open_loop(estimator, "smoothed", "real")
+            estimator = _descended(estimator, Deltas, sharpness, drifts)
+        loop = _loop(estimator, drifts)
         inner = max(mean_square(loop, each) for each in Deltas)
-        value, Delta = worst_constant(estimator, _STARTS)
+        value, Delta = worst_delta(loop, _STARTS, seed=0)
         if value < best[0]:
             best = value, estimator
         if value <= (1.0 + _CLOSED) * inner:
@@ -158,11 +170,13 @@ def _designed(
     return *best, np.array(Deltas)
 
 
-def _descended(estimator: Estimator, Deltas: list[np.ndarray], sharpness: float) -> Estimator:
+def _descended(
+    estimator: Estimator, Deltas: list[np.ndarray], sharpness: float, drifts: bool
+) -> Estimator:
     """Return an estimator with a lower smooth maximum of the errors."""
 
     def objective(trial: Estimator, _: np.ndarray) -> tuple[float, np.ndarray]:
-        loop = open_loop(trial, "smoothed", "real")
+        loop = _loop(trial, drifts)
         values, gradients = zip(*(slopes(loop, Delta) for Delta in Deltas), strict=True)
         powers = np.exp(sharpness * np.log(np.array(values) / max(values)))
         shares = powers / powers.sum() / values

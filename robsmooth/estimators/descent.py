@@ -18,7 +18,6 @@ from scipy.optimize import minimize
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import matrices
-from robsmooth.systems.augmented import AugmentedSystem
 
 _REFUSED = 1e2  # more than the logarithm of any error in natural units
 _GRADIENT = 1e-9  # of the logarithm, at the end of a search
@@ -49,7 +48,7 @@ class Slopes:
         )
         arguments = (plant.D12_tilde.T @ self.outputs[:, own])[m:]
         measured, copied = np.hsplit(gain, [plant.system.l])
-        gain = measured - copied @ _through(plant).T
+        gain = measured - copied @ plant.known[1].T
         parts = (drift, gain, arguments, self.estimate[:, own])
         return np.concatenate([part.ravel() for part in parts])
 
@@ -59,12 +58,6 @@ def _real_noise(estimator: Estimator) -> Matrix:
     noise = estimator.plant.D21_bar.copy()
     noise[estimator.plant.system.l :] = 0.0
     return noise
-
-
-def _through(plant: AugmentedSystem) -> Matrix:
-    """Return how nonlinearities enter the measurement, (l, g)."""
-    _, _, D = plant.system.stacked(plant.system.nonlinearities)
-    return D
 
 
 def variables(estimator: Estimator) -> np.ndarray:
@@ -86,7 +79,7 @@ def with_variables(estimator: Estimator, x: np.ndarray) -> Estimator:
         for values, part in zip(np.split(x, ends), parts, strict=True)
     )
     plant = estimator.plant
-    copies = estimator.B_c[:, plant.system.l :] + (parts[1] - gain) @ _through(plant)
+    copies = estimator.B_c[:, plant.system.l :] + (parts[1] - gain) @ plant.known[1]
     B_c, C_c = np.hstack([gain, copies]), np.vstack([C_a, arguments])
     return replace(estimator, A_c=A_c, B_c=B_c, C_c=C_c, C_a=C_a)
 

@@ -4,13 +4,17 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from robsmooth._numerics.lyapunov import check_certainty, covariances
+from robsmooth._numerics.modes import natural_units
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
+from robsmooth._support import notation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.systems.augmented import AugmentedSystem, check_noise
 from robsmooth.systems.delay import DelayModel
 from robsmooth.systems.system import UncertainSystem
+
+_LOST = 1e-8  # of a mode, relatively: what is seen of it is rounding
 
 
 def kalman_gain(system: UncertainSystem, model: DelayModel) -> tuple[Matrix, Matrix]:
@@ -31,7 +35,7 @@ def kalman_gain(system: UncertainSystem, model: DelayModel) -> tuple[Matrix, Mat
         ).X
     except RiccatiError as error:
         condition = "The Kalman-Bucy filter's Riccati equation"
-        raise InfeasibleDesignError(condition, str(error)) from None
+        raise InfeasibleDesignError(condition, _reason(system) or str(error)) from None
     gain = cho_solve(R, C @ P + cross.T).T
     states = len(model.F)
     drift = np.block([[A - gain @ C, np.zeros((system.n, states))], [model.G @ system.C0, model.F]])
@@ -43,13 +47,58 @@ def kalman_gain(system: UncertainSystem, model: DelayModel) -> tuple[Matrix, Mat
     return P, cho_solve(R, (P @ C.T + cross).T).T
 
 
+def _reason(system: UncertainSystem) -> str | None:
+    """Name the mode for which there is no stable filter, if there is one."""
+    A, B, C, D = system.A, system.B1, system.C2, system.D21
+    x, y = natural_units(A, B), np.linalg.norm(D, axis=1)[:, None]
+    A, B, C, D = A / x[:, None] * x, B / x[:, None], C / y * x, D / y
+    hidden = _hidden_mode(A, C, marginal=False)
+    if hidden is not None:
+        pole, direction = hidden
+        return f"{_named(pole, x * direction)} does not decay, and no measurement sees it"
+    through = B @ np.linalg.pinv(D)  # what the measurement tells of the noise
+    hidden = _hidden_mode((A - through @ C).T, (B - through @ D).T, marginal=True)
+    if hidden is None:
+        return None
+    pole, direction = hidden
+    what = "neither decays nor is driven by noise, so that a filter's gain goes to zero in time"
+    return f"{_named(pole, direction / x)} {what}; give it a noise in B1, however small"
+
+
+def _hidden_mode(A: Matrix, C: Matrix, marginal: bool) -> tuple[complex, Matrix] | None:
+    """Return eigenvalue and direction of a mode that does not decay, and that C does not see."""
+    size = np.linalg.norm(A) or np.linalg.norm(C) or 1.0
+    for pole in np.linalg.eigvals(A):
+        if pole.real < -_LOST * size or (marginal and pole.real > _LOST * size):
+            continue
+        both = np.vstack([A - pole * np.eye(len(A)), C * size / (np.linalg.norm(C) or 1.0)])
+        _, sizes, directions = np.linalg.svd(both)
+        if sizes[-1] <= _LOST * size:
+            return pole, directions[-1].conj()
+    return None
+
+
+def _named(pole: complex, direction: Matrix) -> str:
+    direction = direction / direction[np.abs(direction).argmax()]
+    shown = notation.array(direction.real if np.isreal(pole) else direction.round(4))
+    value = f"{pole.real:.4g}" if np.isreal(pole) else f"{pole:.4g}"
+    return f"the mode with the eigenvalue {value} 1/s and the direction {shown}"
+
+
+def classical(plant: AugmentedSystem, copies: bool = False) -> Estimator:
+    """Return the classical fixed-lag smoother of a plant's nominal system."""
+    _, gain = kalman_gain(plant.system, plant.delay_model)
+    A_c = plant.A_p - gain @ plant.C2_tilde[: plant.system.l]
+    return with_copies(plant, A_c, gain, plant.C_p0, copies)
+
+
 def with_copies(
     plant: AugmentedSystem, A_c: Matrix, gain: Matrix, C_w: Matrix, copies: bool = False
 ) -> Estimator:
     """Return an estimator of w = C_w x that runs the nonlinearities at its estimate, or not."""
-    B, C, D = plant.system.stacked(plant.system.nonlinearities)
-    states = plant.n - plant.system.n
-    into, arguments = np.pad(B, ((0, states), (0, 0))) - gain @ D, np.pad(C, ((0, 0), (0, states)))
+    B, D = plant.known
+    _, C, _ = plant.system.stacked(plant.system.nonlinearities)
+    into, arguments = B - gain @ D, np.pad(C, ((0, 0), (0, plant.n - plant.system.n)))
     if not copies:
         into, arguments = np.zeros_like(into), np.zeros_like(arguments)
     B_c, C_c = np.hstack([gain, into]), np.vstack([C_w, arguments])

@@ -16,9 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag, expm
 
-from robsmooth._numerics.lyapunov import covariances, deviations
+from robsmooth._numerics.lyapunov import covariances, deviations, noise_root
+from robsmooth._numerics.modes import is_stable, modes, natural_units, rates
 from robsmooth._support import validation
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
@@ -28,7 +31,6 @@ from robsmooth.systems.system import UncertainSystem
 
 OUTPUTS = ("smoothed", "filtered", "guaranteed")
 LOOPS = ("theory", "real")  # the copies are driven by the design's fictitious noise, or by none
-_MARGINAL = 1e-12  # a loop whose slowest mode decays by less, relative to the fastest, is unstable
 Reference = str | ArrayLike | None
 _COMBINATION_TOLERANCE = 1e-9  # a row that is a combination of others to that, relative, is one
 
@@ -62,13 +64,6 @@ class OpenLoop:
             for rows, columns in block.places:
                 Delta[rows, columns] = block.gain * value
         return Delta
-
-    def in_blocks(self, gradient: Matrix) -> list[Matrix]:
-        """Return the gradients with respect to the blocks from that with respect to Delta."""
-        return [
-            block.gain * sum(gradient[rows, columns] for rows, columns in block.places)
-            for block in self.blocks
-        ]
 
 
 def which_loop(loop: str, copy_noise: bool | None = None) -> str:
@@ -183,20 +178,17 @@ def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
     return OpenLoop(A, B, inputs, outputs, truth, estimate, delay, blocks)
 
 
-def is_stable(poles: np.ndarray) -> bool:
-    """Return whether a loop is stable, to rounding."""
-    return bool(poles.real.max() < -_MARGINAL * np.abs(poles).max())
-
-
 def scaled(loop: OpenLoop) -> tuple[OpenLoop, Matrix]:
     """Return a loop in units of its fastest mode's time and its states' deviations, and these.
 
     Errors, Delta and multipliers stay as they are.
     """
-    poles = np.linalg.eigvals(loop.A)
-    if not is_stable(poles):
-        return loop, np.ones(len(loop.A))
-    time, x = 1.0 / np.abs(poles).max(), deviations(covariances(loop.A, loop.B).stationary)
+    _, fastest = rates(loop.A)
+    time = 1.0 / (fastest or 1.0)
+    if is_stable(loop.A):
+        x = deviations(covariances(loop.A, loop.B).stationary)
+    else:
+        x = natural_units(loop.A, loop.B)
     natural = replace(
         loop,
         A=time * loop.A / x[:, None] * x,
@@ -208,6 +200,47 @@ def scaled(loop: OpenLoop) -> tuple[OpenLoop, Matrix]:
         delay=loop.delay / time,
     )
     return natural, x
+
+
+def drifting_error(
+    A: Matrix, B: Matrix, truth: Matrix, estimate: Matrix, delay: float
+) -> tuple[Matrix, Matrix]:
+    """Return the covariance of truth X(t - delay) - estimate X(t), and its estimated rounding.
+
+    It is for a loop with modes that hardly decay. An UnstableLoopError says that they are in the
+    error.
+    """
+    found = modes(A, B)
+    V, W = np.hstack([found.V, found.V_rest]), np.vstack([found.W, found.W_rest])
+    drift = block_diag(found.A, found.A_rest)
+    since = np.zeros((len(truth), 0))
+    past = (truth - estimate) @ V
+    if delay > 0.0:
+        past = truth @ V - estimate @ V @ expm(delay * drift)
+        since = estimate @ V @ noise_root(drift, W @ B, delay)
+    left = np.arange(len(A))
+    if not found.seen_by(past @ W).any():
+        left = left[len(found.A) :]
+    elif found.standing:
+        rate = np.linalg.eigvals(found.A).real.max()
+        raise UnstableLoopError(
+            "the error has no stationary covariance: the loop is not stable, it has an eigenvalue "
+            f"with real part {rate:.4g} 1/s"
+        )
+    noise = (W @ B)[left]
+    rest = covariances(drift[np.ix_(left, left)], noise)
+    past = past[:, left]
+    return past @ rest.stationary @ past.T + since @ since.T, past @ rest.error @ past.T
+
+
+def drifting_output(name: str, A: Matrix) -> str:
+    """Return what is said of a channel whose output holds modes that do not decay, dz = A z dt."""
+    rate = np.linalg.eigvals(A).real.max()
+    return (
+        f"the output C x of {name} grows without bound, because it holds a mode with an "
+        f"eigenvalue of real part {rate:.4g} 1/s, so that the uncertainty has no limit either; "
+        "give the mode a decay, or the channel an output of stable states"
+    )
 
 
 def guarantee(smoother: Estimator, output: str, loop: str) -> float | None:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +20,15 @@ from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.estimators.baselines import fixed_lag_smoother, tuned_fixed_lag_smoother
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.certificate import ConstraintProblem, certify, problem_of
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.kalman import classical
 from robsmooth.estimators.loop import open_loop
 from robsmooth.estimators.programme import NoSolution, copies_are_known, least_certified
+from robsmooth.estimators.tuned import tuned_fixed_lag_smoother
 from robsmooth.estimators.units import Natural, in_plant_states
 from robsmooth.systems.augmented import AugmentedSystem
 
@@ -137,7 +139,7 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
             found = problem_of(estimator, positive).at(theta[positive]).mean_square
     if found is None:
         route = ROUTES[1]
-        estimator, theta, found = _by_descent(natural.plant)
+        estimator, theta, found = _by_descent(natural)
     units = natural.units
     return MinimaxSmoother(
         **natural.restored(in_plant_states(estimator)),
@@ -161,7 +163,7 @@ def certified_error(smoother: MinimaxSmoother) -> float:
     return problem.at(theta[problem.active]).mean_square
 
 
-def _by_descent(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray, float]:
+def _by_descent(natural: Natural) -> tuple[Estimator, np.ndarray, float]:
     """Return a local minimum, with theta and its certified error, from the best candidate.
 
     Raises
@@ -170,13 +172,14 @@ def _by_descent(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray, float]:
         Where no candidate has a guarantee for all of the uncertainty.
     """
     fraction, least, best = 0.0, math.inf, None
-    for candidate in _candidates(plant):
-        problem = problem_of(candidate)
+    kept = natural.drift.kept
+    for candidate in _candidates(natural.plant):
+        problem = problem_of(candidate, kept)
         found, reached, theta = certify(problem)
         fraction = max(fraction, reached)
         if found < least:
             multipliers = problem.all_multipliers(theta)
-            multipliers[problem.forbidding] = theta.max(initial=1.0)
+            multipliers[problem.forbidding | ~kept] = theta.max(initial=1.0)
             least, best = found, (candidate, multipliers)
     if best is None:
         raise InfeasibleDesignError(
@@ -187,14 +190,17 @@ def _by_descent(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray, float]:
         )
     estimator, theta = best
     for _ in range(_ROUNDS):
-        estimator, logarithms, found = descend(estimator, _objective, np.log(theta))
+        objective = partial(_objective, kept)
+        estimator, logarithms, found = descend(estimator, objective, np.log(theta))
         theta = np.exp(logarithms)
-    return estimator, theta, math.exp(found)
+    return estimator, np.where(kept, theta, 0.0), math.exp(found)
 
 
-def _objective(estimator: Estimator, logarithms: np.ndarray) -> tuple[float, np.ndarray]:
+def _objective(
+    kept: np.ndarray, estimator: Estimator, logarithms: np.ndarray
+) -> tuple[float, np.ndarray]:
     """Return the logarithm of the certified error, and its gradient."""
-    problem, theta = problem_of(estimator), np.exp(logarithms)
+    problem, theta = problem_of(estimator, kept), np.exp(logarithms)
     certificate = problem.at(theta[problem.active])
     in_theta = np.zeros_like(theta)
     in_theta[problem.active] = certificate.slack * theta[problem.active]
@@ -207,7 +213,7 @@ def _candidates(plant: AugmentedSystem) -> Iterator[Estimator]:
     n, m, g = plant.n, plant.system.m, plant.system.g
     with suppress(InfeasibleDesignError):
         for copies in sorted({False, g > 0}):
-            yield fixed_lag_smoother(plant.system, plant.delay, plant.order, copies)
+            yield classical(plant, copies)
         yield tuned_fixed_lag_smoother(plant, "admissible")
     for cost in COSTS:
         with suppress(InfeasibleDesignError):

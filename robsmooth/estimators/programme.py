@@ -90,9 +90,8 @@ def _channels(plant: AugmentedSystem) -> list[_Channel]:
 def copies_are_known(plant: AugmentedSystem) -> bool:
     """Return whether no uncertainty sees the states that the copies' outputs drive."""
     channels = _channels(plant)
-    driven = np.hstack([np.zeros((plant.n, 0)), *(c.B for c in channels if c.copied)])
     seen = np.vstack([np.zeros((0, plant.n)), *(c.C for c in channels if not c.copied)])
-    return not reaches(plant.A_p, driven, seen)
+    return not reaches(plant.A_p, plant.known[0], seen)
 
 
 def least_certified(plant: AugmentedSystem, C_a: Matrix) -> tuple[Estimator, np.ndarray]:
@@ -174,8 +173,9 @@ def _with_copies(
     What they do to the state is a part x_2 of the estimator's, where they do anything.
     """
     system, n, m = plant.system, plant.n, len(read)
-    B, C, D = system.stacked(system.nonlinearities)
-    B, C = np.pad(B, ((0, n - system.n), (0, 0))), np.pad(C, ((0, 0), (0, n - system.n)))
+    B, D = plant.known
+    _, C, _ = system.stacked(system.nonlinearities)
+    C = np.pad(C, ((0, 0), (0, n - system.n)))
     B_c, C_c = np.hstack([gain, -gain @ D]), np.vstack([read, arguments])
     if B.any():
         A_c = np.block([[A_c, -gain @ plant.C2_tilde[: system.l]], [np.zeros((n, n)), plant.A_p]])

@@ -85,7 +85,7 @@ def tuned_fixed_lag_smoother(
     """
     validation.choice("against", against, AGAINST)
     natural = Natural.of(plant, output)
-    family = _Family(natural.plant)
+    family = _Family(natural)
     search = _least_constant if against == "constant" else _least_certified
     return Estimator(**natural.restored(family(search(family))))
 
@@ -93,7 +93,7 @@ def tuned_fixed_lag_smoother(
 def _least_constant(family: "_Family") -> np.ndarray:
     """Return a point with a small worst constant error: of a few Delta, and the worst is added."""
     starts = family.untuned, *family.starts
-    found = [(*worst_constant(family(start), _STARTS), start) for start in starts]
+    found = [(*worst_constant(family(start), "smoothed", _STARTS), start) for start in starts]
     least, _, best = min(found, key=itemgetter(0))
     Deltas = [Delta for _, Delta, _ in found]
 
@@ -110,7 +110,7 @@ def _least_constant(family: "_Family") -> np.ndarray:
         how = {"method": "Nelder-Mead", "bounds": family.box, "options": options}
         point = minimize(objective, point, **how).x
         expected = math.exp(objective(point))
-        value, Delta = worst_constant(family(point), _STARTS)
+        value, Delta = worst_constant(family(point), "smoothed", _STARTS)
         Deltas.append(Delta)
         if value < least:
             least, best = value, point
@@ -148,10 +148,11 @@ class _Family:
     noise through the uncertainties, and the nominal slopes.
     """
 
-    def __init__(self, plant: AugmentedSystem) -> None:
-        self.plant, system = plant, plant.system
+    def __init__(self, natural: Natural) -> None:
+        self.plant = natural.whole
+        system, left = self.plant.system, natural.plant.system
         self.uncertain = [u for u in system.uncertainties if u.C.any()]
-        covariance = covariances(system.A, system.B1).stationary
+        covariance = covariances(left.A, left.B1).stationary
         self.sizes = [np.sqrt(np.trace(u.C @ covariance @ u.C.T)) for u in self.uncertain]
         single = [(u, 1.0) for u in self.uncertain if u.B.shape[1] == len(u.C) == 1]
         self.single = single + [(c, c.lipschitz) for c in system.nonlinearities]

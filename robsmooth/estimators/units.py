@@ -16,8 +16,9 @@ from scipy.linalg import null_space, orth
 
 from robsmooth._numerics.lyapunov import covariances, deviations
 from robsmooth._support import validation
-from robsmooth._support.validation import Matrix
-from robsmooth.estimators.conditions import COSTS, check_stable
+from robsmooth._support.validation import Matrix, frozen
+from robsmooth.estimators.conditions import COSTS
+from robsmooth.estimators.drift import Drift
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import matrices
 from robsmooth.systems.augmented import AugmentedSystem, check_is_plant, check_noise, undelayed
@@ -76,7 +77,9 @@ class Units:
             ],
         )
         model = pade_delay(plant.delay / self.time, plant.order, old.m)
-        return AugmentedSystem(system, model, plant.J_21)
+        growth = frozen(plant.growth * self.x / self.w)
+        taken_off = np.vstack([plant.taken_off[: old.n] * root / x, plant.taken_off[old.n :] / y])
+        return AugmentedSystem(system, model, plant.J_21, growth, frozen(taken_off))
 
     def restored(self, estimator: Estimator, plant: AugmentedSystem) -> dict[str, Any]:
         """Return the fields of an estimator of `plant`, made for the plant in these units.
@@ -103,9 +106,10 @@ class Natural:
     """A design problem in natural units, in which a filter has no delay model."""
 
     units: Units
-    plant: AugmentedSystem  # in these units
+    plant: AugmentedSystem  # stable, in these units: what an observer leaves of one that drifts
     original: AugmentedSystem
     output: str  # "smoothed" or "filtered"
+    drift: Drift
 
     @classmethod
     def of(cls, plant: AugmentedSystem, output: str) -> "Natural":
@@ -113,20 +117,24 @@ class Natural:
         check_is_plant(plant)
         validation.choice("output", output, COSTS)
         check_noise("A measurement's noise", plant.system.D21)
-        check_stable(plant)
-        units = Units.of(plant.system)
-        natural = units.plant(plant)
-        if output == "filtered":  # which does not see the delay model
-            natural = undelayed(natural)
-        return cls(units, natural, plant, output)
+        drift = Drift.of(plant)
+        units = Units.of(drift.plant.system)
+        return cls(units, _seen_by(output, units.plant(drift.plant)), plant, output, drift)
+
+    @property
+    def whole(self) -> AugmentedSystem:
+        """The plant in these units, with its drift."""
+        return _seen_by(self.output, self.units.plant(self.original))
 
     def restored(self, estimator: Estimator) -> dict[str, Any]:
         """Return the fields of an estimator of the original plant, in its units.
 
-        Its first n states estimate the plant's. A filter is followed by the delay model, so that
-        there is something to smooth with.
+        It is for `plant`, or for the `whole`. Its first n states estimate the plant's. A filter is
+        followed by the delay model, so that there is something to smooth with.
         """
-        plant, m = self.units.plant(self.original), self.original.system.m
+        of_whole = estimator.plant is not self.plant
+        original = self.original if of_whole else self.drift.plant
+        plant, m = self.units.plant(original), self.original.system.m
         model, n = plant.delay_model, estimator.plant.n
         A_c, B_c, C_c, C_a = (getattr(estimator, name) for name in ("A_c", "B_c", "C_c", "C_a"))
         none = np.zeros((m, len(A_c) - n))
@@ -139,7 +147,13 @@ class Natural:
             A_c, B_c, C_c = A_c[np.ix_(order, order)], B_c[order], C_c[:, order]
             C_a, C_f = np.hstack([plant.C_a, none]), C_c[:m]
         estimator = Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=C_a, C_f=C_f)
-        return self.units.restored(estimator, self.original)
+        fields = self.units.restored(estimator, self.original)
+        return fields if of_whole else self.drift.restored(self.original, fields)
+
+
+def _seen_by(output: str, plant: AugmentedSystem) -> AugmentedSystem:
+    """Return the plant as an estimate sees it: a filter does not see the delay model."""
+    return undelayed(plant) if output == "filtered" else plant
 
 
 def in_plant_states(estimator: Estimator) -> Estimator:

@@ -33,7 +33,8 @@ class HomodyneParameters:
     Attributes
     ----------
     lam, kappa : float
-        :math:`\lambda, \kappa > 0`, decay rate (rad/s) and diffusion (rad^2/s) of the phase.
+        :math:`\lambda \ge 0, \kappa > 0`, decay rate (rad/s) and diffusion (rad^2/s) of the phase,
+        which is a random walk where it does not decay.
     alpha : float
         :math:`\alpha > 0`, amplitude of the coherent beam, s^(-1/2).
     beta, gamma : float
@@ -58,7 +59,8 @@ class HomodyneParameters:
     gamma: float
 
     def __post_init__(self) -> None:
-        for name in ("lam", "kappa", "alpha", "beta"):
+        object.__setattr__(self, "lam", validation.real("lam", self.lam, low=0.0))
+        for name in ("kappa", "alpha", "beta"):
             object.__setattr__(self, name, validation.positive(name, getattr(self, name)))
         gamma = validation.real("gamma", self.gamma, low=0, high=1, without=[0, 1])
         object.__setattr__(self, "gamma", gamma)

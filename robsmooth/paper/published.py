@@ -12,6 +12,7 @@ import re
 import time
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from decimal import Decimal
 from functools import cache
 from pathlib import Path
@@ -138,7 +139,8 @@ def paper_plant() -> AugmentedSystem:
     F = np.array([[-damping, -stiffness / chain], [chain, 0.0]])
     G, H = np.array([[drive], [0.0]]), np.array([[-2.0 * damping / drive, 0.0]])
     model = DelayModel(F, G, H, np.eye(1), delay=DELAY, order=ORDER)
-    return AugmentedSystem(homodyne.PAPER.uncertain_system(), model, np.eye(1))
+    plant = augment(homodyne.PAPER.uncertain_system(), model.delay, model.order)
+    return replace(plant, delay_model=model)
 
 
 def signed_design(tau: float, multipliers: Matrix, sign: float = -1.0) -> tuple[Estimator, float]:

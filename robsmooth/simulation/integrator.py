@@ -13,6 +13,7 @@ Stochastic Differential Equations", Springer, 1992, Section 15.1) in the exponen
 is linear.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -70,7 +71,8 @@ class ExponentialIntegrator:
         of_state = [_generator(seed, path, 0) for path in paths]
         of_measurement = [_generator(seed, path, 1) for path in paths if measured]
         z = np.zeros((N + measured, len(paths)))
-        z[:N] = self.loop.stationary_root @ _normals(of_state, 1, N)[0]
+        root = self.loop.stationary_root
+        z[:N] = root @ _normals(of_state, 1, N)[0, : root.shape[1]]
         zeta = self.readout[self._arguments] @ z
         limit = None
         for start in range(-before, steps, CHUNK):
@@ -89,8 +91,9 @@ class ExponentialIntegrator:
             if limit is None:
                 largest = size.max(axis=(0, 2), where=np.isfinite(size), initial=0.0)[:, None]
                 limit = np.where(largest > 0.0, GROWTH * largest, np.finfo(float).max)
-            if not (size <= limit).all():  # nor is it with a NaN
-                step, _, column = np.argwhere(~(size <= limit))[0]
+            grown = math.exp(self.loop.growth_rate * self.step * (before + start + count))
+            if not (size <= grown * limit).all():  # nor is it with a NaN
+                step, _, column = np.argwhere(~(size <= grown * limit))[0]
                 raise RuntimeError(
                     f"path {paths[column]} of seed {seed} diverges: by "
                     f"{(start + step + 1) * self.step:.4g} s an output is not a number or beyond "

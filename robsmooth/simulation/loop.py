@@ -29,10 +29,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, expm
 
 from robsmooth._numerics import linearisation
 from robsmooth._numerics.lyapunov import stationary_root
+from robsmooth._numerics.modes import Modes, hardly_decays, modes, rates
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
@@ -70,6 +71,7 @@ class NonlinearLoop:
     delta: Matrix  # (r + 2g, h + 2g): Delta
     functions: tuple[Function, ...]
     lipschitz: Matrix  # (h + 2g,): bounds the input that an output makes: a constant, or one
+    delay: float  # s
 
     @property
     def order(self) -> int:
@@ -82,14 +84,34 @@ class NonlinearLoop:
         return self.drift + self.inputs @ self.delta @ self.arguments
 
     @cached_property
+    def _modes(self) -> Modes | None:
+        """The linear loop's modes that hardly decay, where the errors do not hold them, or None."""
+        A, B = self.linear_drift[: self.order], self.noise[: self.order]
+        if not hardly_decays(A):
+            return None
+        found = modes(A, B)
+        w, filtered, smoothed = np.split(self.readout, 3)
+        errors = np.vstack([w - filtered, w - smoothed @ expm(self.delay * A)])
+        return None if found.seen_by(errors).any() else found
+
+    @cached_property
     def slowest_rate(self) -> float:
-        """Decay rate of the slowest mode of the linear loop, 1/s; not positive if unstable."""
-        return float(-np.linalg.eigvals(self.linear_drift[: self.order]).real.max())
+        """Decay rate of the slowest mode of the errors, 1/s; not positive if they are unstable."""
+        A = self.linear_drift[: self.order] if self._modes is None else self._modes.A_rest
+        return rates(A)[0]
+
+    @cached_property
+    def growth_rate(self) -> float:
+        """At which the system grows, though its errors do not, 1/s; zero where it does not."""
+        return 0.0 if self._modes is None else max(0.0, -rates(self._modes.A)[0])
 
     @cached_property
     def stationary_root(self) -> Matrix:
-        """A root of the stationary covariance of the linear loop, which must be stable."""
-        return stationary_root(self.linear_drift[: self.order], self.noise[: self.order])
+        """A root of the stationary covariance of the linear loop; modes that drift are at zero."""
+        A, B = self.linear_drift[: self.order], self.noise[: self.order]
+        if self._modes is None:
+            return stationary_root(A, B)
+        return self._modes.V_rest @ stationary_root(self._modes.A_rest, self._modes.W_rest @ B)
 
     def argument_rate(self) -> float:
         """How fast the arguments of the functions move and act on each other, 1/s.
@@ -115,7 +137,8 @@ class NonlinearLoop:
     @property
     def is_linear(self) -> bool:
         """Whether all functions are the slopes that stand in for them, where the loop is at all."""
-        draws = np.random.default_rng(0).standard_normal((self.order, _DRAWS))
+        shape = self.stationary_root.shape[1], _DRAWS
+        draws = np.random.default_rng(0).standard_normal(shape)
         arguments = self.arguments @ self.stationary_root @ draws
         replaced = np.abs(self._slopes_of_functions) @ np.abs(arguments)
         with np.errstate(all="ignore"):  # what is not a number is not linear
@@ -165,6 +188,7 @@ def nonlinear_loop(
         delta=delta,
         functions=tuple(functions),
         lipschitz=np.array([1.0] * (sum(plant.output_sizes) - 2 * g) + 2 * bounds),
+        delay=plant.delay,
     )
     if not joined.slowest_rate > 0.0:
         raise UnstableLoopError(

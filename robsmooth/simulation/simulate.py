@@ -31,6 +31,7 @@ STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response tim
 SILENT = 1 / 4  # the longest step without a warning, in these units
 TIME_CONSTANTS = 100  # default duration, in units of the slowest mode
 WARM_UP_TIME_CONSTANTS = 5
+MOST_GROWTH = 20.0  # of an unstable system, in powers of e
 CHECK_EVERY = 16  # steps
 _CONSTRAINT_TOLERANCE = 1e-6  # relative: one that holds with equality is not violated by rounding
 
@@ -71,7 +72,7 @@ def simulate(
     runs : int, independent paths
     duration : float, optional
         Of a path, without the warm-up, s; in whole steps. Default: 100 times the slowest time
-        constant of the linearised loop.
+        constant of the linearised loop, or less where the system is unstable.
     step : float, optional
         s; must divide the lag. Default: the largest such step up to a fifth of the loop's response
         time; `robsmooth.simulation` tells of the bias that it makes.
@@ -114,7 +115,7 @@ def simulate(
     started = time.perf_counter()
     joined = nonlinear_loop(smoother, uncertainties, loop, reference)
     progress = validation.boolean("progress", progress)
-    duration = TIME_CONSTANTS / joined.slowest_rate if duration is None else duration
+    duration = _default(joined, TIME_CONSTANTS) if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed)
     m, checks = run.plant.system.m, np.zeros((3, len(run.plant.M_i)))
     products, traces = Moments((2, m, m)), Moments(2)
@@ -179,13 +180,19 @@ def sample_paths(
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
     joined = nonlinear_loop(smoother, uncertainties, loop, reference)
-    duration = TIME_CONSTANTS / 5 / joined.slowest_rate if duration is None else duration
+    duration = _default(joined, TIME_CONSTANTS / 5) if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed, measured=True)
     parts = list(run.records(range(run.runs)))
     names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
     times, *series = (np.concatenate([part[name] for part in parts]) for name in ("time", *names))
     by_path = (frozen(np.moveaxis(values, 2, 0)) for values in series)
     return SamplePaths(times, *by_path, run.step, smoother.plant.delay)
+
+
+def _default(loop: NonlinearLoop, time_constants: float) -> float:
+    """Return the default duration, s: less for a system that grows."""
+    duration = time_constants / loop.slowest_rate
+    return min(duration, MOST_GROWTH / 2 / loop.growth_rate) if loop.growth_rate else duration
 
 
 class _Run:
@@ -210,6 +217,13 @@ class _Run:
         self.step = step = validation.positive("step", default if step is None else step)
         self.before = math.ceil((WARM_UP_TIME_CONSTANTS / loop.slowest_rate + delay) / step)
         self.steps, self.lag = steps_in(duration, step), whole_steps(delay, step)
+        growth = loop.growth_rate * step * (self.before + self.steps)
+        if growth > MOST_GROWTH:
+            raise ValueError(
+                f"duration must be shorter, got {duration:.4g} s after a warm-up of "
+                f"{self.before * step:.4g} s: the system grows at a rate of {loop.growth_rate:.4g} "
+                "1/s, and its errors would be lost in rounding"
+            )
         if not loop.is_linear:  # else the scheme is exact
             warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
         self.integrator = ExponentialIntegrator(loop, step, measured)

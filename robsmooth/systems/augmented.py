@@ -15,14 +15,15 @@ system's q noises, `W` has g that the theory adds to the copies through :math:`J
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, expm, solve_sylvester
 
+from robsmooth._numerics.modes import modes
 from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import table_of_values
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     import control
 
 _MISFIT = 1e-9  # largest of Assumption 1, relative to each row's size
+_STANDING = 1e-9  # a mode that decays by less, relative to the system's rates, does not
+_ROUNDING = 1e-12
 _CORRELATED = 1e-12  # smallest eigenvalue of a noise's correlation matrix that counts as none
 
 
@@ -47,10 +50,15 @@ class AugmentedSystem:
     system : UncertainSystem
     delay_model : DelayModel
     J_21 : (g, g) array, intensity of the fictitious noise of the copies
+    growth : (m, n) array
+        What the delay model lacks of modes that do not decay, as a read-out of the system's state.
+    taken_off : (n + l, g) array
+        How the copies' outputs are taken off state and measurement: not at all by `augment`.
     A_p, B_p1 : (n, n) and (n, q + g) arrays
         Drift of the augmented state, 1/s, and its noise, with zero columns for that of the copies.
     C_p0, C_a : (m, n) arrays
-        The undelayed output w, and the delayed one, :math:`w_a = [J_a C_0,\ H_a] x_p`.
+        The undelayed output w, and the delayed one, :math:`w_a = [J_a C_0,\ H_a] x_p` and the
+        growth.
     B1_tilde, C1_tilde, D12_tilde : (n, r + 2g), (h + 2g, n) and (h + 2g, m + g) arrays
         Channel inputs into the state; channel outputs from the state and from the estimator.
     C2_tilde, D21_tilde, D21_bar : (l + g, n), (l + g, r + 2g) and (l + g, q + g) arrays
@@ -72,6 +80,8 @@ class AugmentedSystem:
     system: UncertainSystem
     delay_model: DelayModel
     J_21: Matrix
+    growth: Matrix
+    taken_off: Matrix
     A_p: Matrix = field(init=False)
     B_p1: Matrix = field(init=False)
     C_p0: Matrix = field(init=False)
@@ -88,19 +98,22 @@ class AugmentedSystem:
     def __post_init__(self) -> None:
         system, model, n, g = self.system, self.delay_model, self.n, self.system.g
         B, C, D = system.stacked((*system.uncertainties, *system.nonlinearities))
-        r, h = B.shape[1] + g, len(C) + g
+        h = len(C) + g
+        B = np.hstack([B, -self.taken_off[: system.n]])
+        D21_tilde = block_diag(D, np.eye(g))
+        D21_tilde[: system.l, D.shape[1] :] = -self.taken_off[system.n :]
         A_p = block_diag(system.A, model.F)
         A_p[system.n :, : system.n] = model.G @ system.C0
         vars(self).update(
             A_p=frozen(A_p),
             B_p1=_padded(system.B1, n, system.q + g),
             C_p0=_padded(system.C0, system.m, n),
-            C_a=frozen(np.hstack([model.J @ system.C0, model.H])),
-            B1_tilde=_padded(B, n, r),
+            C_a=frozen(np.hstack([model.J @ system.C0 + self.growth, model.H])),
+            B1_tilde=_padded(B, n, B.shape[1]),
             C1_tilde=_padded(C, h, n),
             D12_tilde=frozen(block_diag(np.zeros((h - g, system.m)), np.eye(g))),
             C2_tilde=_padded(system.C2, system.l + g, n),
-            D21_tilde=frozen(block_diag(D, np.eye(g))),
+            D21_tilde=frozen(D21_tilde),
             D21_bar=frozen(block_diag(system.D21, self.J_21)),
             M_i=_constraints(self.input_sizes, [1.0] * g),
             N_i=_constraints(self.output_sizes, [c.lipschitz for c in system.nonlinearities]),
@@ -158,6 +171,14 @@ class AugmentedSystem:
                 "carries no uncertainty, or make the system with UncertainSystem.from_plant",
             )
         return frozen(J)
+
+    @property
+    def known(self) -> tuple[Matrix, Matrix]:
+        """(n, g) and (l, g) arrays, what the copies' outputs are known to do to state and y."""
+        l, g = self.system.l, self.system.g  # noqa: E741 - the paper's letter
+        r = self.B1_tilde.shape[1]
+        both = np.eye(r)[:, r - 2 * g : r - g] + np.eye(r)[:, r - g :]
+        return self.B1_tilde @ both, self.D21_tilde[:l] @ both
 
     def structured_delta(
         self,
@@ -279,7 +300,25 @@ def augment(
     J_21 = validation.matrix("J_21", J_21, (system.g, system.g))
     if system.g and not np.linalg.eigvalsh((J_21 + J_21.T) / 2).min() > 0.0:
         raise ValueError("J_21 must be positive definite")
-    return AugmentedSystem(system, pade_delay(delay, order, system.m), J_21)
+    model = pade_delay(delay, order, system.m)
+    none = frozen(np.zeros((system.n + system.l, system.g)))
+    return AugmentedSystem(system, model, J_21, _growth(system, model), none)
+
+
+def _growth(system: UncertainSystem, model: DelayModel) -> Matrix:
+    r"""Return what the model lacks of the delayed modes that do not decay, (m, n).
+
+    Where x(t) holds V z(t) with dz = A_z z dt, the delayed output is
+    :math:`C_0 V e^{-A_z\delta} z(t)` but for the noise since then, and the model's state becomes
+    S z with :math:`S A_z = F_a S + G_a C_0 V`. For integrators the two are the same.
+    """
+    found = modes(system.A, system.B1, _STANDING)
+    w = system.C0 @ found.V
+    lacking = w @ expm(-model.delay * found.A) - model.J @ w
+    if len(model.F) and len(found.A):
+        lacking -= model.H @ solve_sylvester(model.F, -found.A, -model.G @ w)
+    lacking[np.abs(lacking) <= _ROUNDING * np.abs(w).max(initial=0.0)] = 0.0
+    return frozen(lacking @ found.W)
 
 
 def check_is_plant(plant: AugmentedSystem) -> None:
@@ -290,7 +329,8 @@ def check_is_plant(plant: AugmentedSystem) -> None:
 
 def undelayed(plant: AugmentedSystem) -> AugmentedSystem:
     """Return the plant without its delay model, which the filtered error does not see."""
-    return AugmentedSystem(plant.system, pade_delay(0.0, 0, plant.system.m), plant.J_21)
+    none = frozen(np.zeros_like(plant.growth))
+    return replace(plant, delay_model=pade_delay(0.0, 0, plant.system.m), growth=none)
 
 
 def check_noise(condition: str, D: Matrix) -> None:

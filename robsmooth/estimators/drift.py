@@ -1,0 +1,150 @@
+r"""Plants that drift: a stabilising observer first, and a design for what it leaves.
+
+The modes that hardly decay, and that no uncertainty sees, are :math:`x = Vz` with
+:math:`AV = VA_z`. An observer of these,
+
+.. math:: dx_0 = (Ax_0 + VW\bar B\tilde\mu)\,dt + L_0\,dy', \qquad
+          dy' = dy - (C_2x_0 + \bar D\tilde\mu)\,dt, \qquad x_0 = Vz_0,
+
+leaves the plant of :math:`x - x_0` with the measurement :math:`dy'`: the drift :math:`A - L_0C_2`,
+the noise :math:`B_1 - L_0D_{21}`, the channels' inputs :math:`B - L_0D`, and the same outputs. The
+outputs of the copies, which are known, are taken off what the observer has of them. What is left is
+stable, and an estimator for it and the observer are one for the plant. The least error does not
+depend on :math:`L_0`: any observer will do.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag, null_space
+
+from robsmooth._numerics.modes import Modes, modes
+from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.validation import Matrix
+from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.kalman import kalman_gain
+from robsmooth.estimators.loop import drifting_output
+from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.channels import Nonlinearity, Uncertainty
+from robsmooth.systems.delay import pade_delay
+from robsmooth.systems.system import UncertainSystem
+
+_SLOW = 1e-3  # of the filter's fastest rate: modes that decay by less are left to the observer
+_MORE = 3.0  # measurement noise for the observer: the best one would leave nothing to estimate
+_STANDING = 1e-13  # of that rate: a mode that decays by less does not decay
+_UNSEEN = 1e-9  # of an output's size: what it shows of a mode then is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """The observer of a plant's modes that hardly decay, and what it leaves."""
+
+    plant: AugmentedSystem  # of what is left: stable
+    V: Matrix  # (n, d) the modes, in the system's state
+    W: Matrix  # (d, n) with W V = I
+    gain: Matrix  # (n, l) L_0
+    kept: np.ndarray  # (k + 3g,) which constraints hold for what is left
+
+    @classmethod
+    def of(cls, plant: AugmentedSystem) -> "Drift":
+        """Return the observer of a plant; an InfeasibleDesignError says why there is none."""
+        system, k, g = plant.system, plant.system.k, plant.system.g
+        without_delay = pade_delay(0.0, 0, system.m)
+        _, gain = kalman_gain(system, without_delay)
+        rate = np.abs(np.linalg.eigvals(system.A - gain @ system.C2)).max()
+        found = modes(system.A, system.B1, _SLOW, rate)
+        V = _unseen(found, system, rate)
+        W = np.linalg.pinv(V / found.units[:, None]) / found.units
+        gain = np.zeros((system.n, system.l))
+        if V.size:
+            noise = np.hstack([W @ system.B1, np.zeros((V.shape[1], system.q))])
+            more = np.hstack([system.D21, _MORE * system.D21])
+            parts = W @ system.A @ V, noise, system.C0 @ V, system.C2 @ V, more
+            gain = V @ kalman_gain(UncertainSystem(*parts), without_delay)[1]
+        kept = np.ones(k + 3 * g, dtype=bool)
+        for i, channel in enumerate(system.nonlinearities, start=k):
+            kept[[i + g, i + 2 * g]] = not _sees(channel.C, V, found).any()
+        taken_off = plant.taken_off
+        if V.size:
+            B, _, D = system.stacked(system.nonlinearities)
+            taken_off = np.vstack([V @ W @ B - gain @ D, D])
+        left = replace(plant, system=_left(system, gain), taken_off=taken_off)
+        return cls(left, V, W, gain, kept)
+
+    def restored(self, plant: AugmentedSystem, fields: dict[str, Any]) -> dict[str, Any]:
+        """Return the fields of an estimator of the plant, from those of one of what is left.
+
+        Its first n states still estimate the plant's; those of the observer are the last.
+        """
+        if not self.V.size:
+            return fields
+        m, l, delays = plant.system.m, plant.system.l, plant.n - plant.system.n  # noqa: E741
+        basis = block_diag(self.V, np.eye(delays))
+        gain = np.vstack([self.W @ self.gain, np.zeros((delays, l))])
+        A_c, (B_y, B_mu) = fields["A_c"], np.hsplit(fields["B_c"], [l])
+        B, D = plant.known
+        into = block_diag(self.W, np.zeros((delays, delays)))
+        copies = into @ B - gain @ D
+        own, measured = len(A_c), plant.C2_tilde[:l] @ basis
+        observer = block_diag(self.W, np.eye(delays)) @ plant.A_p @ basis - gain @ measured
+        whole = Estimator(
+            plant=plant,
+            A_c=np.block([[A_c, -B_y @ measured], [np.zeros((len(gain), own)), observer]]),
+            B_c=np.block([[B_y, B_mu - B_y @ D], [gain, copies]]),
+            **{
+                name: np.hstack([fields[name], rows @ basis])
+                for name, rows in self._reads(plant, fields, m).items()
+            },
+        )
+        to = np.eye(own + len(gain))
+        to[: plant.n, own:] = basis
+        whole = whole.in_coordinates(to, 2.0 * np.eye(len(to)) - to)
+        return {name: getattr(whole, name) for name in fields}
+
+    @staticmethod
+    def _reads(plant: AugmentedSystem, fields: dict[str, Any], m: int) -> dict[str, Matrix]:
+        """Return what each read-out takes of the observer's state."""
+        filtered = np.array_equal(fields["C_c"][:m], fields["C_f"])
+        w = plant.C_p0 if filtered else plant.C_a
+        arguments = plant.C1_tilde[sum(plant.output_sizes[: plant.system.k]) :][: plant.system.g]
+        return {"C_c": np.vstack([w, arguments]), "C_a": plant.C_a, "C_f": plant.C_p0}
+
+
+def _sees(C: Matrix, V: Matrix, found: Modes) -> np.ndarray:
+    """Return which rows see which modes."""
+    sizes = np.linalg.norm(C * found.units, axis=1)[:, None]
+    return np.abs(C @ V) > _UNSEEN * sizes * np.linalg.norm(V / found.units[:, None], axis=0)
+
+
+def _unseen(found: Modes, system: UncertainSystem, rate: float) -> Matrix:
+    """Return those of the modes, (n, d), that no uncertainty sees; the others must decay."""
+    rest = np.eye(len(found.A))
+    for s, channel in enumerate(system.uncertainties):
+        rows = channel.C @ found.V / (np.linalg.norm(channel.C * found.units) or 1.0)
+        size = np.linalg.norm(found.A, 2) or 1.0
+        powers = [np.linalg.matrix_power(found.A / size, i) for i in range(len(found.A))]
+        seen = np.vstack([rows @ power for power in powers]) if powers else rows
+        unseen = null_space(np.where(np.abs(seen) > _UNSEEN, seen, 0.0))
+        sees = null_space(unseen.T)
+        drift = sees.T @ found.A @ sees
+        if drift.size and np.linalg.eigvals(drift).real.max() >= -_STANDING * rate:
+            detail = drifting_output(f"uncertainties[{s}]", drift)
+            raise InfeasibleDesignError("A bounded uncertainty", detail)
+        rest = rest @ null_space((np.eye(len(rest)) - unseen @ unseen.T) @ rest)
+    return found.V @ rest
+
+
+def _left(system: UncertainSystem, gain: Matrix) -> UncertainSystem:
+    """Return the system of what the observer leaves; its functions are of no account."""
+    return UncertainSystem(
+        A=system.A - gain @ system.C2,
+        B1=system.B1 - gain @ system.D21,
+        C0=system.C0,
+        C2=system.C2,
+        D21=system.D21,
+        uncertainties=[Uncertainty(c.B - gain @ c.D, c.C, c.D) for c in system.uncertainties],
+        nonlinearities=[
+            Nonlinearity(c.B - gain @ c.D, c.C, c.D, c.lipschitz) for c in system.nonlinearities
+        ],
+    )
