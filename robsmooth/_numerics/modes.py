@@ -5,17 +5,23 @@ With :math:`AV = VA_d` for the slow modes and :math:`AV_r = V_rA_r` for the rest
 `V` have a stationary covariance even where the slow modes drift away, or grow.
 """
 
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import schur, solve_sylvester
+from scipy.linalg import LinAlgError, schur, solve_sylvester
 
 from robsmooth._numerics.lyapunov import balanced_norm, covariances, deviations
 from robsmooth._support.validation import Matrix
 
-SLOW = 1e-6  # of the fastest rate: modes that decay by less are left out where none sees them
-_STANDING = 1e-12  # of that rate: a mode that decays by less does not decay, to rounding
-_UNSEEN = 1e-10  # of an output's size: what it shows of a mode then is rounding
+_GAP = 1e5  # between the decay rates of modes that hardly decay, and of the next
+_STANDING = 1e-12  # of the fastest mode's rate: a mode that decays by less does not, to rounding
+_DECAY = 0.01  # of A's norm, so that all modes decay
+_SLOW = 1e-9  # of that rate
+_ROUNDING = 1e-13  # of that rate
+_UNSEEN = 1e-8  # of an output's size: what it shows of a mode then is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +35,12 @@ class Modes:
     W_rest: Matrix
     A_rest: Matrix
     units: Matrix  # (n,) of the states: in which V and W are of order one
-    standing: bool  # whether some slow mode does not decay
 
-    def seen_by(self, rows: Matrix) -> np.ndarray:
-        """Return which of some rows, outputs of x, see the slow modes."""
-        seen = np.abs(rows @ self.V).max(axis=-1, initial=0.0)
-        return seen > _UNSEEN * np.linalg.norm(rows * self.units, axis=-1)
+    def seen_by(self, rows: Matrix, less: Matrix | None = None) -> np.ndarray:
+        """Return which of some rows, outputs of x, see the slow modes, or do less others."""
+        size = _UNSEEN * np.linalg.norm(rows * self.units, axis=-1)
+        rows = rows if less is None else rows - less
+        return ~(np.abs(rows @ self.V).max(axis=-1, initial=0.0) <= size)  # nor is what is lost
 
 
 def rates(A: Matrix) -> tuple[float, float]:
@@ -50,30 +56,36 @@ def is_stable(A: Matrix) -> bool:
 
 
 def hardly_decays(A: Matrix) -> bool:
-    """Return whether a mode of A, or of one of (N, n, n), decays by less than `SLOW` has it."""
+    """Return whether a mode of A, or of one of (N, n, n), decays by next to nothing."""
     poles = np.linalg.eigvals(A)
-    return bool((-poles.real.max(axis=-1) < SLOW * np.abs(poles).max(axis=-1)).any())
+    return bool((-poles.real.max(axis=-1) < _SLOW * np.abs(poles).max(axis=-1)).any())
 
 
 def natural_units(A: Matrix, B: Matrix) -> Matrix:
-    """Return units of the states: what the noise makes of them while little else happens."""
-    shift = 2.0 * balanced_norm(A)
+    """Return units of the states: what the noise makes of them if all modes were to decay."""
+    shift = _DECAY * balanced_norm(A) + max(0.0, np.linalg.eigvals(A).real.max())
     return deviations(covariances(A - shift * np.eye(len(A)), B).stationary)
 
 
-def modes(A: Matrix, B: Matrix, slow: float = SLOW, rate: float = 0.0) -> Modes:
-    """Return the modes of dx = A x dt + B dW that hardly decay, and the rest.
-
-    They decay by less than `slow`, relative to A in natural units or another rate (1/s).
-    """
+def separations(A: Matrix, B: Matrix) -> Iterator[Modes]:
+    """Yield `modes` with a limit in each gap between the decay rates, the highest first."""
     x = natural_units(A, B)
-    A = A / x[:, None] * x
-    size = np.linalg.norm(A, 2)
-    T, U, d = schur(A, sort=lambda real, _: real >= -slow * max(size, rate))
+    poles = np.linalg.eigvals(A / x[:, None] * x)
+    decays = np.sort(-poles.real)
+    decays[decays < _ROUNDING * np.abs(poles).max()] = 0.0
+    for faster, slower in pairwise(decays[::-1]):
+        if faster > _GAP * slower:
+            with suppress(LinAlgError):  # a pair of poles that rounding has put apart
+                yield modes(A, B, faster / 2.0)
+
+
+def modes(A: Matrix, B: Matrix, limit: float) -> Modes:
+    """Return the modes of dx = A x dt + B dW that decay by less than a limit, 1/s, and the rest."""
+    x = natural_units(A, B)
+    T, U, d = schur(A / x[:, None] * x, sort=lambda real, _: -real <= limit)
     first, rest, mixing = T[:d, :d], T[d:, d:], np.zeros((d, len(A) - d))
     if mixing.size:
         mixing = solve_sylvester(first, -rest, -T[:d, d:])
     V, W = x[:, None] * U[:, :d], (U[:, :d] - U[:, d:] @ mixing.T).T / x
     V_rest, W_rest = x[:, None] * (U[:, :d] @ mixing + U[:, d:]), U[:, d:].T / x
-    standing = d > 0 and np.linalg.eigvals(first).real.max() >= -_STANDING * size
-    return Modes(V, W, first, V_rest, W_rest, rest, x, bool(standing))
+    return Modes(V, W, first, V_rest, W_rest, rest, x)

@@ -35,6 +35,7 @@ from robsmooth._numerics.lyapunov import check_certainty, covariances
 from robsmooth._numerics.modes import hardly_decays
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
+from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import (
@@ -70,14 +71,22 @@ class ClosedLoop:
 
     def error_covariance(self, output: str) -> Matrix:
         """Return the (..., m, m) stationary covariance of one of the errors of `open_loop`."""
-        T = self._error_coordinates
         truth, estimate, delay = error_rows(self.estimator, output)
-        if hardly_decays(self.A):
-            if self.A.ndim > 2:
-                return np.array([replace(self, A=A).error_covariance(output) for A in self.A])
-            result, error = drifting_error(self.A, self.B, truth, estimate, delay)
-            check_certainty("the error covariance", result, error)
-            return result
+        try:
+            return self._error_covariance(truth, estimate, delay)
+        except (UnstableLoopError, ArithmeticError):
+            if not hardly_decays(self.A):
+                raise
+        if self.A.ndim > 2:
+            return np.array([replace(self, A=A).error_covariance(output) for A in self.A])
+        result, error = drifting_error(self.A, self.B, truth, estimate, delay)
+        check_certainty("the error covariance", result, error)
+        return result
+
+    @np.errstate(over="ignore", invalid="ignore")  # of a loop that runs away
+    def _error_covariance(self, truth: Matrix, estimate: Matrix, delay: float) -> Matrix:
+        """Return the same where all modes of the loop decay."""
+        T = self._error_coordinates
         truth, estimate = truth @ T, estimate @ T
         found = covariances(T @ self.A @ T, T @ self.B, delay)
         E, error = found.transition, found.error

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, null_space, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from robsmooth._numerics.modes import hardly_decays, modes
+from robsmooth._numerics.modes import Modes, hardly_decays, is_stable, separations
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.extras import convex_modelling
@@ -145,33 +145,40 @@ def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np
     UnstableLoopError
         Where a mode does not decay, and the output of an uncertainty holds it.
     """
-    none = np.zeros(len(plant.N_i), dtype=bool)
-    if not hardly_decays(loop.A):
-        return loop, none, np.eye(len(loop.A))
-    found, k, g = modes(loop.A, loop.B), plant.system.k, plant.system.g
+    k, g = plant.system.k, plant.system.g
+    whole, seeing = (loop, np.zeros(k + 3 * g, dtype=bool), np.eye(len(loop.A))), None
+    for found in separations(loop.A, loop.B) if hardly_decays(loop.A) else ():
+        if found.seen_by(loop.truth, loop.estimate).any():
+            continue
+        seen = _seeing(found, loop, plant)
+        if not seen[: k + g].any():
+            V, W = found.V_rest, found.W_rest
+            rest = replace(
+                loop,
+                A=found.A_rest,
+                B=W @ loop.B,
+                inputs=W @ loop.inputs,
+                outputs=loop.outputs @ V,
+                truth=loop.truth @ V,
+                estimate=loop.estimate @ V,
+            )
+            return rest, seen, W
+        seeing = seeing or (int(seen.argmax()), found.A)
+    if seeing is None or is_stable(loop.A):
+        return whole
+    names = [f"uncertainties[{s}]" for s in range(k)]
+    names += [f"nonlinearities[{i}], less its copy's," for i in range(g)]
+    raise UnstableLoopError(drifting_output(names[seeing[0]], seeing[1]))
+
+
+def _seeing(found: Modes, loop: OpenLoop, plant: AugmentedSystem) -> np.ndarray:
+    """Return which of the k + 3g constraints see modes of the loop."""
+    k, g = plant.system.k, plant.system.g
     sees = found.seen_by(loop.outputs)
     first = len(sees) - 2 * g
-    differences = found.seen_by(loop.outputs[first : first + g] - loop.outputs[first + g :])
-    of_channels = np.split(sees[:first], np.cumsum(plant.output_sizes[:k])[:-1]) if k else []
-    seen = np.array([*(s.any() for s in of_channels), *differences, *sees[first:]], dtype=bool)
-    in_error = found.seen_by(loop.truth - loop.estimate).any()
-    if in_error or (seen[: k + g].any() and not found.standing):
-        return loop, none, np.eye(len(loop.A))
-    if seen[: k + g].any():
-        names = [f"uncertainties[{s}]" for s in range(k)]
-        names += [f"nonlinearities[{i}], less its copy's," for i in range(g)]
-        raise UnstableLoopError(drifting_output(names[int(seen.argmax())], found.A))
-    V, W = found.V_rest, found.W_rest
-    rest = replace(
-        loop,
-        A=found.A_rest,
-        B=W @ loop.B,
-        inputs=W @ loop.inputs,
-        outputs=loop.outputs @ V,
-        truth=loop.truth @ V,
-        estimate=loop.estimate @ V,
-    )
-    return rest, seen, W
+    differences = found.seen_by(loop.outputs[first : first + g], loop.outputs[first + g :])
+    channels = np.split(sees[:first], np.cumsum(plant.output_sizes[:k])[:-1]) if k else []
+    return np.array([*(rows.any() for rows in channels), *differences, *sees[first:]], dtype=bool)
 
 
 def problem_of(estimator: Estimator, kept: np.ndarray | None = None) -> ConstraintProblem:

@@ -53,7 +53,7 @@ class Drift:
         without_delay = pade_delay(0.0, 0, system.m)
         _, gain = kalman_gain(system, without_delay)
         rate = np.abs(np.linalg.eigvals(system.A - gain @ system.C2)).max()
-        found = modes(system.A, system.B1, _SLOW, rate)
+        found = modes(system.A, system.B1, _SLOW * rate)
         V = _unseen(found, system, rate)
         W = np.linalg.pinv(V / found.units[:, None]) / found.units
         gain = np.zeros((system.n, system.l))

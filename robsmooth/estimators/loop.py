@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, expm
 
 from robsmooth._numerics.lyapunov import covariances, deviations, noise_root
-from robsmooth._numerics.modes import is_stable, modes, natural_units, rates
+from robsmooth._numerics.modes import is_stable, natural_units, rates, separations
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
@@ -202,35 +202,32 @@ def scaled(loop: OpenLoop) -> tuple[OpenLoop, Matrix]:
     return natural, x
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a loop that runs away
 def drifting_error(
     A: Matrix, B: Matrix, truth: Matrix, estimate: Matrix, delay: float
 ) -> tuple[Matrix, Matrix]:
     """Return the covariance of truth X(t - delay) - estimate X(t), and its estimated rounding.
 
-    It is for a loop with modes that hardly decay. An UnstableLoopError says that they are in the
-    error.
+    It is for a loop with modes that hardly decay, or do not. An UnstableLoopError says that they
+    are in the error.
     """
-    found = modes(A, B)
-    V, W = np.hstack([found.V, found.V_rest]), np.vstack([found.W, found.W_rest])
-    drift = block_diag(found.A, found.A_rest)
-    since = np.zeros((len(truth), 0))
-    past = (truth - estimate) @ V
-    if delay > 0.0:
-        past = truth @ V - estimate @ V @ expm(delay * drift)
-        since = estimate @ V @ noise_root(drift, W @ B, delay)
-    left = np.arange(len(A))
-    if not found.seen_by(past @ W).any():
-        left = left[len(found.A) :]
-    elif found.standing:
-        rate = np.linalg.eigvals(found.A).real.max()
-        raise UnstableLoopError(
-            "the error has no stationary covariance: the loop is not stable, it has an eigenvalue "
-            f"with real part {rate:.4g} 1/s"
-        )
-    noise = (W @ B)[left]
-    rest = covariances(drift[np.ix_(left, left)], noise)
-    past = past[:, left]
-    return past @ rest.stationary @ past.T + since @ since.T, past @ rest.error @ past.T
+    for found in separations(A, B):
+        V, W = np.hstack([found.V, found.V_rest]), np.vstack([found.W, found.W_rest])
+        drift, rest = block_diag(found.A, found.A_rest), slice(len(found.A), None)
+        past, since = (truth - estimate) @ V, np.zeros((len(truth), 0))
+        if delay > 0.0:
+            past = truth @ V - estimate @ V @ expm(delay * drift)
+            since = estimate @ V @ noise_root(drift, W @ B, delay)
+        unseen = not found.seen_by(truth, truth - past @ W).any()
+        if unseen or is_stable(A):
+            left = rest if unseen else slice(None)
+            found = covariances(drift[left, left], (W @ B)[left])
+            past = past[:, left]
+            return past @ found.stationary @ past.T + since @ since.T, past @ found.error @ past.T
+    raise UnstableLoopError(
+        "the error has no stationary covariance: the loop is not stable, it has an eigenvalue with "
+        f"real part {-rates(A)[0]:.4g} 1/s"
+    )
 
 
 def drifting_output(name: str, A: Matrix) -> str:

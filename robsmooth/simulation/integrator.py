@@ -92,8 +92,8 @@ class ExponentialIntegrator:
                 largest = size.max(axis=(0, 2), where=np.isfinite(size), initial=0.0)[:, None]
                 limit = np.where(largest > 0.0, GROWTH * largest, np.finfo(float).max)
             grown = math.exp(self.loop.growth_rate * self.step * (before + start + count))
-            if not (size <= grown * limit).all():  # nor is it with a NaN
-                step, _, column = np.argwhere(~(size <= grown * limit))[0]
+            if not (size / grown <= limit).all():  # nor is it with a NaN
+                step, _, column = np.argwhere(~(size / grown <= limit))[0]
                 raise RuntimeError(
                     f"path {paths[column]} of seed {seed} diverges: by "
                     f"{(start + step + 1) * self.step:.4g} s an output is not a number or beyond "

@@ -33,7 +33,7 @@ from scipy.linalg import block_diag, expm
 
 from robsmooth._numerics import linearisation
 from robsmooth._numerics.lyapunov import stationary_root
-from robsmooth._numerics.modes import Modes, hardly_decays, modes, rates
+from robsmooth._numerics.modes import Modes, hardly_decays, rates, separations
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
@@ -71,7 +71,7 @@ class NonlinearLoop:
     delta: Matrix  # (r + 2g, h + 2g): Delta
     functions: tuple[Function, ...]
     lipschitz: Matrix  # (h + 2g,): bounds the input that an output makes: a constant, or one
-    delay: float  # s
+    delay: float = 0.0  # s
 
     @property
     def order(self) -> int:
@@ -89,10 +89,13 @@ class NonlinearLoop:
         A, B = self.linear_drift[: self.order], self.noise[: self.order]
         if not hardly_decays(A):
             return None
-        found = modes(A, B)
         w, filtered, smoothed = np.split(self.readout, 3)
-        errors = np.vstack([w - filtered, w - smoothed @ expm(self.delay * A)])
-        return None if found.seen_by(errors).any() else found
+        with np.errstate(over="ignore", invalid="ignore"):  # of a loop that runs away
+            estimates = np.vstack([filtered, smoothed @ expm(self.delay * A)])
+        for found in separations(A, B):
+            if not found.seen_by(np.vstack([w, w]), estimates).any():
+                return found
+        return None
 
     @cached_property
     def slowest_rate(self) -> float:

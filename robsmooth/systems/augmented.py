@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, expm, solve_sylvester
 
-from robsmooth._numerics.modes import modes
+from robsmooth._numerics.modes import modes, rates
 from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import table_of_values
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     import control
 
 _MISFIT = 1e-9  # largest of Assumption 1, relative to each row's size
-_STANDING = 1e-9  # a mode that decays by less, relative to the system's rates, does not
+_STANDING = 1e-6  # of the fastest mode's rate: a mode that decays by less does not
 _ROUNDING = 1e-12
 _CORRELATED = 1e-12  # smallest eigenvalue of a noise's correlation matrix that counts as none
 
@@ -312,7 +312,7 @@ def _growth(system: UncertainSystem, model: DelayModel) -> Matrix:
     :math:`C_0 V e^{-A_z\delta} z(t)` but for the noise since then, and the model's state becomes
     S z with :math:`S A_z = F_a S + G_a C_0 V`. For integrators the two are the same.
     """
-    found = modes(system.A, system.B1, _STANDING)
+    found = modes(system.A, system.B1, _STANDING * rates(system.A)[1])
     w = system.C0 @ found.V
     lacking = w @ expm(-model.delay * found.A) - model.J @ w
     if len(model.F) and len(found.A):

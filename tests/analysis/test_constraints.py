@@ -137,7 +137,8 @@ def test_too_much_uncertainty_has_no_bound_and_the_fraction_says_how_much_has(un
 
 
 def test_loop_that_is_not_stable_has_no_bound_for_any_fraction():
-    smoother = replace(looking_at_nothing(0.5), A_c=np.array([[1.0]]))
+    one = np.ones((1, 1))
+    smoother = replace(looking_at_nothing(0.5), A_c=one, B_c=one, C_f=one)
     found = analysis_bound(smoother, "filtered")
     assert (found.mean_square, found.fraction) == (math.inf, 0.0)
 

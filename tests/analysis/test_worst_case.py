@@ -1,6 +1,7 @@
 """The worst constant uncertainty: against grids, random ones, and what theory says of it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robsmooth import (
-    Estimator,
     UncertainSystem,
     Uncertainty,
     augment,
@@ -127,8 +127,8 @@ def test_worst_case_is_infinite_where_the_loop_can_be_unstable(uncertainty):
 
 
 def test_worst_case_of_a_loop_that_is_never_stable_is_infinite():
-    smoother = looking_at_nothing(0.1)
-    broken = Estimator(**{**vars(smoother), "A_c": np.array([[1.0]])})
+    one = np.ones((1, 1))
+    broken = replace(looking_at_nothing(0.1), A_c=one, B_c=one, C_f=one)
     worst = worst_case(broken, "filtered")
     assert math.isinf(worst.mean_square)
     assert math.isinf(worst.nominal)

@@ -141,5 +141,7 @@ def test_bad_arguments_are_refused():
     with pytest.raises(rs.InfeasibleDesignError, match="measurement 0 has no noise"):
         tuned_fixed_lag_smoother(rs.augment(silent, 0.2, 2))
     drifting = replace(plant.system, A=[[0.0]])
-    with pytest.raises(rs.InfeasibleDesignError, match="A must be stable"):
+    with pytest.raises(
+        rs.InfeasibleDesignError, match=r"output C x of .*\[0\] grows without bound"
+    ):
         tuned_fixed_lag_smoother(rs.augment(drifting, 0.2, 2))

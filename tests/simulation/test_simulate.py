@@ -673,9 +673,9 @@ def test_path_that_is_not_a_number_is_named():
 
 
 def test_loop_that_is_unstable_without_its_nonlinearities_is_refused():
-    system = replace(scalar_system(soft), A=[[0.5]])
+    unstable = replace(kalman_bucy(scalar_system(soft)), A_c=np.array([[0.5]]))
     with pytest.raises(UnstableLoopError, match="not stable without its nonlinearities"):
-        simulate(kalman_bucy(system))
+        simulate(unstable)
 
 
 def test_nonlinearity_without_a_function_is_refused():
