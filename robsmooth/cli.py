@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import fields
-from importlib.util import find_spec
 from pathlib import Path
 
 import robsmooth
@@ -93,17 +92,6 @@ def bench(options: argparse.Namespace) -> int:
     return subprocess.run(command, cwd=_project()).returncode
 
 
-def site(options: argparse.Namespace) -> int:
-    """Build the site from executed notebooks, as docs/ has it."""
-    project = _project()
-    if find_spec("sphinx") is None:
-        raise PipelineError("Sphinx is not installed; `make report` makes an environment with it")
-    command = [sys.executable, "-m", "docs", "--profile", options.profile]
-    if options.build:
-        command += ["--build", str(options.build)]
-    return subprocess.run(command, cwd=project).returncode
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="robsmooth", description=__doc__)
     version = f"robsmooth {robsmooth.__version__}"
@@ -127,11 +115,6 @@ def _parser() -> argparse.ArgumentParser:
 
     _command(commands, "verdicts", verdicts, "every printed number with its verdict")
 
-    add = _command(commands, "report", site, "build the offline site from what `figures` has left")
-    text = "whose results (default: %(default)s)"
-    add("--profile", choices=PROFILES, default=Request.profile, help=text)
-    add("--build", metavar="FOLDER", type=_folder, help="folder that the run worked in")
-
     add = _command(commands, "bench", bench, "measure the speed of the simulation")
     add("--quick", action="store_true", help="in seconds; ratios mean little")
     add("--write", action="store_true", help="write benchmarks/results.* and the README's block")
@@ -150,7 +133,7 @@ def _names(text: str) -> list[str]:
 
 
 def _folder(text: str) -> Path:
-    return Path(text).resolve()  # the notebooks and docs/ are run elsewhere
+    return Path(text).resolve()  # the notebooks are run elsewhere
 
 
 def _setting(text: str) -> tuple[str, object]:
