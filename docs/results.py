@@ -225,9 +225,9 @@ def tables(found: Iterable[Run]) -> str:
         chosen = [result for result in run.results if result.table]
         parts += [f"## {run.title}"] if chosen else []
         for result in chosen:
-            links = f"[CSV]({result.name}.csv), [LaTeX]({result.name}.tex)"
+            link = f"[CSV]({result.name}.csv)"
             parts.append(f"(table-{result.stem})=\n### `{result.stem}`")
-            parts.append(f"{result.table.strip()}\n\n{links}")
+            parts.append(f"{result.table.strip()}\n\n{link}")
     return "\n\n".join(parts) + "\n"
 
 

@@ -131,7 +131,7 @@ def test_results_are_byte_identical_when_regenerated(first_run, tmp_path):
     ]
     assert {path.suffix for path in results} == {
         *(".pdf", ".svg", ".png"),
-        *(".md", ".csv", ".tex", ".json"),
+        *(".md", ".csv", ".json"),
     }
     for result in results:
         old, new = (places / result for places in (first_run, tmp_path / "quick"))
@@ -202,7 +202,7 @@ def test_every_result_is_in_the_index_with_what_made_it(site, first_run):
         files = {Path(file).name for file in about["files"]}
         assert {file for file in files if not file.endswith((".md", "provenance.json"))} <= linked
         assert {file for file in files if file.endswith(".png")} <= shown
-        tables = {file.removesuffix(".tex") for file in files if file.endswith(".tex")}
+        tables = {file.removesuffix(".md") for file in files if file.endswith(".md")}
         assert {f"table-{name.replace('_', '-')}" for name in tables} <= {
             *site["tables.html"].anchors
         }
