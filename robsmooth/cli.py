@@ -12,7 +12,6 @@ from pathlib import Path
 
 import robsmooth
 from robsmooth._support.extras import MissingExtraError
-from robsmooth._support.progress import progress_bar
 from robsmooth.workbench.parameters import PipelineError
 from robsmooth.workbench.runner import PROFILES, NotebookResult, Request, plan, run_notebooks
 
@@ -39,14 +38,10 @@ def figures(options: argparse.Namespace) -> int:
     given = vars(options) | {"root": _project(), "parameters": dict(options.set)}
     run = Request(**{each.name: given[each.name] for each in fields(Request)})
     tasks, results = plan(run), []
-    with (
-        progress_bar(total=len(tasks), unit="notebook", leave=False) as bar,
-        closing(run_notebooks(run, tasks)) as running,
-    ):
+    with closing(run_notebooks(run, tasks)) as running:
         for result in running:
             results.append(result)
-            bar.update()
-            bar.write(_line(result))
+            print(_line(result), flush=True)
     failed = [result for result in results if result.failure]
     if failed:
         print(_summary(failed, len(results)), file=sys.stderr)
@@ -101,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     add = _command(commands, "figures", figures, "run the notebooks that are not fresh")
     text = "scale of the run (default: %(default)s); quick writes to build/quick"
     add("--profile", choices=PROFILES, default=Request.profile, help=text)
-    text = "notebooks to run, each by its name or a part that fits one only (default: all)"
+    text = "parts of the names of the notebooks to run (default: all)"
     add("--only", metavar="NAME[,NAME]", type=_names, default=Request.only, help=text)
     text = "give a parameter a value of your own; the results go to build/custom"
     add("--set", metavar="NAME=VALUE", type=_setting, action="append", default=[], help=text)

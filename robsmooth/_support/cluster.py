@@ -19,15 +19,13 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from importlib import metadata
-from importlib.resources import files
 from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robsmooth._support.extras import extra
 
 if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
-
     from distributed import Client, Future
 
 CALLS_PER_THREAD = 2  # sent ahead: one that is computed and one that waits for it to end
@@ -128,24 +126,16 @@ def software() -> dict[str, str]:
     return {**versions, "robsmooth": _SOURCES}
 
 
-def _digest_sources(package: "Traversable") -> str:
+def _digest_sources(package: Path) -> str:
     digest = hashlib.sha256()
-    for name, content in sorted(_sources(package)):
-        digest.update(f"{name} {len(content)}\n".encode() + content)
+    for path in sorted(package.rglob("*.py")):
+        content = path.read_bytes()
+        digest.update(f"{path.relative_to(package).as_posix()} {len(content)}\n".encode() + content)
     return digest.hexdigest()
 
 
-def _sources(folder: "Traversable", prefix: str = "") -> Iterator[tuple[str, bytes]]:
-    """Names and contents of the modules in a package, which may be in an archive."""
-    for entry in folder.iterdir():
-        if entry.is_dir() and entry.name != "__pycache__":
-            yield from _sources(entry, f"{prefix}{entry.name}/")
-        elif entry.name.endswith((".py", ".pyc")):
-            yield prefix + entry.name, entry.read_bytes()
-
-
 # Of now, and not of when it is asked for: by then the files may have been edited.
-_SOURCES = _digest_sources(files("robsmooth"))
+_SOURCES = _digest_sources(Path(__file__).resolve().parent.parent)
 
 
 class _Call(NamedTuple):

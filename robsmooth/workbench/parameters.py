@@ -7,12 +7,12 @@ papermill checks neither name nor type, and its reader skips comments that hold 
 
 import ast
 import difflib
-import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+
+from robsmooth._support import validation
 
 TYPES = {"bool": bool, "int": int, "float": float, "str": str}
 # Set by the pipeline, for each run anew, and of no influence on the results. Every notebook has the
@@ -29,48 +29,29 @@ class PipelineError(ValueError):
     """A run was asked for that cannot be made; nothing has been run."""
 
 
-@dataclass(frozen=True)
-class Interval:
-    """Numbers from `low` to `high`, each end included or not."""
-
-    low: float
-    high: float
-    ends: str  # as in "(]"
-
-    def __contains__(self, value: float) -> bool:
-        above = value > self.low or (value == self.low and "[" in self.ends)
-        below = value < self.high or (value == self.high and "]" in self.ends)
-        return above and below
-
-    def __str__(self) -> str:
-        left, right = self.ends
-        return f"{left}{self.low:g}, {self.high:g}{right}"
-
-
 class Parameter(NamedTuple):
     """One line of the parameters cell."""
 
     name: str
     type: str
     default: object
-    allowed: Interval | tuple[str, ...] | None
-    help: str
+    choices: tuple[str, ...]  # empty for all
+    interval: dict  # arguments of `validation.real`
 
     def check(self, value: object, where: str) -> object:
         """Return `value` in this parameter's type, or raise a `PipelineError` that says why not."""
-        allowed, wanted = self.allowed, ""
         if self.type == "float" and type(value) is int:
             value = float(value)
-        if type(value) is not TYPES[self.type]:
-            wanted, value = f"of type {self.type}", f"{value!r} ({type(value).__name__})"
-        elif isinstance(value, float) and not math.isfinite(value):
-            wanted = "finite"
-        elif isinstance(allowed, Interval) and value not in allowed:
-            wanted = f"in {allowed}"
-        elif isinstance(allowed, tuple) and str(value) not in allowed:
-            wanted = f"one of {', '.join(allowed)}"
-        if wanted:
-            raise PipelineError(f"{where}: {self.name} must be {wanted}, not {value}")
+        try:
+            if type(value) is not TYPES[self.type]:
+                given = f"{value!r} ({type(value).__name__})"
+                raise ValueError(f"{self.name} must be of type {self.type}, got {given}")
+            if self.choices:
+                validation.choice(self.name, str(value), self.choices)
+            if self.type in ("int", "float"):
+                validation.real(self.name, value, **self.interval)
+        except ValueError as error:
+            raise PipelineError(f"{where}: {error}") from None
         return value
 
 
@@ -137,14 +118,15 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
                 raise PipelineError(f"{where}: line {statement.lineno} must read {form}")
 
 
-def _allowed(comment: str) -> tuple[Interval | tuple[str, ...] | None, str]:
-    """Split a comment into the values allowed, if it opens with them, and the rest."""
+def _allowed(comment: str) -> tuple[tuple[str, ...], dict]:
+    """Return the choices, or the interval, that a comment opens with."""
     if found := _CHOICES.match(comment):
-        choices = tuple(choice.strip(" \"'") for choice in found[1].split(","))
-        return choices, comment[found.end() :]
+        return tuple(choice.strip(" \"'") for choice in found[1].split(",")), {}
     if found := _INTERVAL.match(comment):
-        left, low, high, right = found.groups()
-        return Interval(float(low), float(high), left + right), comment[found.end() :]
+        low, high = float(found[2]), float(found[3])
+        ends = ((low, found[1] == "("), (high, found[4] == ")"))
+        without = [end for end, is_open in ends if is_open]
+        return (), {"low": low, "high": high, "without": without}
     if comment[:1] in set("([{"):
-        raise ValueError(f"the comment must open with [low, high] or {{one, other}}, not {comment}")
-    return None, comment
+        raise ValueError(f"the comment must open with [low, high] or {{one, other}}, got {comment}")
+    return (), {}
