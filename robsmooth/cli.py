@@ -72,9 +72,8 @@ def verdicts(options: argparse.Namespace) -> int:
     from robsmooth.paper import report
     from robsmooth.paper import verdicts as paper_verdicts
 
-    project = _project(needed=False)
     try:
-        print(report.markdown(paper_verdicts.verdicts(project and project / "data")))
+        print(report.markdown(paper_verdicts.verdicts()))
     except ValueError as error:  # no Monte Carlo results, or damaged ones
         raise PipelineError(str(error)) from error
     return 0
@@ -141,17 +140,15 @@ def _setting(text: str) -> tuple[str, object]:
         return name, value
 
 
-def _project(needed: bool = True) -> Path | None:
+def _project() -> Path:
     """Folder of the project: this one or one above it."""
     for folder in (Path.cwd(), *Path.cwd().parents):
         if (folder / "notebooks/profiles.toml").is_file():
             return folder
-    if needed:
-        raise PipelineError(
-            "there is no notebooks/profiles.toml here or above: say this in a checkout of the "
-            "project, which holds the notebooks and more than the installed package"
-        )
-    return None
+    raise PipelineError(
+        "there is no notebooks/profiles.toml here or above: say this in a checkout of the "
+        "project, which holds the notebooks and more than the installed package"
+    )
 
 
 def _line(result: NotebookResult) -> str:

@@ -1,7 +1,7 @@
 """A notebook's parameters: read from its tagged cell, checked against what that cell allows.
 
 The cell tagged `parameters` holds lines such as `lag: float = 3.1e-6  # (0, 1e-3] s, of smoothing`.
-The comment may open with what is allowed: an interval (with `inf`, too), or a set `{one, other}`.
+The comment may open with the interval of what is allowed, with `inf`, too.
 papermill checks neither name nor type, and its reader skips comments that hold an equals sign.
 """
 
@@ -22,7 +22,6 @@ OPTIONAL = ("scheduler", "checkpoint_dir")
 SET_BY_PIPELINE = ("output_dir", "data_dir", *OPTIONAL)
 
 _INTERVAL = re.compile(r"([\[(])\s*([^\s,]+)\s*,\s*([^\s,]+?)\s*([\])])\s*")
-_CHOICES = re.compile(r"\{\s*([^{}]+?)\s*\}\s*")
 
 
 class PipelineError(ValueError):
@@ -35,8 +34,7 @@ class Parameter(NamedTuple):
     name: str
     type: str
     default: object
-    choices: tuple[str, ...]  # empty for all
-    interval: dict  # arguments of `validation.real`
+    interval: dict  # of what is allowed, as arguments of `validation.real`
 
     def check(self, value: object, where: str) -> object:
         """Return `value` in this parameter's type, or raise a `PipelineError` that says why not."""
@@ -46,8 +44,6 @@ class Parameter(NamedTuple):
             if type(value) is not TYPES[self.type]:
                 given = f"{value!r} ({type(value).__name__})"
                 raise ValueError(f"{self.name} must be of type {self.type}, got {given}")
-            if self.choices:
-                validation.choice(self.name, str(value), self.choices)
             if self.type in ("int", "float"):
                 validation.real(self.name, value, **self.interval)
         except ValueError as error:
@@ -110,7 +106,7 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
                 line = source.splitlines()[statement.end_lineno - 1].encode()
                 comment = line[statement.end_col_offset :].decode().strip().lstrip("# ")
                 try:
-                    yield Parameter(name, kind, ast.literal_eval(value), *_allowed(comment))
+                    yield Parameter(name, kind, ast.literal_eval(value), _interval(comment))
                 except ValueError as error:
                     raise PipelineError(f"{where}: {name}: {error}") from error
             case _:
@@ -118,15 +114,12 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
                 raise PipelineError(f"{where}: line {statement.lineno} must read {form}")
 
 
-def _allowed(comment: str) -> tuple[tuple[str, ...], dict]:
-    """Return the choices, or the interval, that a comment opens with."""
-    if found := _CHOICES.match(comment):
-        return tuple(choice.strip(" \"'") for choice in found[1].split(",")), {}
+def _interval(comment: str) -> dict:
+    """Return the interval that a comment opens with, as arguments of `validation.real`."""
     if found := _INTERVAL.match(comment):
         low, high = float(found[2]), float(found[3])
         ends = ((low, found[1] == "("), (high, found[4] == ")"))
-        without = [end for end, is_open in ends if is_open]
-        return (), {"low": low, "high": high, "without": without}
-    if comment[:1] in set("([{"):
-        raise ValueError(f"the comment must open with [low, high] or {{one, other}}, got {comment}")
-    return (), {}
+        return {"low": low, "high": high, "without": [end for end, is_open in ends if is_open]}
+    if comment[:1] in set("(["):
+        raise ValueError(f"the comment must open with [low, high], got {comment}")
+    return {}

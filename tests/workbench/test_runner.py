@@ -149,7 +149,6 @@ def test_damaged_profiles_are_an_error(project):
         ({"lag": 0.0011}, r"lag must be finite and in \(0, 0.001\], got 0.0011"),
         ({"lag": math.nan}, "lag must be finite .*, got nan"),
         ({"lag": math.inf}, "lag must be finite .*, got inf"),
-        ({"scale": "fast"}, "scale must be one of 'paper', 'quick', got 'fast'"),
     ],
 )
 def test_a_wrong_value_is_refused_before_anything_runs(project, values, message):
@@ -241,7 +240,6 @@ def test_a_comment_may_hold_an_equals_sign(project):
     read = parameters.read(project.path("01_good"))
     assert read["runs"].default == 50_000
     assert read["runs"].interval == {"low": 1.0, "high": 1e9, "without": []}
-    assert read["scale"].choices == ("paper", "quick")
 
 
 def test_notebooks_are_selected_by_parts_of_their_names():
