@@ -163,7 +163,8 @@ def _results(
     results = []
     for name, each in suffixes.items():
         stem = name.rpartition("/")[2]
-        table = (figures / f"{stem}.md").read_text(encoding="utf-8") if "tex" in each else ""
+        is_table = {"md", "csv"} <= {*each} and stem != "reproduction"  # that is a page
+        table = (figures / f"{stem}.md").read_text(encoding="utf-8") if is_table else ""
         caption = table.strip().rpartition("\n")[2].strip("*")
         if "png" in each:
             caption = captions.get(stem, caption)

@@ -174,9 +174,12 @@ def _on_cluster(function: Callable, calls: Iterable[tuple], client: "Client") ->
 
     shipped, calls = cloudpickle.dumps(function), enumerate(calls)
     pending: deque[Future] = deque()
+    look_at = 0.0
     try:
         while True:
-            room = CALLS_PER_THREAD * workers(client) + CALLS_AHEAD - len(pending)
+            if time.monotonic() >= look_at:
+                threads, look_at = workers(client), time.monotonic() + LOOK_EVERY
+            room = CALLS_PER_THREAD * threads + CALLS_AHEAD - len(pending)
             for index, call in islice(calls, max(room, 0)):
                 task = pickle.dumps(_Call(software(), shipped, cloudpickle.dumps(call)))
                 pending.append(client.submit(pickle.loads, task, pure=False, priority=-index))
