@@ -72,7 +72,7 @@ test-browser: $(DEVELOPMENT)  ## the notebooks and the report in chromium, which
 
 report: $(DEVELOPMENT)  ## all of it to read, as one offline site in build/PROFILE/site
 	@$(BIN)/robsmooth figures --profile '$(PROFILE)'
-	@$(BIN)/robsmooth report --profile '$(PROFILE)'
+	@$(BIN)/python -m docs --profile '$(PROFILE)'
 
 bench: .venv/bench.stamp  ## measure the speed against NumPy, JAX, C++ and others (four minutes)
 	@$(BIN)/robsmooth bench --write

@@ -14,12 +14,12 @@ ROOT = Path(__file__).resolve().parent.parent
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Build; return 0, 1 where Sphinx has warned, 2 where something is missing."""
-    parser = argparse.ArgumentParser(prog="robsmooth report", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m docs", description=__doc__)
     parser.add_argument("--profile", choices=PROFILES, default="paper", help="whose results")
     parser.add_argument("--build", type=Path, help="folder that the run has worked in")
     options = parser.parse_args(arguments)
     try:
-        site = build(ROOT, options.profile, options.build)
+        site = build(ROOT, options.profile, options.build and options.build.resolve())
     except PipelineError as error:
         print(f"robsmooth: {error}", file=sys.stderr)
         return 2

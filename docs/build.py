@@ -20,7 +20,7 @@ from robsmooth.workbench.runner import Request, Task, plan
 
 SOURCE = Path(__file__).resolve().parent / "source"
 DOCUMENTS = ("README.md", "environment.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE")
-RESULTS = (".png", ".pdf", ".svg", ".csv", ".tex", ".json")
+RESULTS = (".png", ".pdf", ".svg", ".csv", ".json")
 _SET_BY_PIPELINE = re.compile(rf"(?:{'|'.join(SET_BY_PIPELINE)}) = ")
 
 

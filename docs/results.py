@@ -163,7 +163,8 @@ def _results(
     results = []
     for name, each in suffixes.items():
         stem = name.rpartition("/")[2]
-        table = (figures / f"{stem}.md").read_text(encoding="utf-8") if "tex" in each else ""
+        is_table = {"md", "csv"} <= {*each} and stem != "reproduction"  # that is a page
+        table = (figures / f"{stem}.md").read_text(encoding="utf-8") if is_table else ""
         caption = table.strip().rpartition("\n")[2].strip("*")
         if "png" in each:
             caption = captions.get(stem, caption)
@@ -225,9 +226,9 @@ def tables(found: Iterable[Run]) -> str:
         chosen = [result for result in run.results if result.table]
         parts += [f"## {run.title}"] if chosen else []
         for result in chosen:
-            links = f"[CSV]({result.name}.csv), [LaTeX]({result.name}.tex)"
+            link = f"[CSV]({result.name}.csv)"
             parts.append(f"(table-{result.stem})=\n### `{result.stem}`")
-            parts.append(f"{result.table.strip()}\n\n{links}")
+            parts.append(f"{result.table.strip()}\n\n{link}")
     return "\n\n".join(parts) + "\n"
 
 

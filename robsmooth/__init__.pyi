@@ -1,4 +1,4 @@
-"""The public names, for type checkers and for `_names`, which imports by this list."""
+"""The public names, for type checkers and for `__init__`, which imports by this list."""
 
 from robsmooth import homodyne as homodyne
 from robsmooth._support.errors import InfeasibleDesignError as InfeasibleDesignError

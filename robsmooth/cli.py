@@ -8,12 +8,10 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import fields
-from importlib.util import find_spec
 from pathlib import Path
 
 import robsmooth
 from robsmooth._support.extras import MissingExtraError
-from robsmooth._support.progress import progress_bar
 from robsmooth.workbench.parameters import PipelineError
 from robsmooth.workbench.runner import PROFILES, NotebookResult, Request, plan, run_notebooks
 
@@ -40,14 +38,10 @@ def figures(options: argparse.Namespace) -> int:
     given = vars(options) | {"root": _project(), "parameters": dict(options.set)}
     run = Request(**{each.name: given[each.name] for each in fields(Request)})
     tasks, results = plan(run), []
-    with (
-        progress_bar(total=len(tasks), unit="notebook", leave=False) as bar,
-        closing(run_notebooks(run, tasks)) as running,
-    ):
+    with closing(run_notebooks(run, tasks)) as running:
         for result in running:
             results.append(result)
-            bar.update()
-            bar.write(_line(result))
+            print(_line(result), flush=True)
     failed = [result for result in results if result.failure]
     if failed:
         print(_summary(failed, len(results)), file=sys.stderr)
@@ -78,9 +72,8 @@ def verdicts(options: argparse.Namespace) -> int:
     from robsmooth.paper import report
     from robsmooth.paper import verdicts as paper_verdicts
 
-    project = _project(needed=False)
     try:
-        print(report.markdown(paper_verdicts.verdicts(project and project / "data")))
+        print(report.markdown(paper_verdicts.verdicts()))
     except ValueError as error:  # no Monte Carlo results, or damaged ones
         raise PipelineError(str(error)) from error
     return 0
@@ -93,17 +86,6 @@ def bench(options: argparse.Namespace) -> int:
     return subprocess.run(command, cwd=_project()).returncode
 
 
-def site(options: argparse.Namespace) -> int:
-    """Build the site from executed notebooks, as docs/ has it."""
-    project = _project()
-    if find_spec("sphinx") is None:
-        raise PipelineError("Sphinx is not installed; `make report` makes an environment with it")
-    command = [sys.executable, "-m", "docs", "--profile", options.profile]
-    if options.build:
-        command += ["--build", str(options.build)]
-    return subprocess.run(command, cwd=project).returncode
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="robsmooth", description=__doc__)
     version = f"robsmooth {robsmooth.__version__}"
@@ -113,7 +95,7 @@ def _parser() -> argparse.ArgumentParser:
     add = _command(commands, "figures", figures, "run the notebooks that are not fresh")
     text = "scale of the run (default: %(default)s); quick writes to build/quick"
     add("--profile", choices=PROFILES, default=Request.profile, help=text)
-    text = "notebooks to run, each by its name or a part that fits one only (default: all)"
+    text = "parts of the names of the notebooks to run (default: all)"
     add("--only", metavar="NAME[,NAME]", type=_names, default=Request.only, help=text)
     text = "give a parameter a value of your own; the results go to build/custom"
     add("--set", metavar="NAME=VALUE", type=_setting, action="append", default=[], help=text)
@@ -126,11 +108,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--build", metavar="FOLDER", type=_folder, help="folder to work in (default: build)")
 
     _command(commands, "verdicts", verdicts, "every printed number with its verdict")
-
-    add = _command(commands, "report", site, "build the offline site from what `figures` has left")
-    text = "whose results (default: %(default)s)"
-    add("--profile", choices=PROFILES, default=Request.profile, help=text)
-    add("--build", metavar="FOLDER", type=_folder, help="folder that the run worked in")
 
     add = _command(commands, "bench", bench, "measure the speed of the simulation")
     add("--quick", action="store_true", help="in seconds; ratios mean little")
@@ -150,7 +127,7 @@ def _names(text: str) -> list[str]:
 
 
 def _folder(text: str) -> Path:
-    return Path(text).resolve()  # the notebooks and docs/ are run elsewhere
+    return Path(text).resolve()  # the notebooks are run elsewhere
 
 
 def _setting(text: str) -> tuple[str, object]:
@@ -163,17 +140,15 @@ def _setting(text: str) -> tuple[str, object]:
         return name, value
 
 
-def _project(needed: bool = True) -> Path | None:
+def _project() -> Path:
     """Folder of the project: this one or one above it."""
     for folder in (Path.cwd(), *Path.cwd().parents):
         if (folder / "notebooks/profiles.toml").is_file():
             return folder
-    if needed:
-        raise PipelineError(
-            "there is no notebooks/profiles.toml here or above: say this in a checkout of the "
-            "project, which holds the notebooks and more than the installed package"
-        )
-    return None
+    raise PipelineError(
+        "there is no notebooks/profiles.toml here or above: say this in a checkout of the "
+        "project, which holds the notebooks and more than the installed package"
+    )
 
 
 def _line(result: NotebookResult) -> str:

@@ -37,7 +37,7 @@ def first_run(tmp_path_factory):
     """Results of all notebooks with the quick profile."""
 
     def run_notebooks(build):
-        run = quick("figures", build)
+        run = quick("robsmooth.cli", "figures", build=build)
         assert run.returncode == 0, run.stderr
 
     return once(tmp_path_factory.getbasetemp(), "first", run_notebooks) / "quick"
@@ -48,7 +48,7 @@ def site_folder(first_run, tmp_path_factory):
     """The site of these results, built without a warning."""
 
     def build_site(_):
-        run = quick("report", first_run.parent)
+        run = quick("docs", build=first_run.parent)
         assert run.stderr == ""
         assert run.stdout == f"open {first_run}/site/index.html in a browser; it needs no network\n"
 

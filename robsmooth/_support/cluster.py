@@ -19,15 +19,13 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from importlib import metadata
-from importlib.resources import files
 from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robsmooth._support.extras import extra
 
 if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
-
     from distributed import Client, Future
 
 CALLS_PER_THREAD = 2  # sent ahead: one that is computed and one that waits for it to end
@@ -128,24 +126,16 @@ def software() -> dict[str, str]:
     return {**versions, "robsmooth": _SOURCES}
 
 
-def _digest_sources(package: "Traversable") -> str:
+def _digest_sources(package: Path) -> str:
     digest = hashlib.sha256()
-    for name, content in sorted(_sources(package)):
-        digest.update(f"{name} {len(content)}\n".encode() + content)
+    for path in sorted(package.rglob("*.py")):
+        content = path.read_bytes()
+        digest.update(f"{path.relative_to(package).as_posix()} {len(content)}\n".encode() + content)
     return digest.hexdigest()
 
 
-def _sources(folder: "Traversable", prefix: str = "") -> Iterator[tuple[str, bytes]]:
-    """Names and contents of the modules in a package, which may be in an archive."""
-    for entry in folder.iterdir():
-        if entry.is_dir() and entry.name != "__pycache__":
-            yield from _sources(entry, f"{prefix}{entry.name}/")
-        elif entry.name.endswith((".py", ".pyc")):
-            yield prefix + entry.name, entry.read_bytes()
-
-
 # Of now, and not of when it is asked for: by then the files may have been edited.
-_SOURCES = _digest_sources(files("robsmooth"))
+_SOURCES = _digest_sources(Path(__file__).resolve().parent.parent)
 
 
 class _Call(NamedTuple):
@@ -184,42 +174,38 @@ def _on_cluster(function: Callable, calls: Iterable[tuple], client: "Client") ->
 
     shipped, calls = cloudpickle.dumps(function), enumerate(calls)
     pending: deque[Future] = deque()
-    look_at, patience = 0.0, LOOK_EVERY
+    look_at = 0.0
     try:
         while True:
             if time.monotonic() >= look_at:
-                threads = workers(client)
-                look_at = time.monotonic() + LOOK_EVERY
+                threads, look_at = workers(client), time.monotonic() + LOOK_EVERY
             room = CALLS_PER_THREAD * threads + CALLS_AHEAD - len(pending)
             for index, call in islice(calls, max(room, 0)):
                 task = pickle.dumps(_Call(software(), shipped, cloudpickle.dumps(call)))
                 pending.append(client.submit(pickle.loads, task, pure=False, priority=-index))
             if not pending:
                 return
-            has_failed = pending[0].status == "error"
-            try:
-                result = _result(pending[0], client, patience)
-            except TimeoutError:
-                if has_failed:  # it is the function's own
-                    raise
-                if pending[0].status == "finished":  # and large, or lost with its worker
-                    patience *= 2
-                continue
-            pending.popleft()
-            patience = LOOK_EVERY
-            yield result
+            if _has_ended(pending[0]):
+                yield _result(pending.popleft(), client)
     finally:
         for future in pending:  # else an error's traceback would keep them
             with suppress(RuntimeError):  # there is no connection any more
                 future.release()
 
 
-def _result(future: "Future", client: "Client", patience: float) -> Any:
-    """Take the result of a call off the cluster; TimeoutError where it is not there in time."""
+def _has_ended(future: "Future") -> bool:
+    """Wait for a call to end, until it is time to look at the cluster again."""
+    with suppress(TimeoutError, CancelledError):
+        future.exception(timeout=LOOK_EVERY)
+    return future.done()
+
+
+def _result(future: "Future", client: "Client") -> Any:
+    """Take the result of a call that has ended off the cluster."""
     from distributed import KilledWorker
 
     try:
-        return future.result(timeout=patience)
+        return future.result(timeout=ANSWER_TIME)
     except KilledWorker as error:
         ended = f"the same call was on {error.allowed_failures + 1} worker(s) that ended"
         raise RuntimeError(f"{ended}: it may need more memory than they have") from None
@@ -229,7 +215,7 @@ def _result(future: "Future", client: "Client", patience: float) -> Any:
         advice = "start the workers in an environment with the same robsmooth as here"
         raise RuntimeError(f"a worker cannot import {error.name}: {advice}") from None
     except (OSError, CancelledError) as error:
-        if isinstance(error, TimeoutError) or future.status == "error":  # the function's own
+        if future.status == "error":  # the function's own
             raise
         raise _lost(client) from error
 

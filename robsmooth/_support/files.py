@@ -52,21 +52,17 @@ def exclusive_lock(path: str | os.PathLike) -> Iterator[sqlite3.Connection]:
 
     An empty or missing file is an empty database. The system takes the lock back when the process
     ends, however it ends. Nothing else in the process may open the file meanwhile: on POSIX systems
-    to close it again gives up the lock. BlockingIOError where something else has it, OSError where
-    the file cannot be opened, sqlite3.DatabaseError for other content.
+    to close it again gives up the lock. BlockingIOError where something else has it, sqlite3.Error
+    where the file cannot be opened or has other content.
     """
     path = Path(path).absolute()  # ":memory:" is the name of a file, too
-    try:
-        connection = sqlite3.connect(path, timeout=0, isolation_level=None)
-    except sqlite3.OperationalError as error:
-        raise OSError(errno.EIO, str(error), str(path)) from None
-    with closing(connection):
+    with closing(sqlite3.connect(path, timeout=0, isolation_level=None)) as connection:
         try:
             connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # until it is closed
             connection.execute("BEGIN EXCLUSIVE")
             connection.execute("ROLLBACK")
         except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode == sqlite3.SQLITE_BUSY:
-                raise BlockingIOError(errno.EAGAIN, "in use elsewhere", str(path)) from None
-            raise OSError(errno.EIO, str(error), str(path)) from None
+            if error.sqlite_errorcode != sqlite3.SQLITE_BUSY:
+                raise
+            raise BlockingIOError(errno.EAGAIN, "in use elsewhere", str(path)) from None
         yield connection

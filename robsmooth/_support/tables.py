@@ -1,4 +1,4 @@
-"""Tables, written once and shown in notebooks, HTML, Markdown, CSV and LaTeX."""
+"""Tables, written once and shown in notebooks, HTML, Markdown and CSV."""
 
 import csv
 import html
@@ -65,20 +65,6 @@ class Table:
 
     _repr_html_ = html
 
-    def latex(self) -> str:
-        """Return a LaTeX table, to be used with the booktabs package."""
-        header, *rows = (
-            " & ".join(map(_latex, row)) + " \\\\\n"
-            for row in [self.columns, *self._printed_rows()]
-        )
-        caption = rf"\caption{{{_latex(self.caption)}}}" + "\n" if self.caption else ""
-        return (
-            f"\\begin{{table}}\n\\centering\n{caption}"
-            f"\\begin{{tabular}}{{{'l' * len(self.columns)}}}\n"
-            f"\\toprule\n{header}\\midrule\n{''.join(rows)}\\bottomrule\n"
-            "\\end{tabular}\n\\end{table}\n"
-        )
-
     def csv(self) -> str:
         """Return the table as comma-separated values, numbers to twelve digits."""
         text = io.StringIO()
@@ -88,8 +74,8 @@ class Table:
         return text.getvalue()
 
     def save(self, directory: Path | str, name: str) -> None:
-        """Write the table as `name`.md, .csv and .tex."""
-        for suffix, text in (("md", self.markdown()), ("csv", self.csv()), ("tex", self.latex())):
+        """Write the table as `name`.md and .csv."""
+        for suffix, text in (("md", self.markdown()), ("csv", self.csv())):
             files.write_text(Path(directory) / f"{name}.{suffix}", text)
 
     def _html_cell(self, cell: Cell, style: str) -> str:
@@ -122,25 +108,4 @@ def _numeric(column: Sequence[str]) -> bool:
 
 def _html(text: str) -> str:
     r"""Escape what HTML would misread, and put mathematics between \( and \)."""
-    parts = _split_at_mathematics(html.escape(text))
-    parts[1::2] = [rf"\({formula}\)" for formula in parts[1::2]]
-    return "".join(parts)
-
-
-_LATEX = {"±": r"$\pm$", "µ": r"$\mu$", "%": r"\%", "&": r"\&", "#": r"\#", "_": r"\_", "$": r"\$"}
-_LATEX |= {"<": "$<$", ">": "$>$", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"}
-
-
-def _latex(text: str) -> str:
-    """Escape what LaTeX would misread, outside of mathematics."""
-    parts = _split_at_mathematics(text)
-    parts[::2] = [words.translate(str.maketrans(_LATEX)) for words in parts[::2]]
-    return "$".join(parts)
-
-
-def _split_at_mathematics(text: str) -> list[str]:
-    """Words and mathematics in turn; the last of an odd number of dollar signs is one."""
-    parts = text.split("$")
-    if len(parts) % 2 == 0:
-        parts[-2:] = ["$".join(parts[-2:])]
-    return parts
+    return re.sub(r"\$([^$]+)\$", r"\\(\1\\)", html.escape(text))

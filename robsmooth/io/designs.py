@@ -16,17 +16,15 @@ Numbers are written so that they are read back bit for bit. A function is named 
 file is ever imported or run, and `load` takes the functions by those names.
 """
 
-import inspect
 import json
+import math
 import os
 import re
 import reprlib
 import sys
 import tomllib
-from collections import namedtuple
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,27 +42,6 @@ from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.functions import name_of
 from robsmooth.systems.system import UncertainSystem
 
-_KINDS = {"system": UncertainSystem, "plant": AugmentedSystem, "estimator": Estimator}
-_HEADER = {"format": (1,), "kind": tuple(_KINDS), "units": ("SI",)}
-_PARTICULAR = {"design": RobustSmoother, "certificate": MinimaxSmoother}
-_TOLERANCE = 1e-6  # largest relative difference of what is stored to what is computed anew
-
-_FIRST = "# Of robsmooth: time in seconds, rates in 1/s, matrices by rows."
-_ABOUT = {
-    "system": """\
-# dx = (A x + sum_s B xi_s + sum_i B mu_i) dt + B1 dW,    w = C0 x
-# dy = (C2 x + sum_s D xi_s + sum_i D mu_i) dt + D21 dW
-# uncertainties: xi_s is no larger than C x; nonlinearities: mu_i = function(C x), Lipschitz;
-# with a reference ("filtered" or "smoothed"), of C x less that estimate of it""",
-    "plant": """\
-# The system with a model, of a Pade order, of a delay (s) of w; J_21 is the intensity of the
-# noise that the theory adds to the estimator's copies of the nonlinearities.""",
-    "estimator": """\
-# dx_hat = A_c x_hat dt + B_c [dy; mu_copy dt],    mu_copy_i = function_i(nu_copy_i)
-# [w_hat; nu_copy] = C_c x_hat
-# C_a x_hat estimates w one lag back, C_f x_hat estimates w now""",
-}
-
 
 def save(
     value: UncertainSystem | AugmentedSystem | Estimator, path: str | os.PathLike[str]
@@ -74,8 +51,9 @@ def save(
     Parameters
     ----------
     value : UncertainSystem, AugmentedSystem or Estimator
-        An estimator is saved by its matrices, with its plant, and what its guarantee follows from.
-        Of a nonlinearity's function the name is saved.
+        A `RobustSmoother` is saved by its tau and multipliers, from which all else follows; another
+        estimator by its matrices, a `MinimaxSmoother` with its certificate. Each
+        has its plant with it. Of a nonlinearity's function the name is saved.
     path : str or path
         Ends in .toml or .json. The file appears whole or not at all.
 
@@ -110,9 +88,15 @@ def save(
         kinds = "an UncertainSystem, AugmentedSystem or Estimator"
         raise TypeError(f"value must be {kinds}, got {type(value).__name__}")
     content = {"format": 1, "kind": kind, "units": "SI", **_fields(kind, value)}
-    _object(content, functions={})
-    lines = [_FIRST, *_toml(content, "", kind)] if language == "toml" else [_json(content)]
-    files.write_text(path, "\n".join([*lines, ""]))
+    there = _object(content, functions={})
+    if isinstance(value, RobustSmoother) and not np.allclose(there.A_c, value.A_c, rtol=1e-6):
+        raise ValueError("value must have the gains that follow from its tau and multipliers")
+    if language == "toml":
+        first = "# Of robsmooth: time in seconds, rates in 1/s, matrices by rows."
+        text = "\n".join([first, *_toml(content, "")])
+    else:
+        text = _json(content)
+    files.write_text(path, text + "\n")
 
 
 def load(
@@ -135,7 +119,7 @@ def load(
     Raises
     ------
     ValueError
-        Where the file is not valid, or gains or an error do not follow from the multipliers: one
+        Where the file is not valid, or a certified error does not follow from its multipliers: one
         sentence that names the file and the field.
     TypeError
         For functions that are not a mapping of names to callables.
@@ -191,7 +175,8 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
     """Return the object that the content of a file describes."""
     if not isinstance(content, dict):
         raise ValueError(f"its content must be a table, got {reprlib.repr(content)}")
-    for name, allowed in _HEADER.items():
+    header = {"format": (1,), "kind": tuple(_KINDS), "units": ("SI",)}
+    for name, allowed in header.items():
         if name not in content:
             raise ValueError(f"{name} is missing")
         if name == "format":
@@ -200,14 +185,15 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
     named: dict[str, None] = {}
 
     def of_table(name: str, table: object, path: str) -> Any:
-        make, known = _TABLES[name], inspect.signature(_TABLES[name]).parameters
+        make, names = _TABLES[name]
+        known = names.split()
         if not isinstance(table, dict):
             raise ValueError(f"{path[:-1]} must be a table, got {reprlib.repr(table)}")
         for field in table:
             if field not in known:
                 raise ValueError(f"{path}{field} is not a field: these are {', '.join(known)}")
-        for field, parameter in known.items():
-            if field not in table and parameter.default is parameter.empty:
+        for field in known:
+            if field not in table and field not in _OPTIONAL:
                 raise ValueError(f"{path}{field} is missing")
         fields = {field: of_field(field, part, f"{path}{field}") for field, part in table.items()}
         with _within(path[:-1]), np.errstate(over="raise", invalid="raise", divide="raise"):
@@ -227,7 +213,7 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
             return functions.get(value)
         return _numbers(value, path) if isinstance(value, list) else value
 
-    fields = {name: part for name, part in content.items() if name not in _HEADER}
+    fields = {name: part for name, part in content.items() if name not in header}
     result = of_table(content["kind"], fields, "")
     for name in functions:
         if name not in named:
@@ -259,132 +245,101 @@ def _uncertainty(B: Any, C: Any, D: Any) -> Uncertainty:
     return Uncertainty(B, np.zeros((0, *np.shape(B)[:1])) if C == [] else C, D)
 
 
-def _estimator(
-    *,
-    A_c: Any,
-    B_c: Any,
-    C_c: Any,
-    C_a: Any,
-    C_f: Any,
-    design: Any = (),
-    certificate: Any = (),
-    plant: AugmentedSystem,
-) -> Estimator:
-    """Return an estimator, a design where the file has what it follows from."""
-    m, g, n = plant.system.m, plant.system.g, len(validation.matrix("A_c", A_c, (None, None)))
-    gains = {
-        "A_c": validation.matrix("A_c", A_c, (n, n)),
-        "B_c": validation.matrix("B_c", B_c, (n, plant.system.l + g)),
-        "C_c": validation.matrix("C_c", C_c, (m + g, n)),
-        "C_a": validation.matrix("C_a", C_a, (m, n)),
-        "C_f": validation.matrix("C_f", C_f, (m, n)),
+def _gains(plant: AugmentedSystem, **gains: Any) -> dict[str, Matrix]:
+    """Return an estimator's matrices, checked against its plant."""
+    m, g = plant.system.m, plant.system.g
+    n = len(validation.matrix("A_c", gains["A_c"], (None, None)))
+    shapes = [(n, n), (n, plant.system.l + g), (m + g, n), (m, n), (m, n)]
+    return {
+        name: validation.matrix(name, gains[name], shape)
+        for name, shape in zip(_GAINS.split(), shapes, strict=True)
     }
-    if design and certificate:
-        raise ValueError("design and certificate must not both be there")
-    if design:
-        return _robust(plant, gains, *design)
-    return _minimax(plant, gains, *certificate) if certificate else Estimator(plant=plant, **gains)
 
 
-def _robust(
-    plant: AugmentedSystem, gains: dict, tau: float, multipliers: list, cost: str, bound: float
-) -> RobustSmoother:
-    """Return a robust smoother, checked against its tau and multipliers."""
-    with _within("design"):
-        smoother = limiting_smoother(plant, tau, multipliers, cost)
-        for name, given in {**gains, "bound": validation.real("bound", bound)}.items():
-            _check_follows(name, given, getattr(smoother, name), "tau and multipliers")
-    return replace(smoother, **gains)
+def _estimator(plant: AugmentedSystem, **gains: Any) -> Estimator:
+    return Estimator(plant=plant, **_gains(plant, **gains))
 
 
-def _minimax(
-    plant: AugmentedSystem, gains: dict, certified: float, multipliers: list, cost: str, route: str
+def _minimax_smoother(
+    plant: AugmentedSystem, certified: float, multipliers: list, cost: str, route: str, **gains: Any
 ) -> MinimaxSmoother:
     """Return a minimax smoother, its error certified anew."""
-    with _within("certificate"):
-        smoother = MinimaxSmoother(
-            plant=plant,
-            **gains,
-            certified=validation.positive("certified", certified),
-            multipliers=weights("multipliers", plant, multipliers),
-            cost=validation.choice("cost", cost, COSTS),
-            route=validation.choice("route", route, ROUTES),
-        )
-        with _within("multipliers certify no finite error"):
-            found = certified_error(smoother)
-        _check_follows("certified", certified, found, "multipliers")
+    smoother = MinimaxSmoother(
+        plant=plant,
+        **_gains(plant, **gains),
+        certified=validation.positive("certified", certified),
+        multipliers=weights("multipliers", plant, multipliers),
+        cost=validation.choice("cost", cost, COSTS),
+        route=validation.choice("route", route, ROUTES),
+    )
+    with _within("multipliers certify no finite error"):
+        found = certified_error(smoother)
+    if not math.isclose(found, certified, rel_tol=1e-6):
+        given = f"which give {found:.6g}, got {certified:.6g}"
+        raise ValueError(f"certified must follow from the multipliers, {given}")
     return smoother
 
 
-def _check_follows(name: str, given: Matrix | float, expected: Matrix | float, of: str) -> None:
-    """Check what is stored against what it should be, to a relative tolerance."""
-    size = np.abs(expected).max(initial=0.0)
-    difference = np.abs(given - expected).max(initial=0.0)
-    if not difference <= _TOLERANCE * size:
-        off = f"it is off by {difference:.2g} where its size is {size:.2g}"
-        raise ValueError(f"{name} does not follow from the {of}: {off}")
-
-
-# A table has the fields that a function takes, and which may be left out.
-_TABLES = {
+_GAINS = "A_c B_c C_c C_a C_f"
+_KINDS = {  # the classes by what files call them, the particular ones first
+    "robust smoother": RobustSmoother,
+    "minimax smoother": MinimaxSmoother,
+    "estimator": Estimator,
+    "plant": AugmentedSystem,
     "system": UncertainSystem,
-    "uncertainties": _uncertainty,
-    "nonlinearities": Nonlinearity,
-    "plant": augment,
-    "estimator": _estimator,
-    "design": namedtuple("Design", "tau multipliers cost bound"),
-    "certificate": namedtuple("Certificate", "certified multipliers cost route"),
 }
+# What makes the object of a table, and the table's fields, of which some may be left out.
+_TABLES = {
+    "robust smoother": (limiting_smoother, "tau multipliers cost plant"),
+    "minimax smoother": (_minimax_smoother, f"{_GAINS} certified multipliers cost route plant"),
+    "estimator": (_estimator, f"{_GAINS} plant"),
+    "plant": (augment, "system delay order J_21"),
+    "system": (UncertainSystem, "A B1 C0 C2 D21 uncertainties nonlinearities"),
+    "uncertainties": (_uncertainty, "B C D"),
+    "nonlinearities": (Nonlinearity, "B C D lipschitz function reference"),
+}
+_OPTIONAL = ("uncertainties", "nonlinearities", "function", "reference", "J_21")
 
 
 def _fields(kind: str, value: Any) -> dict:
     """Return the fields of an object's table."""
     fields = {}
-    for name, parameter in inspect.signature(_TABLES[kind]).parameters.items():
-        if name in _PARTICULAR:
-            part = value if isinstance(value, _PARTICULAR[name]) else None
-        else:
-            part = getattr(value, name)
+    for name in _TABLES[kind][1].split():
+        part = getattr(value, name)
         if name == "nonlinearities":
             _check_names([c.function for c in part])
         if isinstance(part, tuple):
             part = [_fields(name, member) for member in part]
-        elif name in _TABLES and part is not None:
+        elif name in _TABLES:
             part = _fields(name, part)
+        elif name == "function":
+            part = part and name_of(part)
         else:
-            part = _name(part) if name == "function" else np.asarray(part).tolist()
-        if parameter.default is parameter.empty or part not in (None, []):
+            part = np.asarray(part).tolist()
+        if name not in _OPTIONAL or part not in (None, []):
             fields[name] = part
     return fields
 
 
-def _name(function: Callable | None) -> str | None:
-    if function is None:
-        return None
-    return "".join(c if c.isprintable() else "?" for c in name_of(function))
-
-
 def _check_names(functions: list[Callable | None]) -> None:
     """Check that each name stands for one function."""
-    named = dict(zip(map(_name, functions), functions, strict=True))
+    named: dict[str, Callable] = {}
     for i, function in enumerate(functions):
-        if named[_name(function)] != function:
+        if function is not None and named.setdefault(name_of(function), function) != function:
             raise ValueError(
                 f"nonlinearities[{i}].function must have a name of its own to be saved, got "
-                f"{_name(function)!r}, which another one has"
+                f"{name_of(function)!r}, which another one has"
             )
 
 
-def _toml(table: Mapping, prefix: str, kind: str) -> Iterator[str]:
+def _toml(table: Mapping, prefix: str) -> Iterator[str]:
     """Give the lines of a table: its values, then the tables in it."""
-    if kind in _ABOUT:
-        yield _ABOUT[kind]
     yield from (f"{name} = {_json(table[name])}" for name in table if name not in _TABLES)
     for name in filter(_TABLES.get, table):
         several = isinstance(table[name], list)
         for member in table[name] if several else [table[name]]:
             yield f"\n[[{prefix}{name}]]" if several else f"\n[{prefix}{name}]"
-            yield from _toml(member, f"{prefix}{name}.", name)
+            yield from _toml(member, f"{prefix}{name}.")
 
 
 def _json(value: object) -> str:

@@ -1,18 +1,18 @@
 """A notebook's parameters: read from its tagged cell, checked against what that cell allows.
 
 The cell tagged `parameters` holds lines such as `lag: float = 3.1e-6  # (0, 1e-3] s, of smoothing`.
-The comment may open with what is allowed: an interval (with `inf`, too), or a set `{one, other}`.
+The comment may open with the interval of what is allowed, with `inf`, too.
 papermill checks neither name nor type, and its reader skips comments that hold an equals sign.
 """
 
 import ast
 import difflib
-import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+
+from robsmooth._support import validation
 
 TYPES = {"bool": bool, "int": int, "float": float, "str": str}
 # Set by the pipeline, for each run anew, and of no influence on the results. Every notebook has the
@@ -22,29 +22,10 @@ OPTIONAL = ("scheduler", "checkpoint_dir")
 SET_BY_PIPELINE = ("output_dir", "data_dir", *OPTIONAL)
 
 _INTERVAL = re.compile(r"([\[(])\s*([^\s,]+)\s*,\s*([^\s,]+?)\s*([\])])\s*")
-_CHOICES = re.compile(r"\{\s*([^{}]+?)\s*\}\s*")
 
 
 class PipelineError(ValueError):
     """A run was asked for that cannot be made; nothing has been run."""
-
-
-@dataclass(frozen=True)
-class Interval:
-    """Numbers from `low` to `high`, each end included or not."""
-
-    low: float
-    high: float
-    ends: str  # as in "(]"
-
-    def __contains__(self, value: float) -> bool:
-        above = value > self.low or (value == self.low and "[" in self.ends)
-        below = value < self.high or (value == self.high and "]" in self.ends)
-        return above and below
-
-    def __str__(self) -> str:
-        left, right = self.ends
-        return f"{left}{self.low:g}, {self.high:g}{right}"
 
 
 class Parameter(NamedTuple):
@@ -53,24 +34,20 @@ class Parameter(NamedTuple):
     name: str
     type: str
     default: object
-    allowed: Interval | tuple[str, ...] | None
-    help: str
+    interval: dict  # of what is allowed, as arguments of `validation.real`
 
     def check(self, value: object, where: str) -> object:
         """Return `value` in this parameter's type, or raise a `PipelineError` that says why not."""
-        allowed, wanted = self.allowed, ""
         if self.type == "float" and type(value) is int:
             value = float(value)
-        if type(value) is not TYPES[self.type]:
-            wanted, value = f"of type {self.type}", f"{value!r} ({type(value).__name__})"
-        elif isinstance(value, float) and not math.isfinite(value):
-            wanted = "finite"
-        elif isinstance(allowed, Interval) and value not in allowed:
-            wanted = f"in {allowed}"
-        elif isinstance(allowed, tuple) and str(value) not in allowed:
-            wanted = f"one of {', '.join(allowed)}"
-        if wanted:
-            raise PipelineError(f"{where}: {self.name} must be {wanted}, not {value}")
+        try:
+            if type(value) is not TYPES[self.type]:
+                given = f"{value!r} ({type(value).__name__})"
+                raise ValueError(f"{self.name} must be of type {self.type}, got {given}")
+            if self.type in ("int", "float"):
+                validation.real(self.name, value, **self.interval)
+        except ValueError as error:
+            raise PipelineError(f"{where}: {error}") from None
         return value
 
 
@@ -129,7 +106,7 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
                 line = source.splitlines()[statement.end_lineno - 1].encode()
                 comment = line[statement.end_col_offset :].decode().strip().lstrip("# ")
                 try:
-                    yield Parameter(name, kind, ast.literal_eval(value), *_allowed(comment))
+                    yield Parameter(name, kind, ast.literal_eval(value), _interval(comment))
                 except ValueError as error:
                     raise PipelineError(f"{where}: {name}: {error}") from error
             case _:
@@ -137,14 +114,12 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
                 raise PipelineError(f"{where}: line {statement.lineno} must read {form}")
 
 
-def _allowed(comment: str) -> tuple[Interval | tuple[str, ...] | None, str]:
-    """Split a comment into the values allowed, if it opens with them, and the rest."""
-    if found := _CHOICES.match(comment):
-        choices = tuple(choice.strip(" \"'") for choice in found[1].split(","))
-        return choices, comment[found.end() :]
+def _interval(comment: str) -> dict:
+    """Return the interval that a comment opens with, as arguments of `validation.real`."""
     if found := _INTERVAL.match(comment):
-        left, low, high, right = found.groups()
-        return Interval(float(low), float(high), left + right), comment[found.end() :]
-    if comment[:1] in set("([{"):
-        raise ValueError(f"the comment must open with [low, high] or {{one, other}}, not {comment}")
-    return None, comment
+        low, high = float(found[2]), float(found[3])
+        ends = ((low, found[1] == "("), (high, found[4] == ")"))
+        return {"low": low, "high": high, "without": [end for end, is_open in ends if is_open]}
+    if comment[:1] in set("(["):
+        raise ValueError(f"the comment must open with [low, high], got {comment}")
+    return {}

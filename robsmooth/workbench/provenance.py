@@ -74,9 +74,7 @@ def _output(*command: str) -> str:
 
 
 def _processor() -> str:
-    with suppress(OSError, subprocess.CalledProcessError):
-        if platform.system() == "Darwin":
-            return _output("sysctl", "-n", "machdep.cpu.brand_string").strip()
+    with suppress(OSError):  # there is none on macOS
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             name, _, model = line.partition(":")
             if name.strip() == "model name":

@@ -36,7 +36,7 @@ class Request:
     """A run as it is asked for."""
 
     root: Path  # of the project, with its notebooks/
-    only: Sequence[str] = ()  # names, or parts of names that fit one notebook only; empty for all
+    only: Sequence[str] = ()  # parts of the names of notebooks; empty for all
     profile: str = "paper"  # whose values in notebooks/profiles.toml to use
     parameters: Mapping[str, object] = field(default_factory=dict)  # that override the profile's
     jobs: int = 2  # notebooks at a time
@@ -46,8 +46,6 @@ class Request:
     build: Path | None = None  # folder to work in instead of root/build
 
     def __post_init__(self) -> None:
-        if self.profile not in PROFILES:
-            raise PipelineError(f"profile must be one of {', '.join(PROFILES)}, not {self.profile}")
         if self.jobs < 1:
             raise PipelineError(f"jobs must be 1 or more, not {self.jobs}")
         if not self.time_limit > 0:
@@ -145,8 +143,7 @@ def _task(
     """Check the values given for the parameters of a notebook."""
     own = {key: value for key, value in run.parameters.items() if key in parameters}
     where = f"profiles.toml, [{run.profile}.{name}]"
-    values = {"profile": run.profile} if "profile" in parameters else {}
-    values |= cell.check(parameters, profile.get(name, {}), where)
+    values = cell.check(parameters, profile.get(name, {}), where)
     values |= cell.check(parameters, own, f"--set for {name}")
     defaults = {key: each.default for key, each in parameters.items()}
     seed = (defaults | values).get("seed")
@@ -159,23 +156,16 @@ def _task(
         about=run.results / "figures" / f"{name}.provenance.json",
         staging=run.work / "staging" / name,
         stamp=run.work / "stamps" / f"{name}.json",
-        checkpoints=run.work / "checkpoints" / f"{name}-{key[:16]}",
+        checkpoints=run.work / "checkpoints" / name / key[:16],
     )
 
 
 def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
-    """Those of `names` that `only` asks for, each by its name, its start, or a part of it."""
-    chosen = set()
-    for wanted in only:
-        tests = (str.__eq__, str.startswith, str.__contains__)
-        fitting = [[name for name in names if fits(name, wanted)] for fits in tests]
-        found = next(filter(None, fitting), [])
-        if not found:
-            raise unknown("--only: notebook", wanted, names)
-        if len(found) > 1:
-            raise PipelineError(f"--only: {wanted} fits several notebooks: {', '.join(found)}")
-        chosen.update(found)
-    return [name for name in names if name in chosen or not only]
+    """Those of `names` that have one of the parts in `only`; all where there is none."""
+    for part in only:
+        if not any(part in name for name in names):
+            raise unknown("--only: notebook", part, names)
+    return [name for name in names if not only or any(part in name for part in only)]
 
 
 def _profiles(folder: Path) -> dict:
@@ -185,9 +175,6 @@ def _profiles(folder: Path) -> dict:
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
     listed = sorted(profiles.get("notebooks", []))
-    for name in listed:
-        if not (folder / f"{name}.ipynb").is_file():
-            raise PipelineError(f"notebooks/{name}.ipynb is missing; profiles.toml lists it")
     for path in sorted(folder.glob("[0-9][0-9]_*.ipynb")):  # others may be a user's
         if path.stem not in listed:
             raise PipelineError(f"notebooks/{path.name} is not listed in profiles.toml")
@@ -211,7 +198,7 @@ def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
 
 
 def _stored(path: Path) -> tuple[str, dict[str, str]]:
-    """Key and digests of the files of a run, by its stamp or provenance; none if it is damaged."""
+    """Key and digests of the files of a run, by its stamp; none if it is damaged."""
     try:
         stored = json.loads(path.read_text())
         return stored.get("key", ""), {**stored["files"]}
@@ -231,7 +218,8 @@ def _start(task: Task) -> Execution:
     shutil.rmtree(task.staging, ignore_errors=True)
     for folder in ("figures", "data", "scratch"):
         (task.staging / folder).mkdir(parents=True)
-    _clear_checkpoints(task, keep=task.checkpoints)
+    if not task.checkpoints.exists():  # what is there is of other inputs
+        shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
     if "checkpoint_dir" in task.optional:
         task.checkpoints.mkdir(parents=True, exist_ok=True)
     optional = {"scheduler": task.run.dask, "checkpoint_dir": str(task.checkpoints)}
@@ -249,27 +237,21 @@ def _finish(task: Task, execution: Execution) -> NotebookResult:
     places = [task.staging / folder for folder in ("figures", "data")]
     paths = [path for place in places for path in sorted(place.rglob("*")) if path.is_file()]
     produced = {path.relative_to(task.staging).as_posix(): sha256(path) for path in paths}
+    before = _stored(task.stamp)[1]
     task.stamp.unlink(missing_ok=True)
     for file in produced:
         with files.atomic_path(task.run.results / file) as temporary:
             shutil.move(task.staging / file, temporary)
-    for file in _stored(task.about)[1].keys() - produced.keys():  # it no longer produces it
-        if file.startswith(("figures/", "data/")) and ".." not in file:
-            (task.run.results / file).unlink(missing_ok=True)
     about = {"notebook": task.notebook.name, "profile": task.run.profile}
     about |= {"parameters": task.values, "files": produced}
     place = task.run.results / "figures" / task.name
     provenance.write(place, **about, seed=task.seed, started=execution.started)
     produced[f"figures/{task.about.name}"] = sha256(task.about)
+    for file in before.keys() - produced.keys():  # it no longer produces it
+        (task.run.results / file).unlink(missing_ok=True)
     files.write_json(task.stamp, {"key": task.key, "files": produced})
-    _clear_checkpoints(task)
+    shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
     return NotebookResult(task, "done", tuple(produced), seconds)
-
-
-def _clear_checkpoints(task: Task, keep: Path | None = None) -> None:
-    for folder in (task.run.work / "checkpoints").glob("*-*"):
-        if folder.name.rpartition("-")[0] == task.name and folder != keep:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""`robsmooth` from the command line, with the quick profile; and what is done once a session."""
+"""Commands with the quick profile, and what is done once a session."""
 
 import fcntl
 import os
@@ -10,10 +10,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def quick(command: str, build: Path) -> subprocess.CompletedProcess:
-    """Run a command of robsmooth with the quick profile, in a folder of its own."""
+def quick(module: str, *command: str, build: Path) -> subprocess.CompletedProcess:
+    """Run a module's command with the quick profile, in a folder of its own."""
     return subprocess.run(
-        [sys.executable, "-m", "robsmooth.cli", command, "--profile", "quick", "--build", build],
+        [sys.executable, "-m", module, *command, "--profile", "quick", "--build", build],
         cwd=ROOT,
         capture_output=True,
         text=True,

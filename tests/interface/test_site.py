@@ -11,7 +11,6 @@ import pytest
 
 import docs.__main__
 from docs import build, citation, references
-from robsmooth import cli
 from robsmooth.workbench.parameters import PipelineError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,7 +23,7 @@ def notebook(source="", **papermill):
 
 
 def report(folder):
-    command = [sys.executable, "-m", "robsmooth.cli", "report", "--build", folder]
+    command = [sys.executable, "-m", "docs", "--build", folder]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
@@ -153,13 +152,6 @@ def test_a_work_with_a_journal_is_an_article():
         "  doi = {10.1/2},\n"
         "}"
     )
-
-
-def test_without_sphinx_the_command_says_what_to_do(monkeypatch, capsys):
-    monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(cli, "find_spec", lambda name: None)
-    assert cli.main(["report"]) == 2
-    assert "`make report` makes an environment with it" in capsys.readouterr().err
 
 
 def test_warnings_of_sphinx_fail_the_command(monkeypatch, capsys):

@@ -194,10 +194,6 @@ SYSTEM = UncertainSystem(
 )
 TOML = """\
 # Of robsmooth: time in seconds, rates in 1/s, matrices by rows.
-# dx = (A x + sum_s B xi_s + sum_i B mu_i) dt + B1 dW,    w = C0 x
-# dy = (C2 x + sum_s D xi_s + sum_i D mu_i) dt + D21 dW
-# uncertainties: xi_s is no larger than C x; nonlinearities: mu_i = function(C x), Lipschitz;
-# with a reference ("filtered" or "smoothed"), of C x less that estimate of it
 format = 1
 kind = "system"
 units = "SI"
@@ -282,14 +278,12 @@ def test_the_suffix_says_the_language(folder, name):
 def test_what_is_no_system_or_design_is_not_saved(folder):
     with pytest.raises(TypeError, match=r"value must be an UncertainSystem, .*, got ndarray"):
         save(np.eye(2), folder / "x.toml")
-    design = example_design()
+    estimator = kalman_bucy(homodyne.PAPER.uncertain_system())
     with pytest.raises(ValueError, match=r"A_c\[0\]\[0\] must be a finite number, got nan"):
-        save(replace(design, A_c=np.nan * design.A_c), folder / "x.toml")
-    for other in (replace(design, A_c=1.01 * design.A_c), replace(design, bound=0.0)):
-        with pytest.raises(
-            ValueError, match=r"^design: (A_c|bound) does not follow from the tau and multi"
-        ):
-            save(other, folder / "x.toml")
+        save(replace(estimator, A_c=np.nan * estimator.A_c), folder / "x.toml")
+    design = example_design()
+    with pytest.raises(ValueError, match="gains that follow from its tau and multipliers"):
+        save(replace(design, A_c=1.01 * design.A_c), folder / "x.toml")
     assert not (folder / "x.toml").exists()
 
 
@@ -334,19 +328,10 @@ def test_a_function_is_saved_by_name_and_given_by_name(folder, function, name):
 def test_different_functions_of_one_name_are_not_saved(folder):
     system = with_functions(lambda nu: nu, np.sin, lambda nu: 2 * nu)
     words = (
-        r"nonlinearities\[0\]\.function must have a name of its own to be saved, got .*<lambda>'"
+        r"nonlinearities\[2\]\.function must have a name of its own to be saved, got .*<lambda>'"
     )
     with pytest.raises(ValueError, match=words):
         save(system, folder / "x.toml")
-
-
-def test_a_name_that_cannot_be_printed_is_written_so_that_it_can(folder):
-    function = Saturation()
-    function.__qualname__ = 'a "name"\\ \x7f\n\ud800 ψ'
-    system = there_and_back(
-        with_functions(function), folder, functions={'a "name"\\ ??? ψ': np.sin}
-    )
-    assert system.nonlinearities[0].function is np.sin
 
 
 @pytest.mark.parametrize(
@@ -418,7 +403,11 @@ def written(folder, content):
         (("format",), 2, "format must be one of 1, got 2"),
         (("format",), "1", "format must be an integer, got '1'"),
         (("format",), True, "format must be an integer, got True"),
-        (("kind",), "sistem", "kind must be one of 'system', 'plant', 'estimator', got 'sistem'"),
+        (
+            ("kind",),
+            "sistem",
+            "kind must be one of .* 'plant', 'system', got 'sistem'",
+        ),
         (("units",), "imperial", "units must be one of 'SI', got 'imperial'"),
         (("A",), 1.0, r"A must have 2 dimension\(s\), got shape \(\)"),
         (("A",), [1.0, 2.0], r"A must have 2 dimension\(s\), got shape \(2,\)"),
@@ -468,27 +457,21 @@ def design_content(folder):
 @pytest.mark.parametrize(
     "path, value, words",
     [
-        (("A_c",), [[1.0, 2.0]], r"A_c must have shape \(1, 1\), got \(1, 2\)"),
-        (("C_f",), [[1.0]], r"C_f must have shape \(1, 4\)"),
-        (("A_c", 0, 0), 1.0, "A_c does not follow from the tau and multipliers"),
-        (("plant", "system", "A", 0, 0), -9.0, "A_c does not follow from the tau and multipliers"),
-        (("design", "bound"), 0.0, "bound does not follow from the tau and multipliers"),
-        (("design", "bound"), math.nan, "design: bound must be finite"),
-        (("design", "tau"), 0.0, "design: tau must be finite and in"),
-        (("design", "tau"), 1e-9, "design: Assumption 3"),
-        (("design", "multipliers"), [1.0], "design: multipliers must have k . 3g = .* entries"),
+        (("A_c",), [[1.0]], "A_c is not a field: these are tau, multipliers, cost, plant$"),
+        (("tau",), 0.0, "tau must be finite and in"),
+        (("tau",), 1e-9, "Assumption 3"),
+        (("multipliers",), [1.0], "multipliers must have k . 3g = .* entries"),
         (
-            ("design", "multipliers"),
+            ("multipliers",),
             1.0,
-            r"design: multipliers must have 1 dimension\(s\), got shape \(\)",
+            r"multipliers must have 1 dimension\(s\), got shape \(\)",
         ),
-        (("design", "cost"), "both", "design: cost must be one of 'filtered', 'smoothed', got"),
+        (("cost",), "both", "cost must be one of 'filtered', 'smoothed', got"),
         (
-            ("design", "taw"),
+            ("taw",),
             1.0,
-            r"design\.taw is not a field: these are tau, multipliers, cost, bound$",
+            "taw is not a field: these are tau, multipliers, cost, plant$",
         ),
-        (("design",), 3, "design must be a table, got 3"),
         (("plant", "delay"), -1.0, r"plant: delay must be finite and in \[0, inf"),
         (("plant", "delay"), 5e-324, "plant: overflow encountered"),
         (("plant", "order"), 2.0, "plant: order must be an integer, got 2.0"),
@@ -512,29 +495,25 @@ def test_a_wrong_field_of_a_design_is_named_with_its_file(
 @pytest.mark.parametrize(
     "path, value, words",
     [
+        (("A_c",), [[1.0, 2.0]], r"A_c must have shape \(1, 1\), got \(1, 2\)"),
+        (("A_c",), 1.0, r"A_c must have 2 dimension\(s\), got shape \(\)"),
+        (("C_f",), [[1.0]], r"C_f must have shape \(1, 3\)"),
+        (("A_c", 0, 0), 1e9, "certified must follow from the multipliers, which give -"),
+        (("C_c", 0, 0), 0.8, "certified must follow from the multipliers, which give "),
+        (("certified",), 0.08, "certified must follow from the multipliers, which give 0.08"),
+        (("certified",), 0.0, r"certified must be finite and in \(0"),
+        (("multipliers", 1), 1e-6, "certified must follow from the multipliers"),
+        (("multipliers", 1), 1e-9, "multipliers certify no finite err"),
+        (("multipliers",), [0.0] * 4, "multipliers certify no finite"),
         (
-            ("certificate", "certified"),
-            0.08,
-            "certificate: certified does not follow from the mult",
-        ),
-        (("certificate", "certified"), 0.0, r"certificate: certified must be finite and in \(0"),
-        (("certificate", "multipliers", 1), 1e-6, "certificate: certified does not follow from"),
-        (("certificate", "multipliers", 1), 1e-9, "certificate: multipliers certify no finite err"),
-        (("certificate", "multipliers"), [0.0] * 4, "certificate: multipliers certify no finite"),
-        (
-            ("certificate", "multipliers"),
+            ("multipliers",),
             [1.0],
-            "certificate: multipliers must have k . 3g = .* got",
+            "multipliers must have k . 3g = .* got",
         ),
-        (("certificate", "cost"), "both", "certificate: cost must be one of .*, got 'both'"),
-        (("certificate", "route"), "luck", "certificate: route must be one of .*, got 'luck'"),
-        (("certificate", "route"), DELETE, r"certificate\.route is missing"),
-        (("C_c", 0, 0), 0.8, "certificate: certified does not follow from the multipliers"),
-        (
-            ("design",),
-            {"tau": 1.0, "multipliers": [1.0], "cost": "filtered", "bound": 1.0},
-            "design and certificate must not both be there",
-        ),
+        (("cost",), "both", "cost must be one of .*, got 'both'"),
+        (("route",), "luck", "route must be one of .*, got 'luck'"),
+        (("route",), DELETE, r"route is missing"),
+        (("kind",), "robust smoother", "A_c is not a field: these are tau, "),
     ],
 )
 def test_a_certificate_that_does_not_hold_is_refused(folder, minimax_smoothers, path, value, words):

@@ -6,13 +6,11 @@ import re
 import subprocess
 import sys
 import tomllib
-from operator import attrgetter
 from pathlib import Path
 
 import pytest
 
 import robsmooth as rs
-from robsmooth import _names
 from tests.project.test_package import FLOORS, MODULES, room
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,7 +63,7 @@ for name in rs.__all__:
 def test_importing_the_package_imports_nothing_else():
     before = "import sys, ast, importlib.util, pkgutil, typing; before = set(sys.modules)\n"
     new = in_a_new_process(before + "import robsmooth; print(*(set(sys.modules) - before))")
-    assert set(new.split()) == {"robsmooth", "robsmooth._names"}
+    assert new.split() == ["robsmooth"]
 
 
 def test_a_design_needs_no_compiler():
@@ -95,11 +93,6 @@ def test_a_name_that_was_asked_for_is_there():
 @pytest.mark.parametrize(
     ("name", "here"),
     [
-        ("kalman", "here it is robsmooth.baselines.kalman_bucy"),
-        ("lqe", "here it is robsmooth.baselines.kalman_bucy"),
-        ("KalmanFilter", "here it is robsmooth.baselines.kalman_bucy"),
-        ("fixed_lag_smoother", "here it is robsmooth.baselines.fixed_lag_smoother"),
-        ("FixedLagSmoother", "here it is robsmooth.baselines.fixed_lag_smoother"),
         ("minimise_bound", "did you mean robsmooth.minimize_bound?"),
         ("UncertainSytem", "did you mean robsmooth.UncertainSystem?"),
         ("error_covarience", "did you mean robsmooth.error_covariance?"),
@@ -117,10 +110,3 @@ def test_a_name_of_nothing_is_told_nothing(name):
     with pytest.raises(AttributeError, match=f"^module 'robsmooth' has no attribute '{name}'$"):
         getattr(rs, name)
     assert not hasattr(rs, name)
-
-
-@pytest.mark.parametrize("name", sorted(_names._ELSEWHERE))
-def test_what_others_call_it_is_spelt_as_it_is_looked_up_and_leads_somewhere(name):
-    assert name == name.lower().replace("_", "")
-    assert name not in {public.lower().replace("_", "") for public in rs.__all__}
-    assert callable(attrgetter(_names._ELSEWHERE[name])(rs))

@@ -3,7 +3,6 @@ import logging
 import os
 import random
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -20,7 +19,6 @@ import numpy as np
 import pytest
 
 from robsmooth._support import cluster as cluster_module
-from robsmooth._support import extras
 from robsmooth._support.cluster import connect, in_order, worker_threads, workers
 from tests.helpers.clusters import cluster_of_threads, start_cluster
 from tests.helpers.waiting import PATIENCE, wait_until
@@ -312,32 +310,6 @@ def test_the_digest_of_the_sources_depends_on_their_names_and_contents(tmp_path)
     (tmp_path / "__pycache__" / "a.pyc").touch()
     assert digest() == digests[-1]
     assert len(set(digests)) == len(digests)
-
-
-def test_the_digest_of_an_archive_is_that_of_the_folder_in_it(tmp_path):
-    """Imported from a zip file, of which nothing can be read as a file or written."""
-    room = tmp_path / "robsmooth" / "_support"
-    room.mkdir(parents=True)
-    (room.parent / "__init__.py").touch()
-    (room / "__init__.py").touch()
-    for module in (cluster_module, extras):
-        shutil.copy(module.__file__, room)
-    archive = shutil.make_archive(tmp_path / "installed", "zip", tmp_path, "robsmooth")
-    program = "from robsmooth._support import cluster; print(cluster.__file__, cluster.software())"
-    ended = subprocess.run(
-        [
-            sys.executable,
-            "-P",
-            "-S",
-            "-c",
-            f"import sys; sys.path.insert(0, {archive!r}); {program}",
-        ],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert f"{archive}/robsmooth" in ended.stdout
-    assert cluster_module._digest_sources(room.parent) in ended.stdout
 
 
 # --- what goes wrong with the scheduler -----------------------------------------------------------

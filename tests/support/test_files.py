@@ -110,7 +110,7 @@ def test_a_process_that_is_killed_leaves_the_lock_to_others(tmp_path):
 
 
 def test_a_file_that_cannot_be_locked_is_an_error(tmp_path):
-    with pytest.raises(OSError, match="unable to open"), files.exclusive_lock(tmp_path):
+    with pytest.raises(sqlite3.Error, match="unable to open"), files.exclusive_lock(tmp_path):
         pass
     notes = tmp_path / "notes.txt"
     notes.write_text("of a user\n")

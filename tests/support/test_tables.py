@@ -25,15 +25,6 @@ def test_markdown_keeps_its_columns_whatever_the_cells_hold():
     assert lines[-1] == "*A caption with 100% & more.*"
 
 
-def test_latex_escapes_text_and_leaves_mathematics_alone():
-    text = TABLE.latex()
-    assert r"a\_b \& 5\%" in text
-    assert "$x_1$" in text
-    assert r"$\pm$ 1 $<$ 2" in text
-    body = text[text.index(r"\midrule") : text.index(r"\bottomrule")]
-    assert body.count(r" \\") == len(TABLE.rows)
-
-
 def test_records_make_a_row_each_under_the_columns_of_the_fullest():
     records = [{"a": 1, "c": "last"}, {"a": 2, "b": 0.5, "c": ""}, {"d": 3}]
     table = Table.of_records(iter(records), "A caption.", digits=3)
@@ -52,17 +43,16 @@ def test_csv_holds_twelve_digits():
 def test_without_a_caption_none_is_written():
     bare = replace(TABLE, caption="")
     assert TABLE.markdown() == f"{bare.markdown()}\n*{TABLE.caption}*\n"
-    assert "caption" in TABLE.html() and "caption" in TABLE.latex()
-    assert "caption" not in bare.html() + bare.latex()
+    assert "caption" in TABLE.html()
+    assert "caption" not in bare.html()
 
 
-def test_saving_writes_the_three_formats(tmp_path):
+def test_saving_writes_both_formats(tmp_path):
     TABLE.save(tmp_path, "table")
     found = {path.name: path.read_text() for path in tmp_path.iterdir()}
     assert found == {
         "table.md": TABLE.markdown(),
         "table.csv": TABLE.csv(),
-        "table.tex": TABLE.latex(),
     }
 
 
@@ -138,7 +128,6 @@ def test_mathematics_is_marked_and_a_lone_dollar_sign_is_none():
     assert r"\(\begin{bmatrix}1 &amp; 2\end{bmatrix}\)" in text
     assert ">5 $<" in text
     assert r"\(a\) or 1 $" in text
-    assert r"$a$ or 1 \$" in table.latex() and r"5 \$" in table.latex()
 
 
 def test_a_table_without_rows_has_its_header():
