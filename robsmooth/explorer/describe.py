@@ -1,10 +1,8 @@
-"""What the panels show as sentences and as a table, and the settings as code."""
+"""What the panels show as sentences, and the settings as code."""
 
 import math
-from collections.abc import Mapping
 
 import robsmooth as rs
-from robsmooth._support.tables import Table
 from robsmooth.explorer import snapshot as model
 from robsmooth.explorer.snapshot import SLOPES, Settings, Snapshot
 
@@ -103,19 +101,3 @@ def _compared(error: float, other: float) -> str:
     return (
         "no better than" if share == "0.0%" else f"{share} {'below' if error < other else 'above'}"
     )
-
-
-def experiments(cases: Mapping[str, Settings], caption: str) -> Table:
-    """Return what the panels show in several cases, one a row."""
-    columns = ("settings", "filtered (rad²)", "smoothed (rad²)", "saved")
-    columns += ("worst constant (rad²)", "certified worst (rad²)")
-    rows = []
-    for name, settings in cases.items():
-        snapshot = model.judge(model.take_snapshot(settings))
-        found = ["no design", "no design", None, None, None]
-        if not (isinstance(snapshot.predicted, str) or isinstance(snapshot.judged, str)):
-            loop, judged = snapshot.predicted.own, snapshot.judged.own
-            saved = f"{1 - loop.smoothed / loop.filtered:.0%}"
-            found = [loop.filtered, loop.smoothed, saved, judged.worst_constant, judged.certified]
-        rows.append((name, *found))
-    return Table(columns, rows, caption)

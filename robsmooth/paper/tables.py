@@ -20,7 +20,6 @@ from robsmooth.estimators.smoother import RobustSmoother, design_smoother
 from robsmooth.homodyne import HomodyneParameters, fraction_inside
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.paper import predictions, published
-from robsmooth.simulation.statistics import SimulationResult
 
 Records = Iterator[dict[str, Any]]  # the cells of each row, by their columns
 
@@ -211,24 +210,3 @@ def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParamete
         f"in brackets, how far off, in standard errors of a simulation of {runs:.0f} runs."
     )
     return Table.of_records(records, caption)
-
-
-@_table(digits=3)
-def own_systems(results: Mapping[str, tuple[RobustSmoother, SimulationResult]]) -> Records:
-    """Mean square errors in the simulated nonlinear loop (± one standard error), against the
-    prediction by equivalent slopes and the guarantee; how much of the energy that the constraints
-    allow is used, and how long a nonlinearity is outside its slopes.
-    """
-    real = {"loop": "real", "allow_inadmissible": True, "reference": "system"}
-    for name, (design, found) in results.items():
-        smoothed, filtered = found.smoothed, found.filtered
-        yield {
-            "system": name,
-            "smoothed error": _estimate(smoothed, ".3g", ".1g"),
-            "predicted": np.trace(error_covariance(design, found.equivalent_delta, **real)),
-            "filtered error": _estimate(filtered, ".3g", ".1g"),
-            "saved": f"{1 - smoothed.mean_square / filtered.mean_square:.0%}",
-            "$2V$": design.mean_square_bound,
-            "constraints used": f"{found.constraints.max():.0%}",
-            "time outside": f"{100 * found.violated.max():.2g}%",
-        }

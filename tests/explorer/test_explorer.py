@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from matplotlib.text import Text
 
 import robsmooth as rs
-from robsmooth.explorer import Explorer, Settings, describe, experiments, explorer
+from robsmooth.explorer import Explorer, Settings, describe, explorer
 from robsmooth.explorer import snapshot as model
 from robsmooth.explorer.panels import NO_DESIGN, Panels
 from robsmooth.explorer.snapshot import DESIGNS, RANGES
@@ -245,14 +245,6 @@ def test_too_long_a_lag_is_said_to_be_worse_than_none():
     snapshot = whole(Settings(lag=15e-6, order=1))
     assert snapshot.predicted.own.smoothed > snapshot.predicted.own.filtered
     assert "above the filter's" in describe.summary(snapshot)
-
-
-def test_experiments_have_a_row_for_what_there_is_not():
-    cases = {"paper": PAPER, "no": INFEASIBLE, "classical": DESIGNED["classical"]}
-    paper, no, classical = experiments(cases, "Three.").rows
-    for row in (paper, classical):
-        assert row[2] < row[1] < row[4] <= row[5] * (1 + 1e-6)
-    assert no == ("no", "no design", "no design", None, None, None)
 
 
 # --- the figure -----------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import files
@@ -59,10 +60,9 @@ def styles(names: Iterable[str | int]) -> list[dict[str, Any]]:
 
 
 def label_ticks(axis: Axis, ticks: Sequence[float]) -> None:
-    """Label these ticks of a logarithmic axis, those in its view, as numbers without powers."""
-    low, high = axis.get_view_interval()
-    seen = [tick for tick in ticks if low * (1 - 1e-9) <= tick <= high * (1 + 1e-9)]
-    axis.set_ticks(seen, [f"{tick:g}" for tick in seen])
+    """Label these ticks of a logarithmic axis, as numbers without powers."""
+    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_major_formatter("{x:g}")
     axis.axes.minorticks_off()
 
 
