@@ -93,8 +93,7 @@ class Settings:
     @property
     def classical(self) -> "Settings":
         """The same loop with the classical smoother."""
-        light = self.lag, self.order, self.gamma, self.noise, self.lam, self.kappa
-        return Settings(*light, self.cost, "classical")
+        return replace(self, design="classical")
 
     @property
     def parameters(self) -> rs.homodyne.HomodyneParameters:

@@ -6,17 +6,14 @@ from functools import wraps
 from inspect import signature
 from typing import Any
 
-import numpy as np
 from scipy.optimize import brentq
 
 from robsmooth._numerics.riccati import RiccatiError
-from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.notation import matrix as matrix
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
-from robsmooth.analysis.covariance import error_covariance
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.smoother import RobustSmoother, design_smoother
+from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne import HomodyneParameters, fraction_inside
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.paper import predictions, published
@@ -91,23 +88,6 @@ def sign_readings(tau: float, multipliers: Sequence[float]) -> Records:
     yield record("printed", *map(published.printed, names))
 
 
-@_table(digits=6)
-def approach_to_infimum(best: RobustSmoother, vanishing: Iterable[float]) -> Records:
-    """Towards the edge: the bound falls and X vanishes as the multipliers of the nonlinearity and
-    its copy do. Over all the infimum is {best.bound_infimum:.5f}.
-    """
-    for value in vanishing:
-        record = {r"$\lambda_3 = \lambda_4$": f"{value:.0e}"}
-        multipliers = [1.0, 0.5 - value / 2, value, value]  # on the edge of the constraint
-        try:
-            found = design_smoother(best.plant, best.tau, multipliers, best.cost)
-            record |= {"$V$": found.bound, "$B_c[0,0]$": found.B_c[0, 0]}
-            record |= {r"$\lVert X\rVert$": np.linalg.norm(found.X, 2), "refused because": ""}
-        except InfeasibleDesignError as error:
-            record["refused because"] = error.condition
-        yield record
-
-
 @_table()
 def designs(compared: Mapping[str, Estimator]) -> Records:
     """The designs compared. V bounds half the filtered error covariance with the fictitious noise
@@ -119,20 +99,6 @@ def designs(compared: Mapping[str, Estimator]) -> Records:
             record |= {"$V$ (rad²)": design.bound, r"$\tau$ (rad² s)": f"{design.tau:.4g}"}
             record[r"$\lambda$"] = _numbers(design.multipliers)
         yield record | {"poles (1/s)": _numbers(design.poles, digits=3)}
-
-
-@_table()
-def copy_noise(designs: Mapping[float, RobustSmoother]) -> Records:
-    """What the fictitious noise costs: least bound and nominal filtered error covariance (rad²)
-    against the intensity that the design assumes for it.
-    """
-    for intensity, design in designs.items():
-        record = {"$J_{21}$": f"{intensity:g}", "least $V$": design.bound_infimum or design.bound}
-        for column, loop in {"with copy noise": "theory", "without": "real"}.items():
-            nominal = design.plant.structured_delta()
-            error = error_covariance(design, nominal, "filtered", loop=loop)
-            record[f"filtered, {column}"] = error[0, 0]
-        yield record
 
 
 @_table()
@@ -164,21 +130,16 @@ def errors_by_method(found: predictions.ErrorsByMethod) -> Records:
 
 
 @_table()
-def noise_sweep(found: Iterable[Mapping[str, Any]]) -> Records:
-    """The filtered error of the printed smoother as the phase noise grows. Predictions are for a
-    loop in lock, and are left out where their method finds no such loop.
-    """
-    for case in found:
-        simulated = case["simulated"]
+def noise_sweep(found: Mapping[float, MonteCarloResult]) -> Records:
+    """The filtered error of the printed smoother as the phase noise grows."""
+    for factor, simulated in found.items():
         yield {
-            "phase noise": f"{case['factor']:g}",
+            "phase noise": f"{factor:g}",
             "all runs (rad²)": _estimate(simulated.filtered, ".4f"),
             "runs in lock (rad²)": _estimate(simulated.filtered_in_lock, ".4f"),
             "slips": simulated.slips,
             "runs that slipped": f"{simulated.slipped_paths} of {simulated.runs}",
             "slips (1/s)": f"{simulated.slip_rate:.3g}",
-            "moments (rad²)": _number(case["moments"]),
-            "statistical linearisation (rad²)": _number(case["statistical linearisation"]),
         }
 
 
