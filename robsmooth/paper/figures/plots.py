@@ -165,7 +165,7 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     bottom.plot(lags, optimal, label="both optimal, linear loop", **style.TRUTH)
     style.plot_curves(bottom, lags, dict(zip(study.orders, ratio[middle], strict=True)))
     bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
-    bottom.axvline(1e6 * lag, **style.MARK)
+    bottom.axvline(1e6 * lag, color="0.6", linestyle="-", linewidth=0.8)
     bottom.set(xlabel="lag (µs)", ylabel="smoothed / filtered error")
     bottom.set(ylim=(0.4, 1.6), xlim=lags[[0, -1]])
     style.label_ticks(bottom.xaxis, (0.3, 1, 3, 10, 30))

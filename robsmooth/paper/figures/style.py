@@ -36,7 +36,6 @@ _PLACES: dict[str | int, int] = {  # a number is the order of a delay's model
 
 # The truth under its estimates, or an ideal: a band, pale enough not to be taken for one of them.
 TRUTH = {"color": "0.78", "linestyle": "-", "linewidth": 2.5}
-MARK = {"color": "0.6", "linestyle": "-", "linewidth": 0.8}  # a place on an axis
 DOTTED = {"color": "0.4", "linestyle": ":", "linewidth": 0.9}  # a line to compare with
 LOOSE = {"linestyle": "none", "clip_on": False}  # points, whole even at the edge of the axes
 # Where a map has no value. A shade of grey would be that of one of its colours in print.
