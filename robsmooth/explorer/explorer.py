@@ -49,6 +49,7 @@ class Explorer:
         """Return the sliders, which from now on say what is shown."""
         if self.controls is None:
             self.controls = Controls(self._settings, self._redraw)
+            self._draw(self._snapshot)  # what is displayed has its image from the start
             self._redraw()
         return self.controls
 

@@ -302,6 +302,14 @@ def drawn(monkeypatch):
     return seen
 
 
+def test_the_controls_have_their_panels_from_the_start():
+    async def show():
+        controls = Explorer().show_controls()
+        return controls.panels.value, controls.summary.value, controls.code.value
+
+    assert all(asyncio.run(show()))
+
+
 def test_a_slider_changes_the_panels_and_reset_brings_them_back():
     shown = Explorer(replace(PAPER, lag=2e-6))
     controls = shown.show_controls()
