@@ -46,23 +46,20 @@ def figures(options: argparse.Namespace) -> int:
     if failed:
         print(_summary(failed, len(results)), file=sys.stderr)
     if not run.parameters and len(failed) < len(results):
-        write_report(run, changed=any(result.status == "done" for result in results))
+        write_report(run)
     if not failed:
         print(f"figures and tables are in {_short(run.results / 'figures')}")
     return 1 if failed else 0
 
 
-def write_report(run: Request, changed: bool) -> None:
-    """Write the report, and at the paper's scale the README's scorecard, unless they are fresh."""
+def write_report(run: Request) -> None:
+    """Write the report, and at the paper's scale the README's scorecard."""
     from robsmooth.paper import report
 
-    places = run.results / "figures", run.results / "data"
-    if not changed and report.is_fresh(*places):
-        return
     if not (run.results / "data/monte_carlo.json").exists():  # a part was run, in a new place
         print("no report yet: it needs the results of 04_nonlinear_monte_carlo")
         return
-    verdicts = report.write(*places)
+    verdicts = report.write(run.results / "figures", run.results / "data")
     if run.results == run.root:
         report.write_scorecard(run.root / "README.md", verdicts)
 

@@ -1,10 +1,9 @@
 """The explorer of explore.ipynb: sliders, and what a design does at their settings."""
 
 from robsmooth._support.extras import extra
-from robsmooth.explorer.describe import experiments
 from robsmooth.explorer.snapshot import Settings
 
 with extra("notebooks", "the explorer"):
     from robsmooth.explorer.explorer import Explorer
 
-__all__ = ["Explorer", "Settings", "experiments"]
+__all__ = ["Explorer", "Settings"]

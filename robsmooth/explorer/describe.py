@@ -1,12 +1,10 @@
-"""What the panels show as sentences and as a table, and the settings as code."""
+"""What the panels show as sentences, and the settings as code."""
 
 import math
-from collections.abc import Mapping
 
 import robsmooth as rs
-from robsmooth._support.tables import Table
 from robsmooth.explorer import snapshot as model
-from robsmooth.explorer.snapshot import RUNS, SLOPES, Settings, Snapshot
+from robsmooth.explorer.snapshot import SLOPES, Settings, Snapshot
 
 JUDGING = "The certified worst error is being prepared."
 
@@ -29,12 +27,12 @@ slopes = np.linspace({low!r}, {high!r}, {len(SLOPES)})
 filtered = rs.delta_sweep(smoother, slopes, "filtered", loop="real")[:, 0, 0]
 smoothed = rs.delta_sweep(smoother, slopes, "smoothed", loop="real")[:, 0, 0]
 judged = rs.judge(smoother, "{settings.cost}")
-simulated = rs.monte_carlo(parameters, smoother, runs={RUNS})
+with_sine = rs.statistical_linearisation(smoother, parameters.equivalent_slope)
 
 print(smoother)
 print("from the sector's edge to no uncertainty: filtered", filtered, "smoothed", smoothed)
 print(judged)
-print(simulated)
+print(with_sine)
 """
 
 
@@ -64,23 +62,19 @@ def summary(snapshot: Snapshot) -> str:
     """Return what there is to learn at these settings, a sentence or three."""
     if isinstance(snapshot.estimator, str):
         return f"There is no design. {snapshot.estimator}."
-    return f"{_simulation(snapshot.simulated)} {_certificate(snapshot)}"
+    return f"{_with_the_sine(snapshot)} {_certificate(snapshot)}"
 
 
-def _simulation(simulated: rs.MonteCarloResult | str) -> str:
-    if isinstance(simulated, str):
-        return simulated.removesuffix(".") + "."
-    filtered, smoothed = (error.mean_square for error in simulated.in_lock())
-    slipped = simulated.slipped_paths
-    if slipped == RUNS:
-        return "With its sine the loop loses lock: every simulated path slips by whole turns."
-    text = (
-        f"With the sine in the loop, smoothing has a mean square error of {smoothed:.4f} rad², "
-        f"{_compared(smoothed, filtered)} the filter's {filtered:.4f} rad²."
+def _with_the_sine(snapshot: Snapshot) -> str:
+    if isinstance(snapshot.predicted, str):
+        return snapshot.predicted.removesuffix(".") + "."
+    loop, reach = snapshot.predicted.own, snapshot.settings.parameters.sector_range()
+    outside = 1.0 - rs.homodyne.fraction_inside(reach, loop.filtered)
+    return (
+        f"With the sine in the loop, smoothing has a mean square error of {loop.smoothed:.4f} "
+        f"rad², {_compared(loop.smoothed, loop.filtered)} the filter's {loop.filtered:.4f} rad². "
+        f"The sine is outside its sector for a share of {outside:.0e} of the time."
     )
-    if simulated.slips:
-        text += f" That is for paths in lock: {slipped} of {RUNS} slip by whole turns."
-    return text
 
 
 def _certificate(snapshot: Snapshot) -> str:
@@ -107,21 +101,3 @@ def _compared(error: float, other: float) -> str:
     return (
         "no better than" if share == "0.0%" else f"{share} {'below' if error < other else 'above'}"
     )
-
-
-def experiments(cases: Mapping[str, Settings], caption: str) -> Table:
-    """Return what the panels show in several cases, one a row."""
-    columns = ("settings", "filtered (rad²)", "smoothed (rad²)", "saved")
-    columns += ("worst constant (rad²)", "certified worst (rad²)", "paths that slip")
-    rows = []
-    for name, settings in cases.items():
-        snapshot = model.take_snapshot(settings)
-        simulated, judged = model.simulate(snapshot), model.judge(snapshot)
-        found = ["no design", "no design", None, None, None, None]
-        if not isinstance(simulated, str):
-            filtered, smoothed = (error.mean_square for error in simulated.in_lock())
-            worst = judged.own.worst_constant, judged.own.certified
-            slipped = f"{simulated.slipped_paths} of {RUNS}"
-            found = [filtered, smoothed, f"{1 - smoothed / filtered:.0%}", *worst, slipped]
-        rows.append((name, *found))
-    return Table(columns, rows, caption)

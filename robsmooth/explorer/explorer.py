@@ -1,31 +1,24 @@
 """The explorer: what is drawn when.
 
 A little after the last event of a slider the newest settings are drawn, with what is found at once.
-The simulation is found in a thread, for which a drawing waits a little: it takes long only where
-its kernel is compiled first. The certified errors are found in another when the sliders rest. All
-is drawn again when there is more.
+The certified errors are found in a thread when the sliders rest, and drawn when they are there.
 """
 
 import asyncio
 import base64
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import replace
-from functools import partial
+from concurrent.futures import ThreadPoolExecutor
 
 from IPython import get_ipython
-from matplotlib.figure import Figure
 
 from robsmooth.explorer.controls import Controls
 from robsmooth.explorer.describe import code, summary
 from robsmooth.explorer.panels import Panels
-from robsmooth.explorer.snapshot import Settings, Snapshot, judge, simulate, take_snapshot
+from robsmooth.explorer.snapshot import Settings, Snapshot, judge, take_snapshot
 
 DEBOUNCE = 0.004  # s without an event, before the newest settings are drawn
 REST = 0.2  # s without an event, before the certified errors are sought
-SIMULATION_TIMEOUT = 0.5  # s that a drawing waits for its simulation, where it may come later
 
-_threads = ThreadPoolExecutor(2, "robsmooth-explorer")
+_thread = ThreadPoolExecutor(1, "robsmooth-explorer")
 
 
 class Explorer:
@@ -38,11 +31,8 @@ class Explorer:
         self.controls: Controls | None = None
         self._settings = settings or Settings()
         self._panels = Panels()
-        self._timer: asyncio.TimerHandle | None = None
-        self._snapshot = take_snapshot(self._settings)
-        self._simulated = _Later(simulate)
-        self._judged = _Later(judge)
-        self._redraw()
+        self._following: asyncio.Task | None = None
+        self._draw(take_snapshot(self._settings))
 
     @property
     def settings(self) -> Settings:
@@ -51,21 +41,16 @@ class Explorer:
 
     @property
     def snapshot(self) -> Snapshot:
-        """What is shown."""
-        self._draw()
+        """What is shown, with all that there is to see."""
+        self._draw(judge(take_snapshot(self.settings)))
         return self._snapshot
-
-    @property
-    def figure(self) -> Figure:
-        """The panels."""
-        self._draw()
-        return self._panels.figure
 
     def show_controls(self) -> Controls:
         """Return the sliders, which from now on say what is shown."""
         if self.controls is None:
-            self.controls = Controls(self._settings, self._redraw_soon)
-            self._update_controls()
+            self.controls = Controls(self._settings, self._redraw)
+            self._draw(self._snapshot)  # what is displayed has its image from the start
+            self._redraw()
         return self.controls
 
     def __repr__(self) -> str:
@@ -73,80 +58,39 @@ class Explorer:
 
     def _repr_mimebundle_(self, **_) -> dict[str, object]:
         live = self.show_controls().widget._repr_mimebundle_() if can_show_widgets() else {}
-        if not live:
-            self._draw()
+        shown = self._snapshot if live else self.snapshot
         image = base64.b64encode(self._panels.png()).decode()
-        return {**live, "image/png": image, "text/plain": summary(self._snapshot)}
-
-    def _redraw_soon(self) -> None:
-        """Have the newest settings drawn: soon, or at once where there is no event loop."""
-        if self._timer is not None:
-            self._timer.cancel()
-        if loop := _running_loop():
-            self._timer = loop.call_later(DEBOUNCE, self._redraw)
-        else:
-            self._redraw()
+        return {**live, "image/png": image, "text/plain": summary(shown)}
 
     def _redraw(self) -> None:
-        """Draw the newest settings, and again when there is more; without an event loop wait."""
-        if loop := _running_loop():
-            again = partial(loop.call_soon_threadsafe, self._redraw_soon)
-            self._draw(again)
-            self._timer = loop.call_later(REST, self._judged.get, self._snapshot, 0.0, again)
+        """Have the newest settings drawn: soon, or at once where there is no event loop."""
+        if self.controls is None:  # they are being made
+            return
+        if self._following:
+            self._following.cancel()
+        try:
+            loop = asyncio.get_running_loop()
+        except RuntimeError:
+            self._draw(judge(take_snapshot(self.settings)))
         else:
-            self._draw()
-        self._update_controls()
+            self._following = loop.create_task(self._follow(loop))
 
-    def _draw(self, again: Callable[[], object] | None = None) -> None:
-        """Draw the newest settings with all that there is to see, or, given `again`, with less."""
-        if self._snapshot.settings != self.settings:
-            self._snapshot = take_snapshot(self.settings)
-        simulated = self._simulated.get(self._snapshot, SIMULATION_TIMEOUT, again)
-        found = {} if simulated is None else {"simulated": simulated}
-        if again is None or self._judged.known(self._snapshot):
-            found["judged"] = self._judged.get(self._snapshot, 0.0, again)
-        self._snapshot = replace(self._snapshot, **found)
-        self._panels.update(self._snapshot)
+    async def _follow(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Draw what is found at once, and later all; newer settings cancel this."""
+        await asyncio.sleep(DEBOUNCE)
+        self._draw(take_snapshot(self.settings))
+        await asyncio.sleep(REST)
+        self._draw(await loop.run_in_executor(_thread, judge, self._snapshot))
 
-    def _update_controls(self) -> None:
+    def _draw(self, snapshot: Snapshot) -> None:
+        self._snapshot = snapshot
+        self._panels.update(snapshot)
         if self.controls:
-            described = summary(self._snapshot)
-            self.controls.update(self._panels.png(), described, code(self.settings))
-
-
-class _Later:
-    """What a function finds of the newest snapshot, in a thread, one at a time."""
-
-    def __init__(self, find: Callable[[Snapshot], object]):
-        self._find, self._settings, self._future = find, None, Future()
-        self._future.set_result(None)
-
-    def get(self, snapshot: Snapshot, timeout: float, again: Callable | None) -> object:
-        """Return what is found; without `again` wait for it.
-
-        Return None where it takes longer than `timeout` (s), and call `again` when it is there.
-        """
-        if again is None:
-            wait([self._future])
-        if self._future.done() and self._settings != snapshot.settings:
-            self._future, self._settings = _threads.submit(self._find, snapshot), snapshot.settings
-            wait([self._future], timeout if again else None)
-            if not self._future.done():
-                self._future.add_done_callback(lambda _: again())
-        return self._future.result() if self.known(snapshot) else None
-
-    def known(self, snapshot: Snapshot) -> bool:
-        return self._future.done() and self._settings == snapshot.settings
+            settings = snapshot.settings
+            self.controls.update(self._panels.png(), summary(snapshot), code(settings))
 
 
 def can_show_widgets() -> bool:
     """Tell whether a frontend could show sliders: in a batch it could answer no question either."""
     kernel = getattr(get_ipython(), "kernel", None)
     return bool(kernel and kernel.get_parent("shell").get("content", {}).get("allow_stdin"))
-
-
-def _running_loop() -> asyncio.AbstractEventLoop | None:
-    try:
-        return asyncio.get_running_loop()
-    except RuntimeError:
-        return None

@@ -1,4 +1,4 @@
-"""The six panels of the explorer: one figure, of which what the settings change is drawn again.
+"""The four panels of the explorer: one figure, of which what the settings change is drawn again.
 
 Axes, labels and legends are kept as pixels. The axes never change: errors are relative.
 """
@@ -21,14 +21,13 @@ from PIL import Image
 
 import robsmooth as rs
 from robsmooth.explorer import snapshot as model
-from robsmooth.explorer.snapshot import RUNS, SHOWN, SLOPES, STEP, Settings, Snapshot
+from robsmooth.explorer.snapshot import SHOWN, SLOPES, STEP, Settings, Snapshot
 from robsmooth.paper.figures import TRUTH, styles, use_style
 
 NO_DESIGN = "No design."
 _SIZE, _RESOLUTION = (7.0, 4.5), 130  # inches, and pixels of an inch on the screen
 _WIDTH = 26  # letters of a sentence in a panel
 _ERROR = "mean square error\n(Kalman filter's = 1)"
-_FASTEST = 200.0  # 1/us, the largest pole shown
 
 # What changes in a panel, from the bottom up, and how what it shows and the snapshot change it.
 Changing = tuple[list[Artist], Callable[[Any, Snapshot], None]]
@@ -42,7 +41,7 @@ class Panels:
             use_style()
             self.figure = Figure(figsize=_SIZE, dpi=_RESOLUTION)
             canvas = FigureCanvasAgg(self.figure)
-            axes = self.figure.subplots(2, 3).flat
+            axes = self.figure.subplots(2, 2).flat
             panels = map(_Panel, axes, _PANELS.values())
             self._panels = dict(zip(_PANELS, panels, strict=True))
             canvas.draw()
@@ -132,8 +131,9 @@ def _sector(axes: Axes) -> Changing:
         reach = parameters.sector_range()
         for end, place in zip(ends, (-reach, reach), strict=True):
             end.set_xdata([place, place])
-        variance = getattr(snapshot.predicted, "filtered", math.inf)
-        bell = np.exp(-(error**2) / (2.0 * variance)) if math.isfinite(variance) else 0.0 * error
+        predicted = snapshot.predicted
+        variance = 0.0 if isinstance(predicted, str) else predicted.own.filtered
+        bell = np.exp(-(error**2) / (2.0 * variance)) if variance else 0.0 * error
         density.set_xy(np.column_stack([error, 0.9 * bell - 2.0]))
 
     return [density, sector, *ends], update
@@ -146,34 +146,14 @@ def _sweep(axes: Axes) -> Changing:
     axes.set(title="error against uncertainty", ylabel=_ERROR, ylim=(0.0, 3.0))
     axes.set(xlabel=r"uncertainty $\Delta_2$ (most: $-1$)", xlim=(-1.0, 0.0), xticks=[-1, -0.5, 0])
 
-    def update(sweep: model.Sweep, snapshot: Snapshot) -> None:
-        one, other = snapshot.filtering, snapshot.classical
-        filtered.set_data(SLOPES, sweep.filtered / one)
-        smoothed.set_data(SLOPES, sweep.smoothed / one)
-        classical.set_data(SLOPES, getattr(other, "smoothed", np.nan * SLOPES) / one)
+    def update(sweeps: model.Pair, snapshot: Snapshot) -> None:
+        one = snapshot.filtering
+        filtered.set_data(SLOPES, sweeps.own.filtered / one)
+        smoothed.set_data(SLOPES, sweeps.own.smoothed / one)
+        classical.set_data(SLOPES, sweeps.classical.smoothed / one)
         optimum.set_data([0.0], [snapshot.optimum / one])
 
     return [classical, filtered, smoothed, optimum], update
-
-
-def _poles(axes: Axes) -> Changing:
-    tangent = _line(axes, "x", color=_colour(0), markersize=5, label="no uncertainty")
-    style = {"color": _colour(1), "markersize": 4, "markerfacecolor": "none"}
-    edge = _line(axes, "o", **style, label="sector's edge")
-    _legend(axes, "upper left")
-    axes.set_xscale("symlog", linthresh=0.01)
-    axes.set_yscale("symlog", linthresh=0.1)
-    axes.set(title="poles of the estimator", ylabel="imaginary part (1/µs)")
-    axes.set(xlabel="real part (1/µs)", xlim=(-_FASTEST, 0.0), ylim=(-_FASTEST, _FASTEST))
-    axes.set_xticks([-100, -1, -0.01], ["$-100$", "$-1$", "$-0.01$"])
-    axes.set_yticks([-100, -1, 0, 1, 100], ["$-100$", "$-1$", "0", "1", "100"])
-    axes.minorticks_off()
-
-    def update(poles: np.ndarray, _: Snapshot) -> None:
-        for line, each in zip((tangent, edge), 1e-6 * poles, strict=True):
-            line.set_data(each.real, each.imag)
-
-    return [edge, tangent], update
 
 
 def _judged(axes: Axes) -> Changing:
@@ -182,19 +162,23 @@ def _judged(axes: Axes) -> Changing:
     own = _line(axes, color="k", linestyle=":", marker="o", markersize=3, label="this design")
     guarantee = _line(axes, color="k", linestyle="-", label="the paper's bound 2V")
     _legend(axes, "upper left")
-    axes.set(title="the three errors of a design", ylabel=_ERROR, yscale="log")
-    axes.set(xlim=(-0.5, 2.5), ylim=(0.3, 30.0), xlabel="of the error that is kept low")
-    axes.set_xticks([0, 1, 2], ["nominal", "constant", "certified"])
+    axes.set(title="the errors of a design", ylabel=_ERROR, yscale="log")
+    axes.set(xlim=(-0.5, 3.5), ylim=(0.3, 30.0), xlabel="of the error that is kept low")
+    places = np.arange(4)
+    axes.set_xticks(places, ["nominal", "worst constant", "certified", "with the sine"])
     axes.set_yticks([0.3, 1, 3, 10, 30], ["0.3", "1", "3", "10", "30"])
     axes.minorticks_off()
 
-    def update(judged: model.Judged, snapshot: Snapshot) -> None:
-        for line, judgement in zip((own, classical), judged, strict=True):
-            errors = np.array(list(vars(judgement).values()))
-            line.set_data([0, 1, 2], errors / snapshot.filtering)  # one that is infinite is absent
+    def update(judged: model.Pair, snapshot: Snapshot) -> None:
+        one, cost = snapshot.filtering, snapshot.settings.cost
+        unknown = isinstance(snapshot.predicted, str)
+        loops = (None, None) if unknown else snapshot.predicted
+        for line, each, loop in zip((own, classical), judged, loops, strict=True):
+            errors = np.array([*vars(each).values(), getattr(loop, cost, math.nan)])
+            line.set_data(places, errors / one)  # one that is infinite is absent
         robust = isinstance(snapshot.estimator, rs.RobustSmoother)
         level = snapshot.estimator.mean_square_bound if robust else math.nan
-        guarantee.set_data([-0.5, 2.5], np.full(2, level / snapshot.filtering))
+        guarantee.set_data([-0.5, 3.5], np.full(2, level / one))
 
     return [guarantee, classical, own], update
 
@@ -214,35 +198,5 @@ def _path(axes: Axes) -> Changing:
     return [phase, filtered, smoothed], update
 
 
-def _simulation(axes: Axes) -> Changing:
-    nominal = _line(axes, "k_", markersize=16, label="line, no uncertainty")
-    style = {"color": _colour(4), "markersize": 8, "markerfacecolor": "none"}
-    fitted = _line(axes, "o", **style, label="line, fitted")
-    points = _line(axes, "o", color=_colour(1), markersize=3, label="simulated")
-    intervals = [_line(axes, color=_colour(1), linestyle="-") for _ in range(2)]
-    numbers = [axes.text(place, 0.05, "", ha="center") for place in (0.0, 1.0)]
-    slips = axes.text(0.5, 1.4, "", ha="center")
-    _legend(axes, "upper left", handlelength=1.4)
-    axes.set(title="Monte Carlo, with the sine", ylabel=_ERROR)
-    axes.set(xlim=(-0.6, 1.6), ylim=(0.0, 2.5), xlabel="numbers: rad², ± 95%")
-    axes.set_xticks([0, 1], ["filtered", "smoothed"])
-
-    def update(simulated: rs.MonteCarloResult, snapshot: Snapshot) -> None:
-        one, means = snapshot.filtering, simulated.in_lock()
-        points.set_data([0, 1], [mean.mean_square / one for mean in means])
-        for place, (line, text, mean) in enumerate(zip(intervals, numbers, means, strict=True)):
-            half = 1.96 * mean.standard_error
-            ends = mean.mean_square - half, mean.mean_square + half
-            line.set_data([place, place], [end / one for end in ends])
-            text.set_text(f"{mean.mean_square:.5f}\n± {half:.5f}")
-        for line, found in ((nominal, snapshot.sweep), (fitted, snapshot.predicted)):
-            known = [getattr(found, name, math.nan) for name in ("filtered", "smoothed")]
-            line.set_data([0, 1], [np.ravel(value)[-1] / one for value in known])  # without Delta
-        slips.set_text(f"{simulated.slipped_paths} of {RUNS} paths slip" * (simulated.slips > 0))
-
-    return [nominal, fitted, *intervals, points, *numbers, slips], update
-
-
-# By what each shows of a snapshot, or the simulation.
-_PANELS = {"settings": _sector, "sweep": _sweep, "poles": _poles}
-_PANELS |= {"judged": _judged, "path": _path, "simulated": _simulation}
+# By what each shows of a snapshot.
+_PANELS = {"settings": _sector, "sweeps": _sweep, "judged": _judged, "path": _path}

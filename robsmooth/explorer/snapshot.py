@@ -6,21 +6,17 @@ that says so.
 
 import math
 from collections import namedtuple
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import NamedTuple, TypeVar
-from warnings import catch_warnings
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robsmooth as rs
 from robsmooth._support import validation
-from robsmooth.analysis.statistical_linearisation import StatisticalLinearisation
 from robsmooth.estimators.bound import best_tau
 from robsmooth.estimators.conditions import COSTS
-from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.paper.published import DELAY, ORDER, printed
 from robsmooth.simulation.integrator import ExponentialIntegrator
 from robsmooth.simulation.loop import nonlinear_loop
@@ -29,13 +25,10 @@ from robsmooth.simulation.loop import nonlinear_loop
 # measurement: tau is all that is left to search for.
 BEST_MULTIPLIERS = (1.0, 0.5, 0.0, 0.0)
 SLOPES = np.linspace(-1.0, 0.0, 21)  # Delta_2 of the sweep
-RUNS = 128  # paths of the simulation
 STEP, SHOWN, BEFORE = 0.4e-6, 100, 25  # of the sample path: s, steps that are shown, and before
 SEED = 11  # of the sample path
 DESIGNS = ("robust", "minimax", "classical", "tuned classical", "by hand")
 _PAPER = rs.homodyne.PAPER
-PREPARING = "The simulation is being prepared. "
-PREPARING += "For an order that is new on this computer that takes some seconds, once."
 
 
 class Range(NamedTuple):
@@ -100,8 +93,7 @@ class Settings:
     @property
     def classical(self) -> "Settings":
         """The same loop with the classical smoother."""
-        light = self.lag, self.order, self.gamma, self.noise, self.lam, self.kappa
-        return Settings(*light, self.cost, "classical")
+        return replace(self, design="classical")
 
     @property
     def parameters(self) -> rs.homodyne.HomodyneParameters:
@@ -111,12 +103,10 @@ class Settings:
 
 
 _MOST_STATES = 2 + int(RANGES["order"].high)  # the phase and an estimator of the largest order
-Poles = NDArray[np.complex128]
 T = TypeVar("T")
 
-
-# The three errors of the settings' design and of the classical smoother.
-Judged = namedtuple("Judged", "own classical")
+# What is found of the settings' design and of the classical smoother.
+Pair = namedtuple("Pair", "own classical")
 # Mean square errors at each of `SLOPES`, rad^2, in a loop without the fictitious noise.
 Sweep = namedtuple("Sweep", "filtered smoothed")
 # A path of the phase, rad, and its estimates, made at the same times.
@@ -131,46 +121,34 @@ class Snapshot:
     filtering: float  # the Kalman-Bucy filter's error without uncertainty, rad^2
     optimum: float  # what no smoother with this lag can beat then
     estimator: rs.Estimator | str
-    poles: Poles | str  # 1/s, in its loop: at the tangent, at the sector's edge
-    sweep: Sweep | str
-    classical: Sweep | str  # of the classical fixed-lag smoother
-    predicted: StatisticalLinearisation | str  # the errors with the sine
+    sweeps: Pair | str  # of `Sweep`
+    predicted: Pair | str  # of `StatisticalLinearisation`: the errors with the sine
     path: Path | str
-    judged: Judged | str  # the worst of the sweep, and NaN, in place of those not yet known
-    simulated: rs.MonteCarloResult | str = PREPARING
+    judged: Pair | str  # of `Judgement`; before `judge` with the worst of the sweep, and NaN
 
 
 def take_snapshot(settings: Settings) -> Snapshot:
     """Return what there is to see at some settings at once."""
-    parameters = settings.parameters
+    parameters, slope = settings.parameters, settings.parameters.equivalent_slope
     least = partial(rs.baselines.optimal_fixed_lag_error, parameters.uncertain_system())
-    estimator, classical = _found(design, settings), _found(design, settings.classical)
-    sweep, classical = _found(_sweep, estimator), _found(_sweep, classical)
+    both = estimator, _ = [_found(design, each) for each in (settings, settings.classical)]
+    sweeps = _pair(_sweep, both)
     return Snapshot(
         settings=settings,
         filtering=least(0.0).item(),
         optimum=least(settings.lag).item(),
         estimator=estimator,
-        poles=_found(_poles, estimator, parameters),
-        sweep=sweep,
-        classical=classical,
-        predicted=_found(rs.statistical_linearisation, estimator, parameters.equivalent_slope),
+        sweeps=sweeps,
+        predicted=_pair(rs.statistical_linearisation, both, equivalent_slope=slope),
         path=_found(_path, estimator),
-        judged=_found(_judged_at_once, sweep, classical, output=settings.cost),
+        judged=sweeps if isinstance(sweeps, str) else _pair(_worst, sweeps, output=settings.cost),
     )
 
 
-def simulate(snapshot: Snapshot) -> rs.MonteCarloResult | str:
-    """Simulate the nonlinear loop of a snapshot, many times."""
-    parameters, estimator = snapshot.settings.parameters, snapshot.estimator
-    with catch_warnings(action="ignore", category=rs.LossOfLockWarning):  # the slips are counted
-        return _found(rs.monte_carlo, parameters, estimator, runs=RUNS)
-
-
-def judge(snapshot: Snapshot) -> Judged | str:
-    """Find the three errors of a snapshot's design and of the classical smoother."""
+def judge(snapshot: Snapshot) -> Snapshot:
+    """Return a snapshot with the certified errors, which take longer."""
     settings = snapshot.settings
-    return _found(Judged, *(_found(_judgement, each) for each in (settings, settings.classical)))
+    return replace(snapshot, judged=_pair(_judgement, (settings, settings.classical)))
 
 
 @lru_cache(maxsize=8)
@@ -178,9 +156,9 @@ def _judgement(settings: Settings) -> rs.Judgement:
     return rs.judge(design(settings), settings.cost)
 
 
-def _judged_at_once(*sweeps: Sweep, output: str) -> Judged:
-    errors = (getattr(sweep, output) for sweep in sweeps)
-    return Judged(*(rs.Judgement(each[-1], each.max(), math.nan) for each in errors))
+def _worst(sweep: Sweep, output: str) -> rs.Judgement:
+    errors = getattr(sweep, output)
+    return rs.Judgement(errors[-1], errors.max(), math.nan)
 
 
 @lru_cache(maxsize=8)
@@ -212,6 +190,10 @@ def _plant(settings: Settings) -> rs.AugmentedSystem:
     return rs.augment(settings.parameters.uncertain_system(), settings.lag, settings.order)
 
 
+def _pair(find: Callable, both: Iterable, **options: object) -> Pair | str:
+    return _found(Pair, *(_found(find, each, **options) for each in both))
+
+
 def _found(find: Callable[..., T], *given: object, **options: object) -> T | str:
     """What is found; or the sentence that stands for something given, or says what is amiss."""
     for each in given:
@@ -226,12 +208,6 @@ def _found(find: Callable[..., T], *given: object, **options: object) -> T | str
 def _sweep(estimator: rs.Estimator) -> Sweep:
     found = (rs.delta_sweep(estimator, SLOPES, output, loop="real") for output in Sweep._fields)
     return Sweep(*(errors[:, 0, 0] for errors in found))
-
-
-def _poles(estimator: rs.Estimator, parameters: rs.homodyne.HomodyneParameters) -> Poles:
-    loop = homodyne_loop(parameters, estimator)
-    slopes = parameters.beta, parameters.lower_slope
-    return np.linalg.eigvals([loop.linearised_drift(each, each)[1:, 1:] for each in slopes])
 
 
 def _path(estimator: rs.Estimator) -> Path:

@@ -1,18 +1,13 @@
 """The designs' errors in the nonlinear loop: simulated, and predicted without sampling."""
 
 import math
-import warnings
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
-from robsmooth._support.errors import UnstableLoopError
 from robsmooth.analysis.statistical_linearisation import statistical_linearisation
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne import montecarlo
-from robsmooth.homodyne.moments import LARGEST_DEVIATION, stationary_errors
+from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.homodyne.parameters import HomodyneParameters
 
@@ -24,11 +19,6 @@ Results = Mapping[str, MonteCarloResult]
 ErrorsByMethod = Mapping[str, Mapping[str, MeanSquare]]  # by the name of an error, and the method
 
 
-def outputs(design: Estimator) -> tuple[str, ...]:
-    """Return the estimates that a design gives."""
-    return ("filtered", "smoothed") if design.plant.delay > 0.0 else ("filtered",)
-
-
 def errors_by_method(
     compared: Designs, published: Results, ergodic: Results, values: HomodyneParameters
 ) -> ErrorsByMethod:
@@ -37,7 +27,8 @@ def errors_by_method(
     for name, design in compared.items():
         moments = stationary_errors(values, design)
         linearised = statistical_linearisation(design, values.equivalent_slope)
-        for output in outputs(design):
+        outputs = ("filtered", "smoothed") if design.plant.delay > 0.0 else ("filtered",)
+        for output in outputs:
             truncation = getattr(moments, f"{output}_truncation")
             found[f"{name}, {output}"] = {
                 "paper's protocol": getattr(published[name], output),
@@ -45,28 +36,6 @@ def errors_by_method(
                 "moments": MeanSquare(getattr(moments, output), truncation),
                 "statistical linearisation": MeanSquare(getattr(linearised, output), 0.0),
             }
-    return found
-
-
-def noise_sweep(
-    design: Estimator, values: HomodyneParameters, factors: Iterable[float], **arguments
-) -> list[dict[str, Any]]:
-    """Simulate a design with ever more phase noise, and predict its filtered error in lock."""
-    found = []
-    for factor in factors:
-        noisier = replace(values, kappa=factor * values.kappa)
-        # the slips are what is shown
-        with warnings.catch_warnings(action="ignore", category=montecarlo.LossOfLockWarning):
-            simulated = montecarlo.monte_carlo(noisier, design, **arguments)
-        moments = linearised = math.nan
-        with suppress(UnstableLoopError, ArithmeticError):
-            moments = stationary_errors(noisier, design).filtered
-        with suppress(UnstableLoopError):
-            linearised = predicted(design, "filtered", "power of the phase noise", factor, values)
-        if linearised > LARGEST_DEVIATION**2:  # of a loop whose sine has no mean slope any more
-            linearised = math.nan
-        errors = {"moments": moments, "statistical linearisation": linearised}
-        found.append({"factor": factor, "simulated": simulated} | errors)
     return found
 
 

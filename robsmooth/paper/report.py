@@ -1,6 +1,5 @@
 """The report of the reproduction: every printed number with its verdict, and the scorecard."""
 
-import json
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -9,37 +8,26 @@ from pathlib import Path
 from robsmooth._support import files
 from robsmooth._support.tables import Table
 from robsmooth.paper import verdicts as paper_verdicts
-from robsmooth.paper.published import RESULTS
 from robsmooth.paper.verdicts import NOT_REPRODUCED, OUTCOMES, WITH_FLIPPED_SIGN, Verdict, table
 from robsmooth.workbench import provenance
 
-_REPORT = ("reproduction.md", "reproduction.csv")
 _BEGIN, _END = "<!-- scorecard: written by make figures -->", "<!-- end of scorecard -->"
 
 
 def write(figures: Path, data: Path) -> list[Verdict]:
-    """Write the report to the folder `figures`, from the results in `data`; return its verdicts."""
+    """Write the report to the folder `figures`, from the results in `data`; return its verdicts.
+
+    A report that says the same already is left with its provenance.
+    """
     started = time.perf_counter()
     verdicts = paper_verdicts.verdicts(data)
-    files.write_text(figures / _REPORT[0], markdown(verdicts))
-    files.write_text(figures / _REPORT[1], table(verdicts).csv())
-    provenance.write(figures / _REPORT[0], started=started, files=_digests(figures, data))
+    report, spreadsheet = figures / "reproduction.md", figures / "reproduction.csv"
+    texts = {report: markdown(verdicts), spreadsheet: table(verdicts).csv()}
+    if not all(path.is_file() and path.read_bytes() == texts[path].encode() for path in texts):
+        for path, text in texts.items():
+            files.write_text(path, text)
+        provenance.write(report, started=started)
     return verdicts
-
-
-def is_fresh(figures: Path, data: Path) -> bool:
-    """Tell whether the report is as it was written, and from the simulations that are there."""
-    path = (figures / _REPORT[0]).with_suffix(".provenance.json")
-    try:
-        about = json.loads(path.read_text(encoding="utf-8"))
-        return about["files"] == _digests(figures, data)
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
-def _digests(figures: Path, data: Path) -> dict[str, str]:
-    paths = (*(figures / name for name in _REPORT), data / RESULTS)
-    return {path.name: provenance.sha256(path) for path in paths}
 
 
 def write_scorecard(readme: Path, verdicts: Iterable[Verdict]) -> None:

@@ -2,32 +2,21 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import wraps
 from inspect import signature
-from itertools import product
 from typing import Any
 
-import numpy as np
 from scipy.optimize import brentq
 
 from robsmooth._numerics.riccati import RiccatiError
-from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.notation import matrix as matrix
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
-from robsmooth.analysis.choice import Choice, Judgement
-from robsmooth.analysis.covariance import delta_sweep, error_covariance
-from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.minimax import minimax_smoother
-from robsmooth.estimators.smoother import RobustSmoother, design_smoother
-from robsmooth.homodyne import PAPER, HomodyneParameters, fraction_inside
+from robsmooth.estimators.smoother import RobustSmoother
+from robsmooth.homodyne import HomodyneParameters, fraction_inside
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
-from robsmooth.homodyne.study import Study
 from robsmooth.paper import predictions, published
-from robsmooth.simulation.statistics import SimulationResult
-from robsmooth.systems.augmented import AugmentedSystem, augment
 
 Records = Iterator[dict[str, Any]]  # the cells of each row, by their columns
 
@@ -99,23 +88,6 @@ def sign_readings(tau: float, multipliers: Sequence[float]) -> Records:
     yield record("printed", *map(published.printed, names))
 
 
-@_table(digits=6)
-def approach_to_infimum(best: RobustSmoother, vanishing: Iterable[float]) -> Records:
-    """Towards the edge: the bound falls and X vanishes as the multipliers of the nonlinearity and
-    its copy do. Over all the infimum is {best.bound_infimum:.5f}.
-    """
-    for value in vanishing:
-        record = {r"$\lambda_3 = \lambda_4$": f"{value:.0e}"}
-        multipliers = [1.0, 0.5 - value / 2, value, value]  # on the edge of the constraint
-        try:
-            found = design_smoother(best.plant, best.tau, multipliers, best.cost)
-            record |= {"$V$": found.bound, "$B_c[0,0]$": found.B_c[0, 0]}
-            record |= {r"$\lVert X\rVert$": np.linalg.norm(found.X, 2), "refused because": ""}
-        except InfeasibleDesignError as error:
-            record["refused because"] = error.condition
-        yield record
-
-
 @_table()
 def designs(compared: Mapping[str, Estimator]) -> Records:
     """The designs compared. V bounds half the filtered error covariance with the fictitious noise
@@ -127,35 +99,6 @@ def designs(compared: Mapping[str, Estimator]) -> Records:
             record |= {"$V$ (rad²)": design.bound, r"$\tau$ (rad² s)": f"{design.tau:.4g}"}
             record[r"$\lambda$"] = _numbers(design.multipliers)
         yield record | {"poles (1/s)": _numbers(design.poles, digits=3)}
-
-
-@_table()
-def covariances(compared: Mapping[str, Estimator]) -> Records:
-    """Error covariances (rad²) of the designs, with the fictitious noise of the copies, as in the
-    paper's formula, and without it, as in a real loop.
-    """
-    for name, design in compared.items():
-        for output in predictions.outputs(design):
-            record = {"error": f"{name}, {output}"}
-            for loop, kind in {"paper's formula": "theory", "no copy noise": "real"}.items():
-                errors = delta_sweep(design, (0.0, -1.0), output, kind)[:, 0, 0]
-                for slope, error in zip((0, -1), errors, strict=True):
-                    record[rf"$\Delta_2={slope}$, {loop}"] = error
-            yield record
-
-
-@_table()
-def copy_noise(designs: Mapping[float, RobustSmoother]) -> Records:
-    """What the fictitious noise costs: least bound and nominal filtered error covariance (rad²)
-    against the intensity that the design assumes for it.
-    """
-    for intensity, design in designs.items():
-        record = {"$J_{21}$": f"{intensity:g}", "least $V$": design.bound_infimum or design.bound}
-        for column, loop in {"with copy noise": "theory", "without": "real"}.items():
-            nominal = design.plant.structured_delta()
-            error = error_covariance(design, nominal, "filtered", loop=loop)
-            record[f"filtered, {column}"] = error[0, 0]
-        yield record
 
 
 @_table()
@@ -187,21 +130,16 @@ def errors_by_method(found: predictions.ErrorsByMethod) -> Records:
 
 
 @_table()
-def noise_sweep(found: Iterable[Mapping[str, Any]]) -> Records:
-    """The filtered error of the printed smoother as the phase noise grows. Predictions are for a
-    loop in lock, and are left out where their method finds no such loop.
-    """
-    for case in found:
-        simulated = case["simulated"]
+def noise_sweep(found: Mapping[float, MonteCarloResult]) -> Records:
+    """The filtered error of the printed smoother as the phase noise grows."""
+    for factor, simulated in found.items():
         yield {
-            "phase noise": f"{case['factor']:g}",
+            "phase noise": f"{factor:g}",
             "all runs (rad²)": _estimate(simulated.filtered, ".4f"),
             "runs in lock (rad²)": _estimate(simulated.filtered_in_lock, ".4f"),
             "slips": simulated.slips,
             "runs that slipped": f"{simulated.slipped_paths} of {simulated.runs}",
             "slips (1/s)": f"{simulated.slip_rate:.3g}",
-            "moments (rad²)": _number(case["moments"]),
-            "statistical linearisation (rad²)": _number(case["statistical linearisation"]),
         }
 
 
@@ -233,111 +171,3 @@ def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParamete
         f"in brackets, how far off, in standard errors of a simulation of {runs:.0f} runs."
     )
     return Table.of_records(records, caption)
-
-
-@_table(digits=3)
-def study(found: Study, lag: float) -> Records:
-    """The best lag and order of those studied for each sector and noise, and what smoothing saves
-    there of the filtered error in the nonlinear loop.
-    """
-    near = int(np.argmin(np.abs(np.log(np.array(found.lags) / lag))))
-    for (i, gamma), (j, noise) in product(enumerate(found.gammas), enumerate(found.noises)):
-        record = {r"$\gamma$": f"{gamma:g}", "shot noise": f"{noise:.3g}"}
-        ratio = found.ratio[i, j]
-        if np.isnan(ratio).all():
-            failed = (gamma, noise) in found.failures
-            yield record | {"slips (1/s)": "no design" if failed else "no lock"}
-            continue
-        k, m = np.unravel_index(np.nanargmin(ratio), ratio.shape)
-        at_lag = np.fmin.reduce(ratio[:, near])  # of the orders that have a ratio
-        yield record | {
-            "filtered (rad²)": found.quantities["filtered"][i, j, k, m],
-            "smoothed (rad²)": found.quantities["smoothed"][i, j, k, m],
-            "best lag (µs)": 1e6 * found.lags[m],
-            "order": str(found.orders[k]),
-            "saved": f"{1 - ratio[k, m]:.0%}",
-            f"saved at {1e6 * found.lags[near]:.2g} µs": _number(1 - at_lag, ".0%"),
-            "slips (1/s)": f"{np.nanmax(found.quantities['slip_rate'][i, j]):.2g}",
-        }
-
-
-def _errors(found: Judgement) -> dict[str, float]:
-    return {field.replace("_", " "): error for field, error in vars(found).items()}
-
-
-@_table()
-def candidates(choice: Choice, more: Mapping[str, Mapping[str, float]]) -> Records:
-    """Mean square errors of the smoothed estimate by each candidate: in a loop without uncertainty,
-    under the worst constant one, and the certified worst that no admissible one exceeds.
-    """
-    for name, each in choice.candidates.items():
-        record = {"smoother": name}
-        if each.estimator is not None:
-            record |= _errors(each.judgement)
-            record |= {column: errors[name] for column, errors in more.items()}
-            record["$2V$"] = each.estimator.mean_square_bound
-        yield record
-
-
-Design = Callable[[AugmentedSystem], object]
-
-
-@_table()
-def refusals(attempts: Mapping[str, tuple[AugmentedSystem, Design]]) -> Records:
-    """Refusals."""
-    for name, (plant, design) in attempts.items():
-        minimax = _said(minimax_smoother, plant).partition(":")[0]
-        said = {"what is wrong": name, "what the library says": _said(design, plant)}
-        yield said | {"the minimax design": minimax}
-
-
-def _said(design: Design, plant: AugmentedSystem) -> str:
-    try:
-        design(plant)
-    except InfeasibleDesignError as error:
-        return str(error)
-    return "not refused"
-
-
-@_table()
-def judged(judgements: Mapping[tuple[str, str], Judgement]) -> Records:
-    """Mean square errors of the smoothed estimate: in a loop without uncertainty, under the worst
-    constant one, and the certified worst that no admissible one exceeds.
-    """
-    for (system, smoother), found in judgements.items():
-        yield {"system": system, "smoother": smoother} | _errors(found)
-
-
-@_table(digits=3)
-def own_systems(results: Mapping[str, tuple[RobustSmoother, SimulationResult]]) -> Records:
-    """Mean square errors in the simulated nonlinear loop (± one standard error), against the
-    prediction by equivalent slopes and the guarantee; how much of the energy that the constraints
-    allow is used, and how long a nonlinearity is outside its slopes.
-    """
-    real = {"loop": "real", "allow_inadmissible": True, "reference": "system"}
-    for name, (design, found) in results.items():
-        smoothed, filtered = found.smoothed, found.filtered
-        yield {
-            "system": name,
-            "smoothed error": _estimate(smoothed, ".3g", ".1g"),
-            "predicted": np.trace(error_covariance(design, found.equivalent_delta, **real)),
-            "filtered error": _estimate(filtered, ".3g", ".1g"),
-            "saved": f"{1 - smoothed.mean_square / filtered.mean_square:.0%}",
-            "$2V$": design.mean_square_bound,
-            "constraints used": f"{found.constraints.max():.0%}",
-            "time outside": f"{100 * found.violated.max():.2g}%",
-        }
-
-
-@_table(digits=12)
-def in_units(units: Mapping[str, float]) -> Records:
-    """The least bound of the example, searched anew in each unit of time."""
-    for name, unit in units.items():
-        rates = {"lam": PAPER.lam * unit, "kappa": PAPER.kappa * unit}
-        parameters = replace(PAPER, **rates, alpha=PAPER.alpha * unit**0.5)
-        plant = augment(parameters.uncertain_system(), published.DELAY / unit, published.ORDER)
-        best = minimize_bound(plant, "filtered")
-        error = error_covariance(best.limit, plant.structured_delta((), [-1.0]))[0, 0]
-        record = {"unit of time": name, "infimum of $V$ (rad²)": best.bound_infimum}
-        record[r"error at $\Delta_2 = -1$ (rad²)"] = error
-        yield record | {r"$\tau$ (rad² s)": best.limit.tau * unit}

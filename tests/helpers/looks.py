@@ -20,10 +20,8 @@ DIMENSIONLESS = {
     "detector's signal",
     r"$y = f(\mu_1) + \beta\mu_1$",
     r"$|H(i\omega) - e^{-i\omega\delta}|$",
-    "magnitude",
     "measurement noise / signal",
     "certified error, classical / minimax",
-    "factor on the power of the phase noise",
     "shot noise / the paper's",
     "smoothed / filtered error",
 }

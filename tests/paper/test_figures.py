@@ -3,7 +3,6 @@
 import itertools
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -25,19 +24,12 @@ SLOPES = np.linspace(-1.0, 0.0, 11)
 CURVES = {"NGCF": 0.1 - 0.05 * SLOPES, "robust smoother": 0.06 - 0.04 * SLOPES}
 
 
-def noisy(error, in_lock, slip_rate):
-    """What a figure takes of a simulation."""
-    errors = MeanSquare(error, 0.001), MeanSquare(in_lock, 0.001)
-    return SimpleNamespace(filtered=errors[0], filtered_in_lock=errors[1], slip_rate=slip_rate)
-
-
 CASES = ["as written", "with a stronger noise of the detector"]
 RESULTS = {
     "smoother": [MeanSquare(0.05, 0.001), MeanSquare(0.06, 0.001)],
     "NGCF": [MeanSquare(0.09, 0.002), MeanSquare(0.1, 0.002)],
 }
 
-FRACTIONS = np.geomspace(1e-6, 1e-2, 7)  # lambda_3 = lambda_4 of a landscape
 LAGS, NOISES = (0.3e-6, 3e-6, 3.1e-6, 30e-6), (0.1, 1.0, 6.0)
 SHAPE = (1, len(NOISES), 2, len(LAGS))
 ERRORS = dict.fromkeys(QUANTITIES, np.full(SHAPE, 0.04)) | {
@@ -45,19 +37,6 @@ ERRORS = dict.fromkeys(QUANTITIES, np.full(SHAPE, 0.04)) | {
     "smoothed": np.linspace(0.045, 0.1, np.prod(SHAPE)).reshape(SHAPE),
 }
 STUDY = Study((0.4,), NOISES, (1, 2), LAGS, ERRORS, {})
-BY_METHOD = {
-    error: {"moments": MeanSquare(0.05, 0.0), "paper's protocol": first, "ergodic": second}
-    for error, first, second in zip(CASES, *RESULTS.values(), strict=True)
-}
-NOISY = [
-    {"factor": factor, "simulated": loop, "moments": first, "statistical linearisation": second}
-    for factor, loop, first, second in (
-        (1, noisy(0.09, 0.09, slip_rate=0.0), 0.09, 0.09),
-        (3, noisy(0.2, 0.2, slip_rate=0.0), 0.19, 0.21),
-        (10, noisy(9.0, 0.5, slip_rate=1e3), np.nan, np.nan),
-    )
-]
-
 SYSTEM = homodyne.PAPER.uncertain_system()
 CLASSICAL = baselines.fixed_lag_smoother(SYSTEM, 3.1e-6, 2, copies=True)
 JUDGED = {
@@ -73,19 +52,15 @@ SIZES = np.array([0.01, 0.1, 0.5])
 RATIOS = np.array([[1.0, 3.0, 2000.0], [1.0, 1.05, 50.0], [0.99, 1.0, np.nan]])
 FAMILY = SIZES, np.array([0.01, 0.1, 1.0]), RATIOS
 PATHS = sample_paths(CLASSICAL, runs=1, duration=3.1e-5, step=3.1e-7)
-OMEGA = np.geomspace(0.1, 10.0, 50)
-
 MAKERS = {
     "fig1": diagrams.smoother_loop,
     "fig2": diagrams.homodyne_loop,
     "fig3": lambda: figures.plots.sector(homodyne.PAPER, 0.088),
-    "fig4": lambda: figures.plots.delta_sweep(SLOPES, CURVES, {"floor": (0.0, 0.05)}),
+    "fig4": lambda: figures.plots.delta_sweep(SLOPES, CURVES),
     "delay": lambda: figures.plots.delay_error(3.1e-6, (1, 2), 4.6e5),
     "monte_carlo": lambda: figures.plots.mean_squares(
         CASES, RESULTS, {"smoother": 0.06, "NGCF": 0.1}
     ),
-    "errors_by_method": lambda: figures.plots.errors_by_method(BY_METHOD),
-    "loss_of_lock": lambda: figures.plots.loss_of_lock(NOISY),
     "where_smoothing_pays": lambda: figures.plots.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
     "where_robustness_pays": lambda: figures.plots.where_robustness_pays(
         dict.fromkeys(("a gain", "a resonance", "a reference", "a difference"), FAMILY)
@@ -93,9 +68,14 @@ MAKERS = {
     "candidates": lambda: figures.plots.candidates(
         JUDGED, {"optimum": 0.045}, "rad$^2$", (0.04, 0.1)
     ),
-    "sample_path": lambda: figures.plots.sample_path(PATHS, "µs", 1e6, "phase (rad)"),
-    "gap": lambda: figures.plots.gap(PATHS, PATHS.smoothed[0], slice(40, 60)),
-    "smoother_response": lambda: figures.plots.smoother_response(OMEGA, 1 / (1 + 1j * OMEGA), 0.5),
+    "sample_path": lambda: figures.plots.sample_path(
+        1e6 * PATHS.time,
+        PATHS.w[0, :, 0],
+        {"filtered": PATHS.filtered[0, :, 0], "smoothed": PATHS.smoothed[0, :, 0]},
+        1e6 * PATHS.delay,
+        ("time (µs)", "phase (rad)"),
+        gap=(10.0, 15.0),
+    ),
 }
 
 
@@ -198,22 +178,6 @@ def test_the_sweep_plots_what_it_is_given():
     assert lines["NGCF"].get_linestyle() == "-"  # solid and dashed, as the paper says
     assert lines["robust smoother"].get_linestyle() == "--"
     assert "rad" in axes.get_ylabel() and r"\Delta_2" in axes.get_xlabel()
-
-
-def test_methods_are_plotted_relative_to_the_moments():
-    (axes,) = MAKERS["errors_by_method"]().axes
-    drawn = {box.get_label(): box.lines[0].get_xdata() for box in axes.containers}
-    for label, name in {"paper's protocol": "smoother", "ergodic": "NGCF"}.items():
-        percent = [100 * (value.mean_square - 0.05) / 0.05 for value in RESULTS[name]]
-        assert drawn[label] == pytest.approx(percent)
-
-
-def test_a_loop_that_never_slips_has_no_rate_to_plot():
-    top, bottom = MAKERS["loss_of_lock"]().axes
-    assert np.array_equal(bottom.lines[0].get_ydata(), [np.nan, np.nan, 1e3], equal_nan=True)
-    errors = {line.get_label(): line.get_ydata() for line in top.lines}
-    assert np.array_equal(errors["all runs"], [0.09, 0.2, 9.0])
-    assert np.array_equal(errors["moments"], [0.09, 0.19, np.nan], equal_nan=True)
 
 
 def test_an_error_beyond_the_limits_is_a_number_at_the_edge():
@@ -327,9 +291,9 @@ def test_what_is_in_several_figures_looks_the_same_in_all():
 
 def test_names_without_a_look_of_their_own_get_what_is_left():
     names = ["mine", "smoothed", "yours", "filtered"]
-    found = figures.styles(names, markers=True)
-    assert found[1::2] == figures.styles(["smoothed", "filtered"], markers=True)
-    for key in ("color", "linestyle", "marker"):
+    found = figures.styles(names)
+    assert found[1::2] == figures.styles(["smoothed", "filtered"])
+    for key in ("color", "linestyle"):
         assert len({str(look[key]) for look in found}) == len(names)
     many = figures.styles(range(100, 120))
     assert len(many) == 20

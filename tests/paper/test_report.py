@@ -49,20 +49,17 @@ def test_writing_gives_report_table_and_provenance(tmp_path, verdicts):
             assert verdict.reason.replace("|", r"\|") in text
 
 
-def test_a_report_is_fresh_until_it_or_the_simulations_change(tmp_path):
-    data, figures = tmp_path / "data", tmp_path / "figures"
-    data.mkdir()
-    (data / "monte_carlo.json").write_bytes((ROOT / "data" / "monte_carlo.json").read_bytes())
-    assert not report.is_fresh(figures, data)
-    report.write(figures, data)
-    assert report.is_fresh(figures, data)
-    text = (figures / "reproduction.md").read_text()
-    (figures / "reproduction.md").write_text(text + "touched up\n")
-    assert not report.is_fresh(figures, data)
-    (figures / "reproduction.md").write_text(text)
-    assert report.is_fresh(figures, data)
-    (data / "monte_carlo.json").write_text("{}")
-    assert not report.is_fresh(figures, data)
+def test_a_report_is_written_anew_where_it_says_something_else(tmp_path):
+    report.write(tmp_path, ROOT / "data")
+    about = tmp_path / "reproduction.provenance.json"
+    about.write_text("as it was")
+    report.write(tmp_path, ROOT / "data")
+    assert about.read_text() == "as it was"
+    text = (tmp_path / "reproduction.md").read_text()
+    (tmp_path / "reproduction.md").write_text(text + "touched up\n")
+    report.write(tmp_path, ROOT / "data")
+    assert (tmp_path / "reproduction.md").read_text() == text
+    assert about.read_text() != "as it was"
 
 
 def test_the_committed_report_is_what_is_recomputed(verdicts):

@@ -329,6 +329,14 @@ def test_homodyne_loop_has_the_errors_of_its_own_kernel(name, oscillator):
         assert_within(here.mean_square, getattr(moments, output), here.standard_error)
 
 
+def test_errors_with_a_reference_are_predicted_by_its_equivalent_slopes():
+    estimator = fixed_lag_smoother(PAPER.uncertain_system(), 3.1e-6, 2, copies=True)
+    found = simulate(estimator, runs=64, duration=1e-3)
+    with_reference = {"loop": "real", "allow_inadmissible": True, "reference": "system"}
+    predicted = error_covariance(estimator, found.equivalent_delta, **with_reference)[0, 0]
+    assert predicted == pytest.approx(found.smoothed.mean_square, rel=0.02)
+
+
 @at_the_step_of_the_kernel
 @pytest.mark.parametrize("name", ["classical", "classical with copies"])
 def test_without_a_reference_the_sine_is_of_the_whole_phase(name):

@@ -18,8 +18,6 @@ from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.homodyne.study import Study
 from robsmooth.paper.figures import style
-from robsmooth.paper.predictions import ErrorsByMethod
-from robsmooth.simulation.statistics import SamplePaths
 from robsmooth.systems.delay import pade_delay
 
 Array = NDArray[np.float64]
@@ -51,22 +49,13 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
     return style.with_legend(figure)
 
 
-def delta_sweep(
-    slopes: Array, curves: Mapping[str, Array], marks: Mapping[str, Any] | None = None
-) -> Figure:
-    """Draw error covariances (rad^2) at the slopes Delta_2, as Fig. 4, and mark some points."""
-    several = len(curves) > 2  # some of them may lie on one another: then markers take turns
-    figure, axes = plt.subplots(figsize=(3.4, 3.1 if several else 2.6))
-    for number, (label, look) in enumerate(zip(curves, style.styles(curves, several), strict=True)):
-        turn = (0.2 * number / len(curves), 0.2)
-        axes.plot(slopes, curves[label], label=label, markevery=turn, markerfacecolor="w", **look)
-    for label, (slope, value) in (marks or {}).items():
-        axes.plot(slope, value, "k*", markersize=7, label=label, **style.LOOSE)
+def delta_sweep(slopes: Array, curves: Mapping[str, Array]) -> Figure:
+    """Draw error covariances (rad^2) at the slopes Delta_2, as Fig. 4."""
+    figure, axes = plt.subplots()
+    style.plot_curves(axes, slopes, curves)
     axes.set(xlabel=r"measurement uncertainty $\Delta_2$", xlim=(min(slopes), max(slopes)))
     axes.set(ylabel=r"error covariance (rad$^2$)", ylim=(0, None))
     axes.locator_params(nbins=5)
-    if several:
-        return style.with_legend(figure)
     axes.legend()
     return figure
 
@@ -92,58 +81,18 @@ def mean_squares(
     """Draw each quantity's simulated errors, a row for each case, and the printed as lines."""
     figure, axes = plt.subplots(figsize=(3.4, 0.9 + 0.36 * len(cases)))
     heights = style.label_rows(axes, cases, width=18)
-    looks = style.styles([label.split(",")[0] for label in results], markers=True)
+    looks = style.styles(label.split(",")[0] for label in results)
     above = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "bottom"}
-    for look, (label, values) in zip(looks, results.items(), strict=True):
-        style.plot_intervals(axes, values, heights, label=label, **look)
+    for marker, look, (label, values) in zip("os", looks, results.items(), strict=False):
+        means, color = [value.mean_square for value in values], look["color"]
+        axes.plot(means, heights, marker, color=color, markersize=3, label=label)
         if label in printed:
-            value, color = printed[label], look["color"]
+            value = printed[label]
             axes.axvline(value, color=color, linestyle="--", linewidth=0.9)
             side = "right" if value == min(printed.values()) else "left"
             text = {"text": f"printed {value:g}", "ha": side, "color": color}
             axes.annotate(xy=(value, 1.0), xytext=(0, 1), **text, **above)
     axes.set(xlabel=r"mean square error (rad$^2$)", xlim=(0, 1.3 * max(printed.values())))
-    return style.with_legend(figure)
-
-
-def errors_by_method(found: ErrorsByMethod) -> Figure:
-    """Draw how far the methods are from the moments for each error, with 95% intervals."""
-    figure, axes = plt.subplots(figsize=(3.4, 1.0 + 0.34 * len(found)))
-    heights = style.label_rows(axes, found)
-    axes.axvline(0.0, **style.MARK)
-    methods = [method for method in next(iter(found.values())) if method != "moments"]
-    looks = style.styles(methods, markers=True)
-    for number, (look, method) in enumerate(zip(looks, methods, strict=True)):
-        relative = []
-        for by_method in found.values():
-            value, exact = by_method[method], by_method["moments"].mean_square
-            difference = value.mean_square / exact - 1
-            relative.append(MeanSquare(100 * difference, 100 * value.standard_error / exact))
-        style.plot_intervals(axes, relative, heights + 0.2 * (1 - number), label=method, **look)
-    axes.set(xlabel="difference from the moments (%)")
-    return style.with_legend(figure)
-
-
-def loss_of_lock(sweep: Sequence[Mapping[str, Any]]) -> Figure:
-    """Draw the filtered errors and the rate of cycle slips against the phase noise."""
-    figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(3.4, 3.8), height_ratios=(3, 2))
-    factors, simulated = ([case[name] for case in sweep] for name in ("factor", "simulated"))
-    errors = {
-        "all runs": [each.filtered.mean_square for each in simulated],
-        "runs in lock": [each.filtered_in_lock.mean_square for each in simulated],
-    }
-    for method in ("moments", "statistical linearisation"):
-        errors[method] = [case[method] for case in sweep]
-    looks = style.styles(errors, markers=True)
-    for number, (look, label) in enumerate(zip(looks, errors, strict=True)):
-        # all but the first lie on one another: each is seen through the next, which is smaller
-        size = {"markersize": max(9 - 2 * number, 3) if number else 3, "markerfacecolor": "none"}
-        top.loglog(factors, errors[label], label=label, **look | size)
-    top.set(ylabel=r"filtered error (rad$^2$)")
-    rates = [each.slip_rate or np.nan for each in simulated]  # zero has no logarithm
-    bottom.loglog(factors, rates, "o-", markersize=3)
-    bottom.set(xlabel="factor on the power of the phase noise", ylabel="cycle slips (1/s)")
-    style.label_ticks(bottom.xaxis, (1, 2, 5, 10, 20, 50))
     return style.with_legend(figure)
 
 
@@ -216,7 +165,7 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     bottom.plot(lags, optimal, label="both optimal, linear loop", **style.TRUTH)
     style.plot_curves(bottom, lags, dict(zip(study.orders, ratio[middle], strict=True)))
     bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
-    bottom.axvline(1e6 * lag, **style.MARK)
+    bottom.axvline(1e6 * lag, color="0.6", linestyle="-", linewidth=0.8)
     bottom.set(xlabel="lag (µs)", ylabel="smoothed / filtered error")
     bottom.set(ylim=(0.4, 1.6), xlim=lags[[0, -1]])
     style.label_ticks(bottom.xaxis, (0.3, 1, 3, 10, 30))
@@ -224,42 +173,26 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     return style.with_legend(figure, handles=handles)
 
 
-def sample_path(paths: SamplePaths, unit: str, scale: float, quantity: str) -> Figure:
-    """Draw the first output of the first path, and its estimates; a second has `scale` units."""
+def sample_path(
+    time: Array,
+    truth: Array,
+    estimates: Mapping[str, Array],
+    delay: float,
+    labels: tuple[str, str],
+    gap: Sequence[float] = (),
+) -> Figure:
+    """Draw a signal and its estimates over time, the smoothed one a delay before it was made.
+
+    A gap is hatched from its first to its last time.
+    """
     figure, axes = plt.subplots(figsize=(3.4, 2.4))
-    time = scale * paths.time
-    axes.plot(time, paths.w[0, :, 0], label="true", **style.TRUTH)
-    style.plot_curves(axes, time, {"filtered": paths.filtered[0, :, 0]})
-    style.plot_curves(axes, time - scale * paths.delay, {"smoothed": paths.smoothed[0, :, 0]})
-    axes.set(xlabel=f"time ({unit})", ylabel=quantity, xlim=(0.0, time[-1]))
+    if len(gap):
+        axes.axvspan(*gap, label="no measurement", **style.NOWHERE)
+    axes.plot(time, truth, label="true", **style.TRUTH)
+    for name, estimate in estimates.items():
+        style.plot_curves(axes, time - delay * (name == "smoothed"), {name: estimate})
+    axes.set(xlabel=labels[0], ylabel=labels[1], xlim=time[[0, -1]])
     return style.with_legend(figure, 3)
-
-
-def gap(record: SamplePaths, estimates: Array, missing: slice) -> Figure:
-    """Draw the first output of a record around the measurements that its estimates (N, m) miss."""
-    around = slice(max(missing.start - 600, 0), missing.stop + 600)
-    figure, axes = plt.subplots(figsize=(3.4, 2.2))
-    time = record.time[around]
-    ends = record.time[[missing.start, missing.stop]] - record.step
-    axes.axvspan(*ends, label="no measurement", **style.NOWHERE)
-    axes.plot(time, record.w[0, around, 0], label="true", **style.TRUTH)
-    style.plot_curves(axes, time - record.delay, {"smoothed": estimates[around, 0]})
-    axes.set(xlabel="time (s)", ylabel="angle (rad)", xlim=time[[0, -1]])
-    return style.with_legend(figure, 3)
-
-
-def smoother_response(omega: Array, response: NDArray[np.complexfloating], delay: float) -> Figure:
-    """Draw a smoother's response at the frequencies omega (rad/s) beside that of its delay (s)."""
-    figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(3.4, 3.0))
-    top.loglog(omega, np.ones_like(omega), label="pure delay", **style.TRUTH)
-    style.plot_curves(top, omega, {"smoother": np.abs(response)})
-    top.set(ylabel="magnitude", ylim=(1e-2, 3.0))
-    top.legend(loc="lower left")
-    bottom.plot(omega, np.degrees(-omega * delay), **style.TRUTH)
-    style.plot_curves(bottom, omega, {"smoother": np.degrees(np.unwrap(np.angle(response)))})
-    bottom.set(ylabel="phase (°)", yticks=np.arange(-360, 1, 90), ylim=(-400.0, 20.0))
-    bottom.set(xlabel=r"angular frequency $\omega$ (rad/s)", xlim=omega[[0, -1]])
-    return figure
 
 
 def shade(

@@ -12,10 +12,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import files
-from robsmooth.homodyne.montecarlo import MeanSquare
 
 # The formats of a file. Nothing in it says when, or by which release, it was made: equal figures
 # are equal bytes.
@@ -25,21 +25,17 @@ FORMATS = {
     "png": {"Software": None},
 }
 
-_MARKERS = "os^Dvp"
 # What is drawn in several figures looks the same in all of them: its place in the style's cycle.
-_ALIKE: tuple[tuple[str | int, ...], ...] = (  # a number is the order of a delay's model
-    ("filtered", "NGCF", 1),  # solid blue, and broken red, as the paper has them
-    ("smoothed", "smoother", "robust smoother", "smoother, as printed", 2),
-    ("classical smoother", 4),
-    ("Kalman-Bucy filter", 8),
-    ("cost: smoothed", 3),
-    ("cost: filtered", "smoother, corrected"),  # the same design
-)
-_CYCLE_POSITIONS = {name: position for position, names in enumerate(_ALIKE) for name in names}
+_PLACES: dict[str | int, int] = {  # a number is the order of a delay's model
+    # solid blue, and broken red, as the paper has them
+    **dict.fromkeys(("filtered", "NGCF", 1), 0),
+    **dict.fromkeys(("smoothed", "smoother", "robust smoother", 2), 1),
+    **dict.fromkeys(("classical smoother", 4), 2),
+    3: 4,
+}
 
 # The truth under its estimates, or an ideal: a band, pale enough not to be taken for one of them.
 TRUTH = {"color": "0.78", "linestyle": "-", "linewidth": 2.5}
-MARK = {"color": "0.6", "linestyle": "-", "linewidth": 0.8}  # a place on an axis
 DOTTED = {"color": "0.4", "linestyle": ":", "linewidth": 0.9}  # a line to compare with
 LOOSE = {"linestyle": "none", "clip_on": False}  # points, whole even at the edge of the axes
 # Where a map has no value. A shade of grey would be that of one of its colours in print.
@@ -51,26 +47,21 @@ def use_style() -> None:
     plt.style.use("robsmooth.paper.figures.robsmooth")
 
 
-def styles(names: Iterable[str | int], markers: bool = False) -> list[dict[str, Any]]:
-    """Return the colour and dashes, and if asked the marker, of each estimator, estimate or order.
+def styles(names: Iterable[str | int]) -> list[dict[str, Any]]:
+    """Return the colour and dashes of each estimate or order.
 
-    Names without a place in the cycle get what is left of it.
+    Names without a place in the cycle get what is left of it in turn.
     """
     properties = mpl.rcParams["axes.prop_cycle"]
-    cycle = [style | {"color": mpl.colors.to_hex(style["color"])} for style in properties]
-    if markers:
-        cycle = [style | {"marker": mark} for style, mark in zip(cycle, _MARKERS, strict=False)]
-    positions = [_CYCLE_POSITIONS.get(name) for name in names]
-    free = [position for position in range(len(cycle)) if position not in positions]
-    others = itertools.cycle(free or [0])
-    return [cycle[next(others) if position is None else position] for position in positions]
+    cycle = [look | {"color": mpl.colors.to_hex(look["color"])} for look in properties]
+    others = itertools.cycle(set(range(len(cycle))) - set(_PLACES.values()))
+    return [cycle[_PLACES[name] if name in _PLACES else next(others)] for name in names]
 
 
 def label_ticks(axis: Axis, ticks: Sequence[float]) -> None:
-    """Label these ticks of a logarithmic axis, those in its view, as numbers without powers."""
-    low, high = axis.get_view_interval()
-    seen = [tick for tick in ticks if low * (1 - 1e-9) <= tick <= high * (1 + 1e-9)]
-    axis.set_ticks(seen, [f"{tick:g}" for tick in seen])
+    """Label these ticks of a logarithmic axis, as numbers without powers."""
+    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_major_formatter("{x:g}")
     axis.axes.minorticks_off()
 
 
@@ -88,13 +79,6 @@ def plot_curves(axes: Axes, x: ArrayLike, curves: Mapping[str | int, ArrayLike])
     for name, style in zip(curves, styles(curves), strict=True):
         label = name if isinstance(name, str) else f"order {name}"
         axes.plot(x, curves[name], label=label, **style)
-
-
-def plot_intervals(axes: Axes, values: list[MeanSquare], heights: ArrayLike, **look: Any) -> None:
-    """Plot mean squares with their 95% intervals, each at its height."""
-    means = [value.mean_square for value in values]
-    reach = [1.96 * value.standard_error for value in values]
-    axes.errorbar(means, heights, xerr=reach, **look | {"linestyle": "none", "markersize": 3})
 
 
 def with_legend(figure: Figure, columns: int = 2, **of: Any) -> Figure:
