@@ -4,6 +4,7 @@ from functools import partial
 
 from benchmarks.problem import STEP, Peer, Problem, Sample, Simulate
 from robsmooth import homodyne, monte_carlo
+from robsmooth.homodyne.montecarlo.protocols import threads_of_kernels
 
 WIDTH = 1920  # a multiple of all sensible numbers of paths in a block
 
@@ -12,17 +13,17 @@ def prepare(problem: Problem, precision: str) -> Simulate:
     """Return `monte_carlo` on one thread."""
 
     def simulate(paths: int, steps: int, seed: int) -> Sample:
-        result = monte_carlo(
-            homodyne.PAPER,
-            problem.smoother,
-            protocol="paper",
-            runs=paths,
-            duration=steps * STEP,
-            step=STEP,
-            seed=seed,
-            precision=precision,
-            threads=1,
-        )
+        with threads_of_kernels(1):
+            result = monte_carlo(
+                homodyne.PAPER,
+                problem.smoother,
+                protocol="paper",
+                runs=paths,
+                duration=steps * STEP,
+                step=STEP,
+                seed=seed,
+                precision=precision,
+            )
         if result.path_steps != paths * steps:
             raise ValueError(f"{paths} paths of {steps} steps became {result.path_steps} steps")
         return Sample(paths, result.filtered, result.smoothed)

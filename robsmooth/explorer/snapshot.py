@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 import robsmooth as rs
 from robsmooth._support import validation
-from robsmooth.analysis.statistical_linearisation import StatisticalLinearisation
 from robsmooth.estimators.bound import best_tau
 from robsmooth.estimators.conditions import COSTS
-from robsmooth.homodyne.loop import homodyne_loop
+from robsmooth.homodyne.loop import StatisticalLinearisation, homodyne_loop
 from robsmooth.paper.published import DELAY, ORDER, printed
 from robsmooth.simulation.integrator import ExponentialIntegrator
 from robsmooth.simulation.loop import nonlinear_loop
@@ -154,7 +153,7 @@ def take_snapshot(settings: Settings) -> Snapshot:
         poles=_found(_poles, estimator, parameters),
         sweep=sweep,
         classical=classical,
-        predicted=_found(rs.statistical_linearisation, estimator, parameters.equivalent_slope),
+        predicted=_found(rs.statistical_linearisation, parameters, estimator),
         path=_found(_path, estimator),
         judged=_found(_judged_at_once, sweep, classical, output=settings.cost),
     )

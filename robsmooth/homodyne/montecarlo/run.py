@@ -22,9 +22,9 @@ from robsmooth._support.kernels import check_compiler
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne.loop import homodyne_loop, numbers_of
+from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo.noise import BLOCK, GENERATOR
-from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, Simulation, plan, threads_of_kernels
+from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, Simulation, plan
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.simulation.statistics import MeanSquare, Tally
 
@@ -166,20 +166,17 @@ def monte_carlo(
     copy: bool = True,
     nonlinearity: str = "difference",
     shot_noise: float = 1.0,
-    threads: int | None = None,
 ) -> MonteCarloResult:
     r"""Simulate an estimator in the homodyne loop of Section IV and measure its errors.
 
-    The numbers are the same, to the last bit, for any number of threads, on a cluster, and after an
-    interruption; the noise of a path depends on the seed and its index alone.
+    The numbers are the same, to the last bit, for any number of threads, which are as many as numba
+    is set to, on a cluster, and after an interruption; the noise of a path depends on the seed and
+    its index alone.
 
     Parameters
     ----------
-    parameters : HomodyneParameters, or any object with its five numbers
-    smoother : RobustSmoother
-        Any object with ``A_c`` (n, n), ``B_c`` (n, 1 + g), ``C_c`` (1 + g, n), ``C_a`` (1, n) and
-        ``plant.delay`` in seconds will do, where g is 0 or 1; ``C_f`` (1, n) reads the filtered
-        estimate, or the first row of ``C_c`` where there is none.
+    parameters : HomodyneParameters, the loop; the estimator may be made for other ones
+    smoother : Estimator, of one output and one measurement, with one copy or none
     protocol : {"ergodic", "paper"}
         "paper" is the published simulation: Euler-Maruyama from zero, the squared errors at the end
         of each run. "ergodic" gives the stationary errors in far less time: it averages along each
@@ -208,7 +205,6 @@ def monte_carlo(
         The nonlinearity is :math:`f(\varphi - u)`, as derived in Section IV-A, or
         :math:`f(\varphi)`, as the words of Section IV-E have it.
     shot_noise : float, power of the photocurrent's noise, :math:`s` in :math:`\sqrt s\,dW`
-    threads : int, optional, of this machine; default: as numba is set
 
     Returns
     -------
@@ -251,14 +247,13 @@ def monte_carlo(
     simulation = plan(loop, protocol, runs, duration, step, seed, precision)
     simulation.check_step(loop, stacklevel=2)
     validation.boolean("progress", progress)
-    _check_threads(threads, client)
     options |= {"copy": bool(copy), "shot_noise": float(shot_noise)}
-    inputs = {"parameters": numbers_of(parameters), "delay": loop.delay, **options}
+    inputs = {"parameters": dict(vars(parameters)), "delay": loop.delay, **options}
     inputs |= {"estimator_sha256": _estimator_digest(smoother), "scheme": simulation.scheme}
     names = ("protocol", "runs", "seed", "precision", "step", "warm_up", "duration")
     settings = {name: getattr(simulation, name) for name in names}
     identity = {**settings, **inputs, "software": cluster.software()}
-    with threads_of_kernels(threads), open_journal(checkpoint, identity) as journal:
+    with open_journal(checkpoint, identity) as journal:
         tally = _tally(simulation, journal, client, progress, inputs["parameters"])
 
     if tally.slips:
@@ -283,23 +278,10 @@ def monte_carlo(
     )
 
 
-def _check_threads(threads: int | None, client) -> None:
-    if threads is None:
-        return
-    if client is not None:
-        raise ValueError("threads are of this machine: give either threads or client, not both")
-    most = numba.config.NUMBA_NUM_THREADS
-    if validation.integer("threads", threads, low=1) > most:
-        raise ValueError(
-            f"threads must be at most {most}, numba's limit here, got {threads}: set the "
-            "environment variable NUMBA_NUM_THREADS to have more"
-        )
-
-
-def _estimator_digest(smoother) -> str:
+def _estimator_digest(smoother: Estimator) -> str:
     digest = hashlib.sha256()
     for name in ("A_c", "B_c", "C_c", "C_a", "C_f"):
-        matrix = np.ascontiguousarray(getattr(smoother, name, smoother.C_c[:1]), dtype=float)
+        matrix = np.ascontiguousarray(getattr(smoother, name), dtype=float)
         digest.update(f"{name}{matrix.shape}".encode() + matrix.tobytes())
     return digest.hexdigest()
 
