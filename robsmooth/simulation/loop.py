@@ -45,7 +45,6 @@ Uncertainties = Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]]
 
 _SLOPE_TOLERANCE = 1e-6  # relative to the Lipschitz constant
 _ZERO_DEVIATION = 1e-9  # a deviation below this, relative to its terms, is rounding
-_DRAWS = 64  # of the state, at which functions are compared with their slopes
 
 
 class Function(NamedTuple):
@@ -111,16 +110,6 @@ class NonlinearLoop:
         moving = own > _ZERO_DEVIATION * np.linalg.norm(np.abs(rows) @ np.abs(root), axis=1)
         rates = np.max(speeds, axis=0)[moving] / own[moving]
         return float(rates.max(initial=0.0)) or self.slowest_rate
-
-    @property
-    def is_linear(self) -> bool:
-        """Whether all functions are the slopes that stand in for them, where the loop is at all."""
-        draws = np.random.default_rng(0).standard_normal((self.order, _DRAWS))
-        arguments = self.arguments @ self.stationary_root @ draws
-        replaced = np.abs(self._slopes_of_functions) @ np.abs(arguments)
-        with np.errstate(all="ignore"):  # what is not a number is not linear
-            left = np.abs(self.remainder(0.0, arguments))
-        return bool((left <= _ZERO_DEVIATION * replaced).all())
 
     def remainder(self, time: float, arguments: NDArray) -> NDArray:
         """Return rho, (r + 2g, paths), of zeta-tilde, (h + 2g, paths)."""

@@ -88,7 +88,8 @@ def simulate(
     InadmissibleWarning
         Where a constraint of the theory, (eqIQC1) to (eqIQC4), does not hold all the time.
     LongStepWarning
-        Where the step is above 1/4 of the response time, and the loop is not linear.
+        Where the step is above 1/4 of the response time, unless all uncertainties are constants and
+        there is no nonlinearity.
 
     Raises
     ------
@@ -116,15 +117,15 @@ def simulate(
     progress = validation.boolean("progress", progress)
     duration = TIME_CONSTANTS / joined.slowest_rate if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed)
-    m, checks = run.plant.system.m, np.zeros((3, len(run.plant.M_i)))
-    products, traces = Moments((2, m, m)), Moments(2)
+    checks = np.zeros((3, len(run.plant.M_i)))
+    products = traces = Moments()
     path_steps = run.runs * (run.before + run.steps)
     with progress_bar(total=path_steps, unit="step", unit_scale=True, shown=progress) as bar:
         for first in range(0, run.runs, BLOCK):
             paths = range(first, min(first + BLOCK, run.runs))
             of_errors, of_checks = run.averages(paths, bar)
-            products.add(of_errors)
-            traces.add(np.einsum("eiip->ep", of_errors))
+            products += Moments.of(of_errors)
+            traces += Moments.of(np.einsum("eiip->ep", of_errors))
             checks += of_checks.sum(axis=2) / run.runs
 
     used, allowed, violated = checks
@@ -210,7 +211,7 @@ class _Run:
         self.step = step = validation.positive("step", default if step is None else step)
         self.before = math.ceil((WARM_UP_TIME_CONSTANTS / loop.slowest_rate + delay) / step)
         self.steps, self.lag = steps_in(duration, step), whole_steps(delay, step)
-        if not loop.is_linear:  # else the scheme is exact
+        if loop.functions:  # else the scheme is exact
             warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
         self.integrator = ExponentialIntegrator(loop, step, measured)
 

@@ -30,7 +30,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop
 from robsmooth.homodyne.montecarlo import euler, splitting
 from robsmooth.homodyne.montecarlo.noise import BLOCK
-from robsmooth.simulation.statistics import MeanSquare, Tally, control_weights
+from robsmooth.simulation.statistics import control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
 
@@ -98,19 +98,11 @@ class Simulation:
     readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase
     coefficients: euler.Coefficients | splitting.Coefficients
     schedule: tuple[int, ...]  # as the kernel takes it
-    protocol: ClassVar[str]
-    scheme: ClassVar[str]
     kernel: ClassVar[ModuleType]
     default_runs: ClassVar[int]
     silent: ClassVar[float]  # the longest step without a warning, in response times of the loop
-    variables: ClassVar[int] = 2  # that are averaged over paths; the last two are the best errors
     compiled_for: ClassVar[tuple] = ()  # besides the order and the precision
     weights: ClassVar[Matrix | None] = None  # of controls
-
-    def check_step(self, loop: Loop, stacklevel: int) -> None:
-        """Warn where the step is long for the loop."""
-        fine = self.default_step(loop, self.duration)
-        warn_of_long_step(self.step, loop.response_time(), self.silent, fine, stacklevel + 1)
 
     @property
     def blocks(self) -> int:
@@ -138,20 +130,16 @@ class Simulation:
         return results[:, : self.kernel.SLIPS + 1]
 
     def reduce(self, outputs: Matrix) -> Matrix:
-        """Return the variables, (variables, paths), of the outputs without the slips."""
-        return outputs
+        """Return the variables, (variables, paths), of the outputs without the slips.
 
-    def estimate(self, tally: Tally) -> tuple[MeanSquare, MeanSquare]:
-        """Filtered and smoothed mean square error, and what they gain over the first variables."""
-        best = self.variables - 2
-        return tally.all.mean_square(best, plain=0), tally.all.mean_square(best + 1, plain=1)
+        The first two are the squared errors; so are the last two, with less variance if possible.
+        """
+        return outputs
 
 
 class PaperSimulation(Simulation):
-    """The published protocol."""
+    """The published protocol: Euler-Maruyama."""
 
-    protocol = "paper"
-    scheme = "Euler-Maruyama"
     kernel = euler
     default_runs = 50_000
     silent = SILENT_EULER
@@ -191,16 +179,13 @@ class PaperSimulation(Simulation):
 
 @dataclass(frozen=True, eq=False)
 class ErgodicSimulation(Simulation):
-    """The time-averaging protocol."""
+    """The time-averaging protocol: Strang's splitting, with a linear control variate."""
 
     control: Matrix  # (3,), of `control_means`
 
-    protocol = "ergodic"
-    scheme = "Strang splitting with a linear control variate"
     kernel = splitting
     default_runs = 1024
     silent = SILENT_SPLITTING
-    variables = 4
 
     @classmethod
     def default_step(cls, loop: Loop, duration: float) -> float:
@@ -277,7 +262,7 @@ def plan(
     seed: int = 0,
     precision: str = "mixed",
 ) -> Simulation:
-    """Check the numbers, fill in defaults, and say what is to be simulated."""
+    """Check the numbers, fill in defaults, say what is to be simulated, and warn of long steps."""
     kind = PROTOCOLS[protocol]
     runs = kind.default_runs if runs is None else validation.integer("runs", runs, low=1)
     if duration is not None:
@@ -291,4 +276,7 @@ def plan(
     if seed >= 2**64:
         raise ValueError(f"seed must be below 2**64, got {seed}")
     validation.choice("precision", precision, tuple(PRECISIONS))
-    return kind.plan(loop, duration, step, runs=runs, seed=seed, precision=precision)
+    simulation = kind.plan(loop, duration, step, runs=runs, seed=seed, precision=precision)
+    fine = kind.default_step(loop, simulation.duration)
+    warn_of_long_step(simulation.step, loop.response_time(), kind.silent, fine, stacklevel=4)
+    return simulation

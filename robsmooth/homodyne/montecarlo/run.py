@@ -245,13 +245,12 @@ def monte_carlo(
     options = {"oscillator": oscillator, "copy": copy, "nonlinearity": nonlinearity}
     loop = homodyne_loop(parameters, smoother, **options, shot_noise=shot_noise)
     simulation = plan(loop, protocol, runs, duration, step, seed, precision)
-    simulation.check_step(loop, stacklevel=2)
     validation.boolean("progress", progress)
     options |= {"copy": bool(copy), "shot_noise": float(shot_noise)}
     inputs = {"parameters": dict(vars(parameters)), "delay": loop.delay, **options}
-    inputs |= {"estimator_sha256": _estimator_digest(smoother), "scheme": simulation.scheme}
-    names = ("protocol", "runs", "seed", "precision", "step", "warm_up", "duration")
-    settings = {name: getattr(simulation, name) for name in names}
+    inputs["estimator_sha256"] = _estimator_digest(smoother)
+    names = ("runs", "seed", "precision", "step", "warm_up", "duration")
+    settings = {"protocol": protocol, **{name: getattr(simulation, name) for name in names}}
     identity = {**settings, **inputs, "software": cluster.software()}
     with open_journal(checkpoint, identity) as journal:
         tally = _tally(simulation, journal, client, progress, inputs["parameters"])
@@ -263,10 +262,9 @@ def monte_carlo(
             LossOfLockWarning,
             stacklevel=2,
         )
-    filtered, smoothed = simulation.estimate(tally)
     return MonteCarloResult(
-        smoothed=smoothed,
-        filtered=filtered,
+        smoothed=tally.all.mean_square(-1, plain=1),  # the last two are the best
+        filtered=tally.all.mean_square(-2, plain=0),
         filtered_in_lock=tally.locked.mean_square(0),
         smoothed_in_lock=tally.locked.mean_square(1),
         slips=tally.slips,
@@ -290,9 +288,9 @@ def _tally(
     simulation: Simulation, journal: Journal | None, client, progress: bool, parameters: dict
 ) -> Tally:
     """Simulate the blocks that the journal does not have, wherever, and merge them in order."""
-    tally, first = Tally(simulation.variables), 0
+    tally, first = Tally(), 0
     if journal and journal.last:
-        tally, first = Tally.from_state(journal.last["tally"]), journal.last["blocks"]
+        tally, first = Tally.from_state(*journal.last["tally"]), journal.last["blocks"]
     if first < simulation.blocks:
         _ = simulation.weights  # computed here, for all machines
     group = min(max(STEPS_OF_A_GROUP // (BLOCK * simulation.steps), 1), BLOCKS_OF_A_GROUP)
@@ -310,7 +308,7 @@ def _tally(
     with progress_bar(**extent, unit_scale=True, shown=progress) as bar:
         for tallies in cluster.in_order(simulate, calls, client):
             for each in tallies:
-                tally.merge(each)
+                tally += each
             first = min(first + size, end)
             bar.update(tally.all.count - bar.n)
             due = time.perf_counter() - saved > CHECKPOINT_EVERY or first == end
@@ -340,6 +338,5 @@ def _tallies(
                     f"the step, {simulation.step:g} s, is too long for this loop, or the estimator "
                     "is unstable in it"
                 )
-            tallies.append(Tally(simulation.variables))
-            tallies[-1].add(simulation.reduce(values[:-1]), values[-1])
+            tallies.append(Tally.of(simulation.reduce(values[:-1]), values[-1]))
     return tallies
