@@ -199,17 +199,18 @@ for _ in range(2):
 def test_a_full_disk_is_a_clear_error_and_the_run_resumes_once_there_is_room(
     protocol, path, simulated
 ):
-    expected = simulate(protocol)
+    many, blocks = 4 * RUNS, 42
+    expected = simulate(protocol, runs=many)
     with (
         pytest.raises(OSError, match=r"run\.checkpoint takes no more, .*; .* the same run resumes"),
-        largest_file(8192),
+        largest_file(12_000),
     ):
-        simulate(protocol, checkpoint=path, threads=1)
+        simulate(protocol, runs=many, checkpoint=path, threads=1)
     kept = records(path)
-    assert 1 < kept < BLOCKS
+    assert 1 < kept < blocks
     simulated.clear()
-    assert simulate(protocol, checkpoint=path) == expected
-    assert simulated == [*range(kept, BLOCKS)]
+    assert simulate(protocol, runs=many, checkpoint=path) == expected
+    assert simulated == [*range(kept, blocks)]
 
 
 def test_a_damaged_checkpoint_is_refused_and_never_taken_for_a_result(path, simulated):
