@@ -17,7 +17,6 @@ from benchmarks.problem import RUNS, STEP, STEPS, literal_problem
 from benchmarks.race import middle
 from robsmooth import homodyne, monte_carlo
 from robsmooth.estimators import baselines
-from robsmooth.homodyne.montecarlo.protocols import threads_of_kernels
 from robsmooth.paper.published import DELAY
 
 
@@ -68,16 +67,16 @@ def scales(effort: Effort) -> dict:
 
 def seconds(runs: int, steps: int, smoother, seed: int = 0, threads: int | None = None) -> float:
     """Return how long a simulation takes."""
-    with threads_of_kernels(threads):
-        result = monte_carlo(
-            homodyne.PAPER,
-            smoother,
-            protocol="paper",
-            runs=runs,
-            duration=steps * STEP,
-            step=STEP,
-            seed=seed,
-        )
+    numba.set_num_threads(threads or numba.config.NUMBA_NUM_THREADS)
+    result = monte_carlo(
+        homodyne.PAPER,
+        smoother,
+        protocol="paper",
+        runs=runs,
+        duration=steps * STEP,
+        step=STEP,
+        seed=seed,
+    )
     return result.wall_time
 
 

@@ -24,8 +24,8 @@ With :math:`u`, :math:`\tilde\nu` and the estimates linear in :math:`\hat x` thi
              + b_s\bigl[\sin(\varphi - r\hat x)\,dt + \nu\,dW\bigr],
     \qquad \nu = \frac{\sqrt s}{2\alpha},
 
-which is what is simulated. The phase u is the filtered estimate, the smoothed one, or
-:math:`\tilde\nu/2\alpha\gamma`, with which the copy's output is zero. It is the loop of
+which is what is simulated. The phase u is the filtered estimate, the smoothed one,
+:math:`\tilde\nu/2\alpha\gamma`, with which the copy's output is zero, or zero. It is the loop of
 `robsmooth.estimators.loop` with the reference :math:`2\alpha\gamma u`, written with sines:
 :math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) - (\beta/\gamma)v`.
 """
@@ -51,8 +51,7 @@ from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import REFERENCES
 from robsmooth.systems.system import UncertainSystem
 
-OSCILLATORS = (*REFERENCES, "copy")
-NONLINEARITIES = ("difference", "literal")
+OSCILLATORS = (*REFERENCES, "copy", "none")
 FIXED_POINT_TOLERANCE = 1e-10
 ILL_CONDITIONED = (
     "the covariance of the linearised loop is lost in rounding: its rates, or the scales of the "
@@ -129,7 +128,7 @@ class Loop:
         slopes = linearisation.equivalent_slopes(
             np.ones(2),
             lambda slopes: ((rows @ self.stationary_root(slopes, S, inverse)) ** 2).sum(axis=1),
-            linearisation.of_sine,
+            lambda variances: np.exp(-0.5 * variances),
             tolerance=tolerance,
             largest=LARGEST_VARIANCE,
         )
@@ -164,13 +163,11 @@ def homodyne_loop(
     smoother: Estimator,
     oscillator: str = "filtered",
     copy: bool = True,
-    nonlinearity: str = "difference",
     shot_noise: float = 1.0,
 ) -> Loop:
     """Close the loop of the module's docstring; see `monte_carlo` for the arguments."""
     validation.instance("parameters", parameters, HomodyneParameters)
     validation.choice("oscillator", oscillator, OSCILLATORS)
-    validation.choice("nonlinearity", nonlinearity, NONLINEARITIES)
     copy = validation.boolean("copy", copy)
     shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
     system = parameters.uncertain_system()
@@ -179,14 +176,13 @@ def homodyne_loop(
 
     alpha, beta = parameters.alpha, parameters.beta
     scale = 2 * alpha * parameters.gamma
-    rows = (scale * estimator.C_f, scale * estimator.C_a, estimator.C_c[1:])
+    rows = (scale * estimator.C_f, scale * estimator.C_a, estimator.C_c[1:], scale * estimator.C_f)
     steering = rows[OSCILLATORS.index(oscillator)]
     if oscillator == "copy" and not steering.any():
         raise ValueError(
             "oscillator must be 'filtered' or 'smoothed' where no copy runs, got 'copy'"
         )
-    # "literal" takes sin(phi) - beta phi at its word: the nonlinearity is not of the difference.
-    reference = steering if nonlinearity == "difference" else None
+    reference = None if oscillator == "none" else steering
     drift, noise, inputs, outputs = matrices(estimator, loop="real", reference=reference)
     # of the sine and its copy, behind the channel of an uncertainty that is zero
     gains, arguments = 2 * alpha * inputs[:, 1:], outputs[1:] / scale
@@ -240,7 +236,6 @@ def statistical_linearisation(
     *,
     oscillator: str = "filtered",
     copy: bool = True,
-    nonlinearity: str = "difference",
     shot_noise: float = 1.0,
 ) -> StatisticalLinearisation:
     r"""Predict the errors of the nonlinear loop from slopes that belong to its own variances.
@@ -249,7 +244,7 @@ def statistical_linearisation(
 
     Parameters
     ----------
-    parameters, smoother, oscillator, copy, nonlinearity, shot_noise
+    parameters, smoother, oscillator, copy, shot_noise
         As in `monte_carlo`.
 
     Returns
@@ -274,7 +269,7 @@ def statistical_linearisation(
     >>> round(found.slopes[0], 4), round(found.filtered, 4)
     (0.9569, 0.0881)
     """
-    loop = homodyne_loop(parameters, smoother, oscillator, copy, nonlinearity, shot_noise)
+    loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
     return linearised(loop)
 
 

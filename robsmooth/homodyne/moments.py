@@ -152,7 +152,6 @@ def stationary_errors(
     *,
     oscillator: str = "filtered",
     copy: bool = True,
-    nonlinearity: str = "difference",
     shot_noise: float = 1.0,
 ) -> StationaryErrors:
     r"""Return the stationary mean square errors of an estimator in the nonlinear loop.
@@ -164,7 +163,7 @@ def stationary_errors(
 
     Parameters
     ----------
-    parameters, smoother, oscillator, copy, nonlinearity, shot_noise
+    parameters, smoother, oscillator, copy, shot_noise
         As in `monte_carlo`.
 
     Returns
@@ -193,7 +192,7 @@ def stationary_errors(
     >>> print(f"{errors.filtered:.6f} rad^2")
     0.088235 rad^2
     """
-    loop = homodyne_loop(parameters, smoother, oscillator, copy, nonlinearity, shot_noise)
+    loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
     unknowns = _unknowns(1 + loop.order, LEAST_DEGREE)
     if unknowns > MOST_UNKNOWNS:
         raise ValueError(

@@ -5,8 +5,10 @@ would fail a comparison at `SIGMAS` = 4.5 standard errors once in 150 000 times.
 """
 
 import json
+from contextlib import contextmanager
 from dataclasses import replace
 
+import numba
 import numpy as np
 from scipy.linalg import solve_continuous_are
 
@@ -16,6 +18,19 @@ from robsmooth.homodyne.montecarlo import noise
 from robsmooth.homodyne.montecarlo.noise import BLOCK
 
 SIGMAS = 4.5
+
+
+@contextmanager
+def threads_of_kernels(count):
+    """Have kernels use so many threads; None changes nothing."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
+
+
 PARAMETERS = PAPER
 QUIET = 1e-4  # noise power at which the loop is linear: sin e differs from e by a relative 1e-6
 

@@ -160,7 +160,7 @@ def test_literal_nonlinearity_without_copy_is_a_filter_of_the_sine(variance):
     a, lam = 0.5 * GAIN, PAPER.lam
     parameters = replace(PAPER, kappa=2 * lam * variance)
     design = one_state(-a, smoothed=0.7)
-    loop = homodyne_loop(parameters, design, nonlinearity="literal")
+    loop = homodyne_loop(parameters, design, oscillator="none")
     b, w = loop.gains[1, 0], loop.noise[1, 1]
 
     def integral(function, start, stop):
@@ -179,7 +179,7 @@ def test_literal_nonlinearity_without_copy_is_a_filter_of_the_sine(variance):
         + np.exp(-a * DELAY) / (a + lam)
     )
     exact = [variance - 2 * 0.7 * later + 0.49 * square, variance - 2 * now + square]
-    found = stationary_errors(parameters, design, nonlinearity="literal", copy=False)
+    found = stationary_errors(parameters, design, oscillator="none", copy=False)
     assert_allclose([found.smoothed, found.filtered], exact, rtol=2e-8)
 
 
@@ -514,7 +514,6 @@ options_of_the_loop = st.fixed_dictionaries(
     {
         "oscillator": st.sampled_from(OSCILLATORS),
         "copy": st.booleans(),
-        "nonlinearity": st.sampled_from(["difference", "literal"]),
         "shot_noise": st.floats(0.0, 1.0),
     }
 ).filter(lambda options: options["copy"] or options["oscillator"] != "copy")
@@ -590,7 +589,6 @@ def test_too_many_states_are_an_error():
     [
         ({"oscillator": "wrong"}, ValueError, "oscillator must be one of"),
         ({"oscillator": "copy", "copy": False}, ValueError, "where no copy runs, got 'copy'"),
-        ({"nonlinearity": "wrong"}, ValueError, "nonlinearity must be one of"),
         ({"copy": 1}, TypeError, "copy must be True or False"),
         ({"shot_noise": -1.0}, ValueError, "shot_noise must be finite"),
     ],

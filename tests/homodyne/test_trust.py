@@ -29,12 +29,11 @@ from robsmooth.homodyne.montecarlo.protocols import (
     PILOT_BLOCK,
     PROTOCOLS,
     ErgodicSimulation,
-    threads_of_kernels,
 )
 from robsmooth.simulation.statistics import Tally
 from tests.helpers.checkpoints import largest_file, records
 from tests.helpers.clusters import cluster_of_threads, start_cluster
-from tests.helpers.loops import printed_smoother, same_numbers, with_parameters
+from tests.helpers.loops import printed_smoother, same_numbers, threads_of_kernels, with_parameters
 from tests.helpers.waiting import PATIENCE, wait_until
 
 NOISY = with_parameters(kappa=4e5)

@@ -341,7 +341,7 @@ def test_without_a_reference_the_sine_is_of_the_whole_phase(name):
     parameters = replace(PAPER, kappa=4e3)
     estimator = homodyne_estimator(name, parameters)
     how = {"duration": 2e-3, "step": 7.75e-7}
-    kernel = monte_carlo(parameters, estimator, nonlinearity="literal", runs=2048, **how)
+    kernel = monte_carlo(parameters, estimator, oscillator="none", runs=2048, **how)
     with pytest.warns(InadmissibleWarning, match=r"nonlinearities\[0\] less its copy for"):
         result = simulate(estimator, reference=None, runs=512, **how)
     for output in ("filtered", "smoothed"):
@@ -354,7 +354,7 @@ def test_without_a_reference_the_sine_is_of_the_whole_phase(name):
 @pytest.mark.parametrize("name", HOMODYNE_ESTIMATORS)
 @pytest.mark.parametrize(
     "options",
-    [{}, {"oscillator": "smoothed"}, {"nonlinearity": "literal"}, {"copy": False}],
+    [{}, {"oscillator": "smoothed"}, {"oscillator": "none"}, {"copy": False}],
     ids=str,
 )
 def test_matrices_are_those_of_the_homodyne_loop(name, options):
@@ -363,7 +363,7 @@ def test_matrices_are_those_of_the_homodyne_loop(name, options):
     if not options.get("copy", True):
         estimator = replace(estimator, B_c=estimator.B_c * [1.0, 0.0])
     reference = options.get("oscillator", "filtered")
-    if options.get("nonlinearity") == "literal":
+    if options.get("oscillator") == "none":
         reference = None
     homodyne = homodyne_loop(PAPER, estimator, **options)
     general = nonlinear_loop(estimator, reference=reference)

@@ -5,8 +5,6 @@ order, as long as they are merged in the order of their index.
 """
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
@@ -46,17 +44,6 @@ STABLE_PART = 0.5  # of the longest step for which the Euler-Maruyama scheme is 
 
 FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, below which there are no control variates
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
-
-
-@contextmanager
-def threads_of_kernels(count: int | None) -> Iterator[None]:
-    """Have kernels use `count` threads, or as many of them as there are; None changes nothing."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(count or before, numba.config.NUMBA_NUM_THREADS))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(before)
 
 
 class Schedule(NamedTuple):
@@ -116,7 +103,9 @@ class Simulation:
         """
         real, n = PRECISIONS[self.precision], self.readout.shape[1]
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
-        with ALONE, threads_of_kernels(worker_threads()):
+        threads = worker_threads() or numba.get_num_threads()
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # of this thread
+        with ALONE:
             self.kernel.simulate_blocks(
                 *self.compiled_for,
                 (real(0),) * n,

@@ -164,7 +164,6 @@ def monte_carlo(
     *,
     oscillator: str = "filtered",
     copy: bool = True,
-    nonlinearity: str = "difference",
     shot_noise: float = 1.0,
 ) -> MonteCarloResult:
     r"""Simulate an estimator in the homodyne loop of Section IV and measure its errors.
@@ -197,13 +196,12 @@ def monte_carlo(
     checkpoint : path, optional
         A file that is written every few seconds, from which the same call resumes.
     progress : bool, show a progress bar
-    oscillator : {"filtered", "smoothed", "copy"}
-        What the local oscillator's phase u follows: an estimate, or the argument of the copy,
-        :math:`\tilde\nu/2\alpha\gamma`, so that the copy's output is zero.
+    oscillator : {"filtered", "smoothed", "copy", "none"}
+        What the local oscillator's phase u follows: an estimate; the argument of the copy,
+        :math:`\tilde\nu/2\alpha\gamma`, so that the copy's output is zero; or nothing: the
+        nonlinearity is then :math:`f(\varphi)`, as the words of Section IV-E have it, and not
+        :math:`f(\varphi - u)`, as Section IV-A derives it. Slips are then of the filtered estimate.
     copy : bool, run the estimator's copy of the nonlinearity; without, its input is zero
-    nonlinearity : {"difference", "literal"}
-        The nonlinearity is :math:`f(\varphi - u)`, as derived in Section IV-A, or
-        :math:`f(\varphi)`, as the words of Section IV-E have it.
     shot_noise : float, power of the photocurrent's noise, :math:`s` in :math:`\sqrt s\,dW`
 
     Returns
@@ -242,12 +240,11 @@ def monte_carlo(
     started = time.perf_counter()
     check_compiler("monte_carlo")
     validation.choice("protocol", protocol, tuple(PROTOCOLS))
-    options = {"oscillator": oscillator, "copy": copy, "nonlinearity": nonlinearity}
-    loop = homodyne_loop(parameters, smoother, **options, shot_noise=shot_noise)
+    loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
     simulation = plan(loop, protocol, runs, duration, step, seed, precision)
     validation.boolean("progress", progress)
-    options |= {"copy": bool(copy), "shot_noise": float(shot_noise)}
-    inputs = {"parameters": dict(vars(parameters)), "delay": loop.delay, **options}
+    inputs = {"parameters": dict(vars(parameters)), "delay": loop.delay, "oscillator": oscillator}
+    inputs |= {"copy": bool(copy), "shot_noise": float(shot_noise)}
     inputs["estimator_sha256"] = _estimator_digest(smoother)
     names = ("runs", "seed", "precision", "step", "warm_up", "duration")
     settings = {"protocol": protocol, **{name: getattr(simulation, name) for name in names}}
@@ -322,21 +319,17 @@ def _tallies(
     simulation: Simulation, group: int, parameters: dict, first: int, count: int
 ) -> list[Tally]:
     """Simulate `count` blocks, here or on a worker, and sum up each group of them."""
-    at_once = group * (cluster.worker_threads() or numba.get_num_threads())
-    end, tallies = first + count, []
-    for start in range(first, end, at_once):
-        results = simulation.simulate(start, min(at_once, end - start))
-        for offset in range(0, len(results), group):
-            path = (start + offset) * BLOCK
-            values = np.hstack(list(results[offset : offset + group]))
-            values = values[:, : simulation.runs - path]
-            wrong = np.flatnonzero(~np.isfinite(values).all(axis=0))
-            if wrong.size:
-                given = ", ".join(f"{name}={value:g}" for name, value in parameters.items())
-                raise RuntimeError(
-                    f"path {path + wrong[0]} of seed {simulation.seed} overflowed, with {given}: "
-                    f"the step, {simulation.step:g} s, is too long for this loop, or the estimator "
-                    "is unstable in it"
-                )
-            tallies.append(Tally.of(simulation.reduce(values[:-1]), values[-1]))
+    results, tallies = simulation.simulate(first, count), []
+    for offset in range(0, count, group):
+        path = (first + offset) * BLOCK
+        values = np.hstack(list(results[offset : offset + group]))[:, : simulation.runs - path]
+        wrong = np.flatnonzero(~np.isfinite(values).all(axis=0))
+        if wrong.size:
+            given = ", ".join(f"{name}={value:g}" for name, value in parameters.items())
+            raise RuntimeError(
+                f"path {path + wrong[0]} of seed {simulation.seed} overflowed, with {given}: "
+                f"the step, {simulation.step:g} s, is too long for this loop, or the estimator "
+                "is unstable in it"
+            )
+        tallies.append(Tally.of(simulation.reduce(values[:-1]), values[-1]))
     return tallies
