@@ -37,7 +37,7 @@ from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import Reference, matrices, reference_outputs
+from robsmooth.estimators.loop import matrices, reference_outputs
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.functions import on_arrays
 
@@ -127,17 +127,12 @@ class NonlinearLoop:
         return result
 
 
-def nonlinear_loop(
-    smoother: Estimator,
-    uncertainties: Uncertainties = (),
-    loop: str = "real",
-    reference: Reference = "system",
-) -> NonlinearLoop:
+def nonlinear_loop(smoother: Estimator, uncertainties: Uncertainties = ()) -> NonlinearLoop:
     """Join a plant and its estimator; see `simulate` for the arguments."""
     validation.instance("smoother", smoother, Estimator)
     plant, system = smoother.plant, smoother.plant.system
     delta, functions = _uncertainties(plant, uncertainties)
-    drift, noise, inputs, outputs = matrices(smoother, loop, reference)
+    drift, noise, inputs, outputs = matrices(smoother, "real", "system")
     functions += _nonlinearities(smoother, outputs)
 
     n, measurements, g = system.n, system.l, system.g
@@ -149,7 +144,7 @@ def nonlinear_loop(
         inputs=np.vstack([inputs[kept], plant.D21_tilde[:measurements]]),
         noise=np.vstack([noise[kept], plant.D21_bar[:measurements]]),
         arguments=outputs[:, kept],
-        reference=np.pad(reference_outputs(smoother, reference), ((0, 0), (n, 0))),
+        reference=np.pad(reference_outputs(smoother, "system"), ((0, 0), (n, 0))),
         readout=block_diag(system.C0, np.vstack([smoother.C_f, smoother.C_a])),
         delta=delta,
         functions=tuple(functions),

@@ -14,7 +14,6 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import Reference
 from robsmooth.simulation.integrator import ExponentialIntegrator
 from robsmooth.simulation.loop import NonlinearLoop, Uncertainties, nonlinear_loop
 from robsmooth.simulation.statistics import (
@@ -40,8 +39,6 @@ def simulate(
     smoother: Estimator,
     *,
     uncertainties: Uncertainties = (),
-    reference: Reference = "system",
-    loop: str = "real",
     runs: int = 256,
     duration: float | None = None,
     step: float | None = None,
@@ -62,12 +59,6 @@ def simulate(
         Constants of norm at most one, as in `AugmentedSystem.structured_delta`, or functions
         ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s from where averaging
         begins. Left out: zero.
-    reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
-        What is taken off the nonlinearities' arguments, and the copies' (`Nonlinearity`): each
-        one's own reference; that estimate of every argument :math:`\nu_i`, which must be a
-        combination of w; rows that read any other out of the estimator's state; or nothing.
-    loop : {"real", "theory"}
-        Whether the design's fictitious noise drives the copies, as in the theory.
     runs : int, independent paths
     duration : float, optional
         Of a path, without the warm-up, s; in whole steps. Default: 100 times the slowest time
@@ -113,7 +104,7 @@ def simulate(
     True
     """
     started = time.perf_counter()
-    joined = nonlinear_loop(smoother, uncertainties, loop, reference)
+    joined = nonlinear_loop(smoother, uncertainties)
     progress = validation.boolean("progress", progress)
     duration = TIME_CONSTANTS / joined.slowest_rate if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed)
@@ -150,8 +141,6 @@ def sample_paths(
     smoother: Estimator,
     *,
     uncertainties: Uncertainties = (),
-    reference: Reference = "system",
-    loop: str = "real",
     runs: int = 3,
     duration: float | None = None,
     step: float | None = None,
@@ -161,7 +150,7 @@ def sample_paths(
 
     Parameters
     ----------
-    smoother, uncertainties, reference, loop, runs, duration, step, seed
+    smoother, uncertainties, runs, duration, step, seed
         As in `simulate`, and what it raises, too; the default duration is a fifth of that there.
 
     Returns
@@ -179,7 +168,7 @@ def sample_paths(
     >>> rs.sample_paths(kalman, runs=2, duration=1e-4)
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
-    joined = nonlinear_loop(smoother, uncertainties, loop, reference)
+    joined = nonlinear_loop(smoother, uncertainties)
     duration = TIME_CONSTANTS / 5 / joined.slowest_rate if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed, measured=True)
     parts = list(run.records(range(run.runs)))

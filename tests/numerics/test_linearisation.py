@@ -99,7 +99,10 @@ def test_slopes_of_the_homodyne_loop_are_the_same_by_every_route_to_its_covarian
     rows = loop.arguments
     variances = (rows @ loop.covariance(*slopes) @ rows.T).diagonal()
     assert_allclose(np.exp(-0.5 * variances), slopes, rtol=1e-9)
-    general = nonlinear_loop(estimator, reference=oscillator)
+    system = estimator.plant.system
+    (sine,) = system.nonlinearities
+    referring = replace(system, nonlinearities=[replace(sine, reference=oscillator)])
+    general = nonlinear_loop(replace(estimator, plant=replace(estimator.plant, system=referring)))
     assert_allclose(PAPER.beta + PAPER.gamma * np.diag(general.delta)[1:], slopes, rtol=1e-6)
 
 
