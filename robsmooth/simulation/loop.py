@@ -224,14 +224,13 @@ def _nonlinearities(smoother: Estimator, arguments: Matrix) -> list[Function]:
         copied = arguments[h + g + i].any() and smoother.B_c[:, system.l + i].any()
         places = [i, g + i] if copied else [i]
         inputs, outputs = [r + j for j in places], [h + j for j in places]
-        functions.append(Function(inputs, outputs, _elementwise(nonlinearity.function), True))
+        psi = on_arrays(nonlinearity.function)
+
+        def function(_, values, psi=psi):
+            return psi(values.ravel()).reshape(values.shape)
+
+        functions.append(Function(inputs, outputs, function, elementwise=True))
     return functions
-
-
-def _elementwise(function: Callable) -> Callable[[float, NDArray], NDArray]:
-    """Return psi as a `Function` has it."""
-    psi = on_arrays(function)
-    return lambda _, values: psi(values.ravel()).reshape(values.shape)
 
 
 def _ranges(sizes: Sequence[int]) -> list[list[int]]:

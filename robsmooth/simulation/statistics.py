@@ -9,7 +9,7 @@ Simulation", Springer, 2007, Section V.2).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -240,15 +240,6 @@ class Moments:
         error = self.standard_errors[variable]
         return MeanSquare(float(self.means[variable]), float(error), float(gain))
 
-    def state(self) -> list:
-        """All of it as JSON values, every bit."""
-        return [self.count, np.asarray(self.means).tolist(), np.asarray(self.squares).tolist()]
-
-    @classmethod
-    def from_state(cls, count: int, *means_and_squares: list) -> "Moments":
-        """Return what `state` was taken of."""
-        return cls(count, *map(np.array, means_and_squares))
-
 
 def control_weights(values: Floats, controls: Floats) -> Floats:
     """Return weights, (values, controls), of controls that leave least of values: (., paths)."""
@@ -284,12 +275,12 @@ class Tally:
         """Number of paths that slipped."""
         return self.all.count - self.locked.count
 
-    def state(self) -> list:
+    def state(self) -> tuple[list, int]:
         """All of it as JSON values, every bit."""
-        return [self.all.state(), self.locked.state(), self.slips]
+        *moments, slips = astuple(self)
+        return [[np.asarray(part).tolist() for part in each] for each in moments], slips
 
     @classmethod
-    def from_state(cls, *state: list) -> "Tally":
+    def from_state(cls, moments: list, slips: int) -> "Tally":
         """Return what `state` was taken of."""
-        *moments, slips = state
-        return cls(*(Moments.from_state(*each) for each in moments), slips)
+        return cls(*(Moments(count, *map(np.array, rest)) for count, *rest in moments), slips)

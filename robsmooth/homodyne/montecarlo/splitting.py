@@ -34,7 +34,6 @@ import numpy as np
 from numba import njit, prange
 from numba.cpython.unsafe.tuple import tuple_setitem
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 
 from robsmooth._numerics.lyapunov import noise_root, square_root
 from robsmooth._numerics.steps import responses
@@ -125,12 +124,6 @@ def control_slopes(loop: Loop) -> tuple[float, float]:
         return loop.equivalent_slopes()
     except UnstableLoopError:
         return 1.0, 1.0
-
-
-def control_means(loop: Loop, slopes: tuple[float, float]) -> NDArray[np.float64]:
-    """Means, rad^2 and rad^4, of the control's squared errors and fourth power of the filtered."""
-    square, lagged = loop.linear_errors(*slopes)
-    return np.array([square, lagged, 3 * square**2])  # it is Gaussian
 
 
 @njit
