@@ -67,6 +67,7 @@ def scales(effort: Effort) -> dict:
 
 def seconds(runs: int, steps: int, smoother, seed: int = 0, threads: int | None = None) -> float:
     """Return how long a simulation takes."""
+    numba.set_num_threads(threads or numba.config.NUMBA_NUM_THREADS)
     result = monte_carlo(
         homodyne.PAPER,
         smoother,
@@ -75,7 +76,6 @@ def seconds(runs: int, steps: int, smoother, seed: int = 0, threads: int | None 
         duration=steps * STEP,
         step=STEP,
         seed=seed,
-        threads=threads,
     )
     return result.wall_time
 

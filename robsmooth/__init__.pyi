@@ -17,9 +17,6 @@ from robsmooth.analysis.lag import LagSweep as LagSweep
 from robsmooth.analysis.lag import best_lag as best_lag
 from robsmooth.analysis.lag import choose_lag as choose_lag
 from robsmooth.analysis.lag import lag_sweep as lag_sweep
-from robsmooth.analysis.statistical_linearisation import (
-    statistical_linearisation as statistical_linearisation,
-)
 from robsmooth.analysis.worst_case import WorstCase as WorstCase
 from robsmooth.analysis.worst_case import worst_case as worst_case
 from robsmooth.estimators import baselines as baselines
@@ -37,6 +34,7 @@ from robsmooth.estimators.minimax import MinimaxSmoother as MinimaxSmoother
 from robsmooth.estimators.minimax import minimax_smoother as minimax_smoother
 from robsmooth.estimators.smoother import RobustSmoother as RobustSmoother
 from robsmooth.estimators.smoother import design_smoother as design_smoother
+from robsmooth.homodyne.loop import statistical_linearisation as statistical_linearisation
 from robsmooth.homodyne.moments import StationaryErrors as StationaryErrors
 from robsmooth.homodyne.moments import stationary_errors as stationary_errors
 from robsmooth.homodyne.montecarlo import LossOfLockWarning as LossOfLockWarning

@@ -2,6 +2,8 @@
 
 from functools import partial
 
+import numba
+
 from benchmarks.problem import STEP, Peer, Problem, Sample, Simulate
 from robsmooth import homodyne, monte_carlo
 
@@ -12,6 +14,7 @@ def prepare(problem: Problem, precision: str) -> Simulate:
     """Return `monte_carlo` on one thread."""
 
     def simulate(paths: int, steps: int, seed: int) -> Sample:
+        numba.set_num_threads(1)
         result = monte_carlo(
             homodyne.PAPER,
             problem.smoother,
@@ -21,7 +24,6 @@ def prepare(problem: Problem, precision: str) -> Simulate:
             step=STEP,
             seed=seed,
             precision=precision,
-            threads=1,
         )
         if result.path_steps != paths * steps:
             raise ValueError(f"{paths} paths of {steps} steps became {result.path_steps} steps")

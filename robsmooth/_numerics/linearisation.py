@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from robsmooth._support.errors import UnstableLoopError
 
+_ITERATIONS = 200
 _ROUNDING = 1e-9  # a change below this that no longer shrinks is rounding
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(32)
 
@@ -29,7 +30,6 @@ def equivalent_slopes(
     tolerance: float,
     unit: Vector | float = 1.0,
     largest: float = math.inf,
-    iterations: int = 200,
 ) -> Vector:
     """Return the slopes s = slopes(variances(s)), iterated from `start` until they settle.
 
@@ -38,7 +38,7 @@ def equivalent_slopes(
     a stationary state.
     """
     found, change, part, size = start, np.zeros(len(start)), 1.0, math.inf
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         now = variances(found)
         if now.max(initial=0.0) > largest:
             break
@@ -63,11 +63,6 @@ def _part(before: Vector, change: Vector, part: float) -> float:
         return 1.0
     bend = before - change
     return part * float(before @ bend) / float(bend @ bend)
-
-
-def of_sine(variances: Vector) -> Vector:
-    r"""Return the slopes of sines, :math:`e^{-\sigma^2/2}`."""
-    return np.exp(-0.5 * variances)
 
 
 def of_function(function: Callable[[NDArray], NDArray], variance: float) -> float:

@@ -27,7 +27,7 @@ slopes = np.linspace({low!r}, {high!r}, {len(SLOPES)})
 filtered = rs.delta_sweep(smoother, slopes, "filtered", loop="real")[:, 0, 0]
 smoothed = rs.delta_sweep(smoother, slopes, "smoothed", loop="real")[:, 0, 0]
 judged = rs.judge(smoother, "{settings.cost}")
-with_sine = rs.statistical_linearisation(smoother, parameters.equivalent_slope)
+with_sine = rs.statistical_linearisation(parameters, smoother)
 
 print(smoother)
 print("from the sector's edge to no uncertainty: filtered", filtered, "smoothed", smoothed)

@@ -129,7 +129,7 @@ class Snapshot:
 
 def take_snapshot(settings: Settings) -> Snapshot:
     """Return what there is to see at some settings at once."""
-    parameters, slope = settings.parameters, settings.parameters.equivalent_slope
+    parameters = settings.parameters
     least = partial(rs.baselines.optimal_fixed_lag_error, parameters.uncertain_system())
     both = estimator, _ = [_found(design, each) for each in (settings, settings.classical)]
     sweeps = _pair(_sweep, both)
@@ -139,7 +139,7 @@ def take_snapshot(settings: Settings) -> Snapshot:
         optimum=least(settings.lag).item(),
         estimator=estimator,
         sweeps=sweeps,
-        predicted=_pair(rs.statistical_linearisation, both, equivalent_slope=slope),
+        predicted=_pair(partial(rs.statistical_linearisation, parameters), both),
         path=_found(_path, estimator),
         judged=sweeps if isinstance(sweeps, str) else _pair(_worst, sweeps, output=settings.cost),
     )

@@ -24,34 +24,34 @@ With :math:`u`, :math:`\tilde\nu` and the estimates linear in :math:`\hat x` thi
              + b_s\bigl[\sin(\varphi - r\hat x)\,dt + \nu\,dW\bigr],
     \qquad \nu = \frac{\sqrt s}{2\alpha},
 
-which is what is simulated. The phase u is the filtered estimate, the smoothed one, or
-:math:`\tilde\nu/2\alpha\gamma`, with which the copy's output is zero. It is the loop of
+which is what is simulated. The phase u is the filtered estimate, the smoothed one,
+:math:`\tilde\nu/2\alpha\gamma`, with which the copy's output is zero, or zero. It is the loop of
 `robsmooth.estimators.loop` with the reference :math:`2\alpha\gamma u`, written with sines:
 :math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) - (\beta/\gamma)v`.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, expm
 
 from robsmooth._numerics import linearisation
 from robsmooth._numerics.lyapunov import covariances, stationary_root
 from robsmooth._support import validation
+from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import matrices
-from robsmooth.homodyne.parameters import homodyne_system
+from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import REFERENCES
 from robsmooth.systems.system import UncertainSystem
 
-OSCILLATORS = (*REFERENCES, "copy")
-NONLINEARITIES = ("difference", "literal")
+OSCILLATORS = (*REFERENCES, "copy", "none")
 FIXED_POINT_TOLERANCE = 1e-10
 ILL_CONDITIONED = (
     "the covariance of the linearised loop is lost in rounding: its rates, or the scales of the "
@@ -108,7 +108,17 @@ class Loop:
         inverse[0] = self.arguments[0]
         return 2 * np.eye(1 + self.order) - inverse, inverse
 
-    def equivalent_slopes(self) -> tuple[float, float]:
+    def linear_errors(self, *slopes: float) -> tuple[float, float]:
+        """Filtered and smoothed mean square error, rad^2, each sine replaced by a slope."""
+        P = self.covariance(*slopes)
+        filtered = np.concatenate([[1.0], -self.readout[0]])
+        smoothed = np.concatenate([[0.0], -self.readout[1]])
+        # covariance of now and the phase a delay ago
+        cross = (expm(self.linearised_drift(*slopes) * self.delay) @ P)[:, 0]
+        lagged = float(P[0, 0] + 2 * smoothed @ cross + smoothed @ P @ smoothed)
+        return float(filtered @ P @ filtered), lagged
+
+    def equivalent_slopes(self, tolerance: float = FIXED_POINT_TOLERANCE) -> tuple[float, float]:
         """Return the slopes of statistical linearisation, iterated from slopes of one.
 
         An UnstableLoopError says that there are none, because the loop loses lock.
@@ -118,8 +128,8 @@ class Loop:
         slopes = linearisation.equivalent_slopes(
             np.ones(2),
             lambda slopes: ((rows @ self.stationary_root(slopes, S, inverse)) ** 2).sum(axis=1),
-            linearisation.of_sine,
-            tolerance=FIXED_POINT_TOLERANCE,
+            lambda variances: np.exp(-0.5 * variances),
+            tolerance=tolerance,
             largest=LARGEST_VARIANCE,
         )
         return tuple(slopes.tolist())
@@ -149,32 +159,30 @@ def check_stationary(eigenvalues: NDArray[np.complexfloating]) -> None:
 
 
 def homodyne_loop(
-    parameters,
-    smoother,
+    parameters: HomodyneParameters,
+    smoother: Estimator,
     oscillator: str = "filtered",
     copy: bool = True,
-    nonlinearity: str = "difference",
     shot_noise: float = 1.0,
 ) -> Loop:
     """Close the loop of the module's docstring; see `monte_carlo` for the arguments."""
-    numbers = numbers_of(parameters)
+    validation.instance("parameters", parameters, HomodyneParameters)
     validation.choice("oscillator", oscillator, OSCILLATORS)
-    validation.choice("nonlinearity", nonlinearity, NONLINEARITIES)
     copy = validation.boolean("copy", copy)
     shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
-    system = homodyne_system(numbers, shot_noise)
+    system = parameters.uncertain_system()
+    system = replace(system, D21=math.sqrt(shot_noise) * system.D21)
     estimator = _estimator(smoother, system, copy)
 
-    _, _, alpha, beta, gamma = numbers.values()
-    scale = 2 * alpha * gamma
-    rows = (scale * estimator.C_f, scale * estimator.C_a, estimator.C_c[1:])
+    alpha, beta = parameters.alpha, parameters.beta
+    scale = 2 * alpha * parameters.gamma
+    rows = (scale * estimator.C_f, scale * estimator.C_a, estimator.C_c[1:], scale * estimator.C_f)
     steering = rows[OSCILLATORS.index(oscillator)]
     if oscillator == "copy" and not steering.any():
         raise ValueError(
             "oscillator must be 'filtered' or 'smoothed' where no copy runs, got 'copy'"
         )
-    # "literal" takes sin(phi) - beta phi at its word: the nonlinearity is not of the difference.
-    reference = steering if nonlinearity == "difference" else None
+    reference = None if oscillator == "none" else steering
     drift, noise, inputs, outputs = matrices(estimator, loop="real", reference=reference)
     # of the sine and its copy, behind the channel of an uncertainty that is zero
     gains, arguments = 2 * alpha * inputs[:, 1:], outputs[1:] / scale
@@ -192,51 +200,80 @@ def homodyne_loop(
     )
 
 
-def numbers_of(parameters) -> dict[str, float]:
-    """Return the five numbers of what is given as parameters, checked, in the order of Table I."""
-    numbers = {}
-    for name in ("lam", "kappa", "alpha", "beta", "gamma"):
-        if not hasattr(parameters, name):
-            raise TypeError(
-                f"parameters must be HomodyneParameters, got {parameters!r} without {name}"
-            )
-        without = [] if name in ("lam", "kappa") else [0.0]
-        given = getattr(parameters, name)
-        numbers[name] = validation.real(f"parameters.{name}", given, low=0.0, without=without)
-    return numbers
-
-
-def _estimator(smoother, system: UncertainSystem, copy: bool) -> Estimator:
-    """Check what is given as an estimator with one measurement and g <= 1, and make it one."""
-    try:
-        A_c, B_c, C_c, C_a = (getattr(smoother, name) for name in ("A_c", "B_c", "C_c", "C_a"))
-        delay = smoother.plant.delay
-    except AttributeError as error:
-        raise TypeError(
-            f"smoother must be an estimator with A_c, B_c, C_c, C_a and plant.delay: {error}"
-        ) from None
-    A_c = validation.matrix("smoother.A_c", A_c, (None, None))
-    n = A_c.shape[0]
-    if n == 0 or A_c.shape[1] != n:
-        raise ValueError(f"smoother.A_c must be square and not empty, got shape {A_c.shape}")
-    C_c = validation.matrix("smoother.C_c", C_c, (None, n))
-    C_f = validation.matrix("smoother.C_f", getattr(smoother, "C_f", C_c[:1]), (None, n))
-    C_a = validation.matrix("smoother.C_a", C_a, (None, n))
-    B_c = validation.matrix("smoother.B_c", B_c, (n, None))
-    inputs = B_c.shape[1]
-    if (len(C_f), len(C_a), len(C_c)) != (1, 1, inputs) or inputs not in (1, 2):
+def _estimator(smoother: Estimator, system: UncertainSystem, copy: bool) -> Estimator:
+    """Return the estimator, of one output and measurement, as one of this system, with a copy."""
+    validation.instance("smoother", smoother, Estimator)
+    own = smoother.plant.system
+    if (own.m, own.l) != (1, 1) or own.g > 1:
         raise ValueError(
-            "smoother must have one output, one measurement and at most one nonlinearity "
-            "(1 row in C_a and C_f, 1 or 2 columns in B_c, and as many rows in C_c), got "
-            f"C_a {C_a.shape}, C_f {C_f.shape}, B_c {B_c.shape}, C_c {C_c.shape}"
+            "smoother must have one output, one measurement and at most one nonlinearity, got "
+            f"m={own.m}, l={own.l} and g={own.g}"
         )
-    delay = validation.real("smoother.plant.delay", delay, low=0.0)
-    runs, missing = np.array([1.0, float(copy)])[:inputs], 2 - inputs
+    runs, missing = np.array([1.0, float(copy)])[: 1 + own.g], 1 - own.g
     return Estimator(
-        plant=augment(system, delay, order=0),
-        A_c=A_c,
-        B_c=np.pad(B_c * runs, ((0, 0), (0, missing))),
-        C_c=np.pad(C_c * runs[:, None], ((0, missing), (0, 0))),
-        C_f=C_f,
-        C_a=C_a,
+        plant=augment(system, smoother.plant.delay, order=0),
+        A_c=smoother.A_c,
+        B_c=np.pad(smoother.B_c * runs, ((0, 0), (0, missing))),
+        C_c=np.pad(smoother.C_c * runs[:, None], ((0, missing), (0, 0))),
+        C_f=smoother.C_f,
+        C_a=smoother.C_a,
     )
+
+
+@dataclass(frozen=True)
+class StatisticalLinearisation:
+    """The loop with slopes in place of its sines, as `statistical_linearisation` finds them."""
+
+    filtered: float  # mean square errors, rad^2
+    smoothed: float
+    slopes: tuple[float, float]  # of the sine and of its copy in the estimator
+
+
+@one_thread
+def statistical_linearisation(
+    parameters: HomodyneParameters,
+    smoother: Estimator,
+    *,
+    oscillator: str = "filtered",
+    copy: bool = True,
+    shot_noise: float = 1.0,
+) -> StatisticalLinearisation:
+    r"""Predict the errors of the nonlinear loop from slopes that belong to its own variances.
+
+    For a Gaussian argument of variance P, the mean slope of its sine is :math:`e^{-P/2}`.
+
+    Parameters
+    ----------
+    parameters, smoother, oscillator, copy, shot_noise
+        As in `monte_carlo`.
+
+    Returns
+    -------
+    StatisticalLinearisation
+        With the mean square errors ``filtered`` and ``smoothed``, rad^2, and the two ``slopes``.
+
+    Raises
+    ------
+    UnstableLoopError
+        Where no self-consistent variance exists: the linearised loop loses lock.
+
+    See Also
+    --------
+    stationary_errors, simulate : a better approximation; for any system, its equivalent slopes.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    >>> found = rs.statistical_linearisation(rs.homodyne.PAPER, kalman)
+    >>> round(found.slopes[0], 4), round(found.filtered, 4)
+    (0.9569, 0.0881)
+    """
+    loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
+    return linearised(loop)
+
+
+def linearised(loop: Loop) -> StatisticalLinearisation:
+    """Return the errors of a loop with its equivalent slopes."""
+    slopes = loop.equivalent_slopes(tolerance=1e-13)
+    return StatisticalLinearisation(*loop.linear_errors(*slopes), slopes)

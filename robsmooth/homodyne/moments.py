@@ -50,7 +50,6 @@ from scipy.linalg import qr, solve_triangular
 from scipy.sparse.linalg import expm_multiply, splu
 
 from robsmooth._numerics.hermite import HermiteBasis, multiplication_matrix
-from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.tables import Table
@@ -96,8 +95,9 @@ class StationaryErrors:
     --------
     >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
-    >>> rs.stationary_errors(rs.homodyne.PAPER, kalman, degree=8).unknowns
-    24
+    >>> errors = rs.stationary_errors(rs.homodyne.PAPER, kalman)
+    >>> errors.degree, errors.unknowns
+    (14, 63)
     """
 
     smoothed: float
@@ -110,10 +110,9 @@ class StationaryErrors:
     @property
     def _relative_truncation(self) -> float:
         """The larger of both, infinite where the degree had no solution."""
-        if not math.isfinite(self.smoothed_truncation + self.filtered_truncation):
-            return math.inf
-        smoothed = self.smoothed_truncation and self.smoothed_truncation / self.smoothed
-        return max(smoothed, self.filtered_truncation and self.filtered_truncation / self.filtered)
+        smoothed = self.smoothed_truncation / self.smoothed
+        larger = max(smoothed, self.filtered_truncation / self.filtered)
+        return math.inf if math.isnan(larger) else larger
 
     def _rows(self) -> list[tuple[str, str, float]]:
         return [
@@ -150,26 +149,21 @@ class WhitenedLoop:
 def stationary_errors(
     parameters: HomodyneParameters,
     smoother: Estimator,
-    degree: int | None = None,
     *,
     oscillator: str = "filtered",
     copy: bool = True,
-    nonlinearity: str = "difference",
     shot_noise: float = 1.0,
 ) -> StationaryErrors:
     r"""Return the stationary mean square errors of an estimator in the nonlinear loop.
 
     They are those of continuous time, and of a loop in lock. The truncation error is estimated by
-    what the last step of two in the degree changed, or a tenth of the change before that.
+    what the last step of two in the degree changed, or a tenth of the change before that. The
+    degree is the least with a truncation error below 1e-8 of both errors, or the best one with at
+    most 2500 unknowns.
 
     Parameters
     ----------
-    parameters, smoother
-        As in `monte_carlo`.
-    degree : int, optional
-        Total degree of the polynomials, even and at least 4. Default: the least with a truncation
-        error below 1e-8 of both errors, or the best one with at most 2500 unknowns.
-    oscillator, copy, nonlinearity, shot_noise
+    parameters, smoother, oscillator, copy, shot_noise
         As in `monte_carlo`.
 
     Returns
@@ -198,25 +192,14 @@ def stationary_errors(
     >>> print(f"{errors.filtered:.6f} rad^2")
     0.088235 rad^2
     """
-    least = LEAST_DEGREE if degree is None else degree
-    least = validation.integer("degree", least, low=LEAST_DEGREE)
-    if least % 2:
-        raise ValueError(f"degree must be even, got {degree}")
-    loop = homodyne_loop(parameters, smoother, oscillator, copy, nonlinearity, shot_noise)
-    unknowns = _unknowns(1 + loop.order, least)
+    loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
+    unknowns = _unknowns(1 + loop.order, LEAST_DEGREE)
     if unknowns > MOST_UNKNOWNS:
         raise ValueError(
-            f"degree {least} and the {loop.order} states of smoother make {unknowns} unknowns, of "
+            f"the {loop.order} states of smoother make {unknowns} unknowns at the least degree, of "
             f"which at most {MOST_UNKNOWNS} are solved for"
         )
-    problem = whitened(loop)
-    if not problem.drift.size:  # nothing drives the loop
-        return StationaryErrors(0.0, 0.0, 0.0, 0.0, least, 0)
-    if degree is None:
-        result = _converged(problem)
-    else:
-        degrees = range(max(2, least - 4), least + 1, 2)
-        result = _result(problem, [_errors(problem, N) for N in degrees], least)
+    result = _converged(whitened(loop))
     relative = result._relative_truncation
     if not relative <= LARGEST_TRUNCATION:
         raise ArithmeticError(

@@ -12,7 +12,6 @@ and :math:`\sin e = \beta e + f(e)`, the measurement
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,7 +70,12 @@ class HomodyneParameters:
         One uncertainty with zero output, for the process noise (:math:`\Delta_1 = 0`), and one
         nonlinearity, `channel` of :math:`\nu = 2\alpha\gamma\phi` less the filtered estimate of it.
         """
-        return homodyne_system(vars(self), function=self.channel)
+        drive, gain = math.sqrt(self.kappa), 1.0 / (2.0 * self.alpha * self.beta)
+        B1, D21 = [[drive, 0.0]], [[0.0, gain]]
+        process = Uncertainty(B=[[drive]], C=[[0.0]], D=[[0.0]])
+        C = [[2.0 * self.alpha * self.gamma]]
+        sine = Nonlinearity([[0.0]], C, [[gain]], 1.0, self.channel, "filtered")
+        return UncertainSystem([[-self.lam]], B1, [[1.0]], [[1.0]], D21, (process,), (sine,))
 
     def table(self) -> Table:
         """Return Table I."""
@@ -131,13 +135,6 @@ class HomodyneParameters:
             return 0.0
         return math.acos(max(self.lower_slope, -1.0))
 
-    def equivalent_slope(self, variance: float, gain: float = 1.0) -> float:
-        r"""Return :math:`\Delta_2 = (c\,e^{-P/2} - \beta)/\gamma`, statistically equivalent to f.
-
-        P is the variance of the phase error, rad^2, and the detector sees :math:`c\sin e`.
-        """
-        return (gain * math.exp(-0.5 * variance) - self.beta) / self.gamma
-
     def centred(self) -> "HomodyneParameters":
         """Return those with the same lower edge and a sector that ends at 1, or as it is below."""
         if not self.lower_slope < 1.0:
@@ -149,19 +146,6 @@ class HomodyneParameters:
         r"""Return the parameters of a loop whose detector sees :math:`c\sin e`, noise unchanged."""
         gain = validation.positive("gain", gain)
         return replace(self, alpha=gain * self.alpha, beta=self.beta / gain)
-
-
-def homodyne_system(
-    numbers: dict[str, float], shot_noise: float = 1.0, function: Callable | None = None
-) -> UncertainSystem:
-    """Return the system of `HomodyneParameters`, or one without decay or without process noise."""
-    lam, kappa, alpha, beta, gamma = numbers.values()
-    drive, gain = math.sqrt(kappa), 1.0 / (2.0 * alpha * beta)
-    B1, D21 = [[drive, 0.0]], [[0.0, math.sqrt(shot_noise) * gain]]
-    process = Uncertainty(B=[[drive]], C=[[0.0]], D=[[0.0]])
-    C = [[2.0 * alpha * gamma]]
-    sine = Nonlinearity([[0.0]], C, [[gain]], 1.0, function, "filtered")
-    return UncertainSystem([[-lam]], B1, [[1.0]], [[1.0]], D21, (process,), (sine,))
 
 
 def fraction_inside(error_range: float, variance: float) -> float:

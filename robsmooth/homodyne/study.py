@@ -179,9 +179,10 @@ def parameter_study(
                 results.append(result)
                 bar.update()
 
-    nothing, shape = np.full((len(orders), len(lags)), np.nan), tuple(map(len, axes.values()))
+    nothing, shape = [{}] * (len(orders) * len(lags)), tuple(map(len, axes.values()))
+    points = [point for result in results for point in result.get("points", nothing)]
     quantities = {
-        name: np.array([result.get(name, nothing) for result in results]).reshape(shape)
+        name: np.array([point.get(name, np.nan) for point in points]).reshape(shape)
         for name in QUANTITIES
     }
     found = zip(columns, results, strict=True)
@@ -197,14 +198,13 @@ def _column(loop: HomodyneParameters, lags: Axis, orders: Axis, runs: int, seed:
         best = minimize_bound(augment(system, 0.0, 0))
     except InfeasibleDesignError as error:
         return {"failure": str(error)}
-    found = {name: np.full((len(orders), len(lags)), np.nan) for name in QUANTITIES}
-    for (a, order), (b, lag) in product(enumerate(orders), enumerate(lags)):
+    points, optimal = [], baselines.optimal_fixed_lag_error
+    optimum = {"optimal_filtered": optimal(system, 0.0).item()}
+    for order, lag in product(orders, lags):
         smoother = design_smoother(augment(system, lag, order), best.tau, best.multipliers)
-        for name, value in _measure(loop, smoother, runs, seed).items():
-            found[name][a, b] = value
-        found["optimal"][a, b] = baselines.optimal_fixed_lag_error(system, lag)[0, 0]
-    found["optimal_filtered"][:] = baselines.optimal_fixed_lag_error(system, 0.0)[0, 0]
-    return {name: values.tolist() for name, values in found.items()}
+        optimum["optimal"] = optimal(system, lag).item()
+        points.append(_measure(loop, smoother, runs, seed) | optimum)
+    return {"points": points}
 
 
 def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[str, float]:

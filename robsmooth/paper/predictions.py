@@ -1,19 +1,15 @@
 """The designs' errors in the nonlinear loop: simulated, and predicted without sampling."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 
-from robsmooth.analysis.statistical_linearisation import statistical_linearisation
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.homodyne.loop import homodyne_loop, linearised, statistical_linearisation
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.homodyne.parameters import HomodyneParameters
 
-# What of the loop is multiplied, and the matrix of the system that has the root of its power.
-CHANGES = {"power of the shot noise": "D21", "power of the phase noise": "B1"}
-CHANGES |= {"detector gain": None}
+CHANGES = ("power of the shot noise", "power of the phase noise", "detector gain")
 Designs = Mapping[str, Estimator]
 Results = Mapping[str, MonteCarloResult]
 ErrorsByMethod = Mapping[str, Mapping[str, MeanSquare]]  # by the name of an error, and the method
@@ -26,7 +22,7 @@ def errors_by_method(
     found = {}
     for name, design in compared.items():
         moments = stationary_errors(values, design)
-        linearised = statistical_linearisation(design, values.equivalent_slope)
+        approximate = statistical_linearisation(values, design)
         outputs = ("filtered", "smoothed") if design.plant.delay > 0.0 else ("filtered",)
         for output in outputs:
             truncation = getattr(moments, f"{output}_truncation")
@@ -34,7 +30,7 @@ def errors_by_method(
                 "paper's protocol": getattr(published[name], output),
                 "ergodic": getattr(ergodic[name], output),
                 "moments": MeanSquare(getattr(moments, output), truncation),
-                "statistical linearisation": MeanSquare(getattr(linearised, output), 0.0),
+                "statistical linearisation": MeanSquare(getattr(approximate, output), 0.0),
             }
     return found
 
@@ -42,11 +38,7 @@ def errors_by_method(
 def predicted(
     design: Estimator, output: str, change: str, factor: float, values: HomodyneParameters
 ) -> float:
-    """Predict an error of a design in a loop with one number multiplied, a key of CHANGES."""
-    name, slope, plant = CHANGES[change], values.equivalent_slope, design.plant
-    if name is None:
-        slope = partial(slope, gain=factor)
-    else:
-        noise = {name: math.sqrt(factor) * getattr(plant.system, name)}
-        design = replace(design, plant=replace(plant, system=replace(plant.system, **noise)))
-    return getattr(statistical_linearisation(design, slope), output)
+    """Predict an error of a design in a loop with one number multiplied, one of CHANGES."""
+    shot, phase, gain = (factor if change == each else 1.0 for each in CHANGES)
+    loop = homodyne_loop(replace(values, kappa=phase * values.kappa), design, shot_noise=shot)
+    return getattr(linearised(replace(loop, gains=gain * loop.gains)), output)

@@ -9,9 +9,9 @@ from scipy.linalg import block_diag
 from robsmooth import homodyne
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.analysis.covariance import delta_sweep
-from robsmooth.analysis.statistical_linearisation import statistical_linearisation
 from robsmooth.estimators import baselines
 from robsmooth.estimators.smoother import design_smoother
+from robsmooth.homodyne.loop import statistical_linearisation
 from robsmooth.paper import published
 from robsmooth.systems.augmented import AugmentedSystem
 
@@ -73,7 +73,7 @@ def sector(parameters: homodyne.HomodyneParameters = homodyne.PAPER) -> Finding:
     if ratio <= gamma * (1.0 + _EQUAL):
         return True, value, ""
     ngcf, reach = baselines.ngcf(parameters.uncertain_system()), parameters.sector_range()
-    variance = statistical_linearisation(ngcf, parameters.equivalent_slope).filtered
+    variance = statistical_linearisation(parameters, ngcf).filtered
     outside = 1.0 - homodyne.fraction_inside(reach, variance)
     reason = (
         f"gamma = (1 - m)/2 is for a sector around its middle slope (1 + m)/2 = {(1 + m) / 2:.3g}, "

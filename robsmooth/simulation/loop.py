@@ -38,7 +38,7 @@ from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import Reference, matrices, reference_outputs
+from robsmooth.estimators.loop import matrices, reference_outputs
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.functions import on_arrays
 
@@ -46,7 +46,6 @@ Uncertainties = Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]]
 
 _SLOPE_TOLERANCE = 1e-6  # relative to the Lipschitz constant
 _ZERO_DEVIATION = 1e-9  # a deviation below this, relative to its terms, is rounding
-_DRAWS = 64  # of the state, at which functions are compared with their slopes
 
 
 class Function(NamedTuple):
@@ -137,17 +136,6 @@ class NonlinearLoop:
         rates = np.max(speeds, axis=0)[moving] / own[moving]
         return float(rates.max(initial=0.0)) or self.slowest_rate
 
-    @property
-    def is_linear(self) -> bool:
-        """Whether all functions are the slopes that stand in for them, where the loop is at all."""
-        shape = self.stationary_root.shape[1], _DRAWS
-        draws = np.random.default_rng(0).standard_normal(shape)
-        arguments = self.arguments @ self.stationary_root @ draws
-        replaced = np.abs(self._slopes_of_functions) @ np.abs(arguments)
-        with np.errstate(all="ignore"):  # what is not a number is not linear
-            left = np.abs(self.remainder(0.0, arguments))
-        return bool((left <= _ZERO_DEVIATION * replaced).all())
-
     def remainder(self, time: float, arguments: NDArray) -> NDArray:
         """Return rho, (r + 2g, paths), of zeta-tilde, (h + 2g, paths)."""
         result = -self._slopes_of_functions @ arguments
@@ -164,17 +152,12 @@ class NonlinearLoop:
         return result
 
 
-def nonlinear_loop(
-    smoother: Estimator,
-    uncertainties: Uncertainties = (),
-    loop: str = "real",
-    reference: Reference = "system",
-) -> NonlinearLoop:
+def nonlinear_loop(smoother: Estimator, uncertainties: Uncertainties = ()) -> NonlinearLoop:
     """Join a plant and its estimator; see `simulate` for the arguments."""
     validation.instance("smoother", smoother, Estimator)
     plant, system = smoother.plant, smoother.plant.system
     delta, functions = _uncertainties(plant, uncertainties)
-    drift, noise, inputs, outputs = matrices(smoother, loop, reference)
+    drift, noise, inputs, outputs = matrices(smoother, "real", "system")
     functions += _nonlinearities(smoother, outputs)
 
     n, measurements, g = system.n, system.l, system.g
@@ -186,7 +169,7 @@ def nonlinear_loop(
         inputs=np.vstack([inputs[kept], plant.D21_tilde[:measurements]]),
         noise=np.vstack([noise[kept], plant.D21_bar[:measurements]]),
         arguments=outputs[:, kept],
-        reference=np.pad(reference_outputs(smoother, reference), ((0, 0), (n, 0))),
+        reference=np.pad(reference_outputs(smoother, "system"), ((0, 0), (n, 0))),
         readout=block_diag(system.C0, np.vstack([smoother.C_f, smoother.C_a])),
         delta=delta,
         functions=tuple(functions),
@@ -267,14 +250,13 @@ def _nonlinearities(smoother: Estimator, arguments: Matrix) -> list[Function]:
         copied = arguments[h + g + i].any() and smoother.B_c[:, system.l + i].any()
         places = [i, g + i] if copied else [i]
         inputs, outputs = [r + j for j in places], [h + j for j in places]
-        functions.append(Function(inputs, outputs, _elementwise(nonlinearity.function), True))
+        psi = on_arrays(nonlinearity.function)
+
+        def function(_, values, psi=psi):
+            return psi(values.ravel()).reshape(values.shape)
+
+        functions.append(Function(inputs, outputs, function, elementwise=True))
     return functions
-
-
-def _elementwise(function: Callable) -> Callable[[float, NDArray], NDArray]:
-    """Return psi as a `Function` has it."""
-    psi = on_arrays(function)
-    return lambda _, values: psi(values.ravel()).reshape(values.shape)
 
 
 def _ranges(sizes: Sequence[int]) -> list[list[int]]:

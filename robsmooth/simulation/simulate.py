@@ -14,7 +14,6 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import Reference
 from robsmooth.simulation.integrator import ExponentialIntegrator
 from robsmooth.simulation.loop import NonlinearLoop, Uncertainties, nonlinear_loop
 from robsmooth.simulation.statistics import (
@@ -41,8 +40,6 @@ def simulate(
     smoother: Estimator,
     *,
     uncertainties: Uncertainties = (),
-    reference: Reference = "system",
-    loop: str = "real",
     runs: int = 256,
     duration: float | None = None,
     step: float | None = None,
@@ -63,12 +60,6 @@ def simulate(
         Constants of norm at most one, as in `AugmentedSystem.structured_delta`, or functions
         ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s from where averaging
         begins. Left out: zero.
-    reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
-        What is taken off the nonlinearities' arguments, and the copies' (`Nonlinearity`): each
-        one's own reference; that estimate of every argument :math:`\nu_i`, which must be a
-        combination of w; rows that read any other out of the estimator's state; or nothing.
-    loop : {"real", "theory"}
-        Whether the design's fictitious noise drives the copies, as in the theory.
     runs : int, independent paths
     duration : float, optional
         Of a path, without the warm-up, s; in whole steps. Default: 100 times the slowest time
@@ -89,7 +80,8 @@ def simulate(
     InadmissibleWarning
         Where a constraint of the theory, (eqIQC1) to (eqIQC4), does not hold all the time.
     LongStepWarning
-        Where the step is above 1/4 of the response time, and the loop is not linear.
+        Where the step is above 1/4 of the response time, unless all uncertainties are constants and
+        there is no nonlinearity.
 
     Raises
     ------
@@ -113,19 +105,19 @@ def simulate(
     True
     """
     started = time.perf_counter()
-    joined = nonlinear_loop(smoother, uncertainties, loop, reference)
+    joined = nonlinear_loop(smoother, uncertainties)
     progress = validation.boolean("progress", progress)
     duration = _default(joined, TIME_CONSTANTS) if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed)
-    m, checks = run.plant.system.m, np.zeros((3, len(run.plant.M_i)))
-    products, traces = Moments((2, m, m)), Moments(2)
+    checks = np.zeros((3, len(run.plant.M_i)))
+    products = traces = Moments()
     path_steps = run.runs * (run.before + run.steps)
     with progress_bar(total=path_steps, unit="step", unit_scale=True, shown=progress) as bar:
         for first in range(0, run.runs, BLOCK):
             paths = range(first, min(first + BLOCK, run.runs))
             of_errors, of_checks = run.averages(paths, bar)
-            products.add(of_errors)
-            traces.add(np.einsum("eiip->ep", of_errors))
+            products += Moments.of(of_errors)
+            traces += Moments.of(np.einsum("eiip->ep", of_errors))
             checks += of_checks.sum(axis=2) / run.runs
 
     used, allowed, violated = checks
@@ -150,8 +142,6 @@ def sample_paths(
     smoother: Estimator,
     *,
     uncertainties: Uncertainties = (),
-    reference: Reference = "system",
-    loop: str = "real",
     runs: int = 3,
     duration: float | None = None,
     step: float | None = None,
@@ -161,7 +151,7 @@ def sample_paths(
 
     Parameters
     ----------
-    smoother, uncertainties, reference, loop, runs, duration, step, seed
+    smoother, uncertainties, runs, duration, step, seed
         As in `simulate`, and what it raises, too; the default duration is a fifth of that there.
 
     Returns
@@ -179,7 +169,7 @@ def sample_paths(
     >>> rs.sample_paths(kalman, runs=2, duration=1e-4)
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
-    joined = nonlinear_loop(smoother, uncertainties, loop, reference)
+    joined = nonlinear_loop(smoother, uncertainties)
     duration = _default(joined, TIME_CONSTANTS / 5) if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed, measured=True)
     parts = list(run.records(range(run.runs)))
@@ -224,7 +214,7 @@ class _Run:
                 f"{self.before * step:.4g} s: the system grows at a rate of {loop.growth_rate:.4g} "
                 "1/s, and its errors would be lost in rounding"
             )
-        if not loop.is_linear:  # else the scheme is exact
+        if loop.functions:  # else the scheme is exact
             warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
         self.integrator = ExponentialIntegrator(loop, step, measured)
 

@@ -9,7 +9,7 @@ Simulation", Springer, 2007, Section V.2).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,28 +204,27 @@ class SamplePaths:
         )
 
 
+@dataclass(frozen=True, eq=False)
 class Moments:
     """Means and variances of values that come in parts, whatever the parts' sizes."""
 
-    def __init__(self, variables: int | tuple[int, ...]):
-        self.count, self.means = 0, np.zeros(variables)
-        self.squares = np.zeros(variables)  # sums of squared deviations from the mean
+    count: int = 0
+    means: Floats | float = 0.0
+    squares: Floats | float = 0.0  # sums of squared deviations from the mean
 
-    def add(self, values: Floats) -> None:
-        """Add values, (variables, paths)."""
-        added = Moments(values.shape[:-1])
-        if values.shape[-1] > 0:
-            added.count, added.means = values.shape[-1], values.mean(axis=-1)
-            added.squares = ((values - added.means[..., None]) ** 2).sum(axis=-1)
-        self.merge(added)
+    @classmethod
+    def of(cls, values: Floats) -> "Moments":
+        """Return those of values, (variables, paths)."""
+        count = values.shape[-1]
+        means = values.mean(axis=-1) if count else np.zeros(values.shape[:-1])
+        return cls(count, means, ((values - means[..., None]) ** 2).sum(axis=-1))
 
-    def merge(self, other: "Moments") -> None:
-        """Add other values, of which the moments are given (Chan, Golub and LeVeque's update)."""
+    def __add__(self, other: "Moments") -> "Moments":
+        """Return those of the values of both (Chan, Golub and LeVeque's update)."""
         count, shift = self.count + other.count, other.means - self.means
         share = other.count / max(count, 1)
-        self.squares += other.squares + shift**2 * (self.count * share)
-        self.means += shift * share
-        self.count = count
+        squares = self.squares + (other.squares + shift**2 * (self.count * share))
+        return Moments(count, self.means + shift * share, squares)
 
     @property
     def standard_errors(self) -> Floats:
@@ -241,18 +240,6 @@ class Moments:
         error = self.standard_errors[variable]
         return MeanSquare(float(self.means[variable]), float(error), float(gain))
 
-    def state(self) -> dict:
-        """All of it as JSON values, every bit."""
-        return {**vars(self), "means": self.means.tolist(), "squares": self.squares.tolist()}
-
-    @classmethod
-    def from_state(cls, state: dict) -> "Moments":
-        """Return what `state` was taken of."""
-        moments = cls(0)
-        moments.count = state["count"]
-        moments.means, moments.squares = np.array(state["means"]), np.array(state["squares"])
-        return moments
-
 
 def control_weights(values: Floats, controls: Floats) -> Floats:
     """Return weights, (values, controls), of controls that leave least of values: (., paths)."""
@@ -265,38 +252,35 @@ def control_weights(values: Floats, controls: Floats) -> Floats:
     return (weights / scale[:, None]).T
 
 
+@dataclass(frozen=True, eq=False)
 class Tally:
     """All that is kept of the paths: moments of all and of those that never slipped, and slips."""
 
-    def __init__(self, variables: int):
-        self.all, self.locked = Moments(variables), Moments(variables)
-        self.slips = 0
+    all: Moments = Moments()
+    locked: Moments = Moments()
+    slips: int = 0
 
-    def add(self, values: Floats, slips: Floats) -> None:
-        """Add paths: the variables (variables, paths) and the slips (paths,)."""
-        self.all.add(values)
-        self.locked.add(values[:, slips == 0])
-        self.slips += int(slips.sum())
+    @classmethod
+    def of(cls, values: Floats, slips: Floats) -> "Tally":
+        """Return that of paths: the variables (variables, paths) and the slips (paths,)."""
+        return cls(Moments.of(values), Moments.of(values[:, slips == 0]), int(slips.sum()))
 
-    def merge(self, other: "Tally") -> None:
-        """Add the paths of another tally."""
-        self.all.merge(other.all)
-        self.locked.merge(other.locked)
-        self.slips += other.slips
+    def __add__(self, other: "Tally") -> "Tally":
+        """Return that of the paths of both."""
+        all_paths, locked = self.all + other.all, self.locked + other.locked
+        return Tally(all_paths, locked, self.slips + other.slips)
 
     @property
     def slipped_paths(self) -> int:
         """Number of paths that slipped."""
         return self.all.count - self.locked.count
 
-    def state(self) -> dict:
+    def state(self) -> tuple[list, int]:
         """All of it as JSON values, every bit."""
-        return {**vars(self), "all": self.all.state(), "locked": self.locked.state()}
+        *moments, slips = astuple(self)
+        return [[np.asarray(part).tolist() for part in each] for each in moments], slips
 
     @classmethod
-    def from_state(cls, state: dict) -> "Tally":
+    def from_state(cls, moments: list, slips: int) -> "Tally":
         """Return what `state` was taken of."""
-        tally = cls(0)
-        tally.all, tally.locked = (Moments.from_state(state[name]) for name in ("all", "locked"))
-        tally.slips = state["slips"]
-        return tally
+        return cls(*(Moments(count, *map(np.array, rest)) for count, *rest in moments), slips)

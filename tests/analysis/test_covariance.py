@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
-from scipy.optimize import brentq
+from scipy.linalg import block_diag, solve_continuous_lyapunov
 
 import robsmooth as rs
 from robsmooth import (
@@ -20,14 +19,11 @@ from robsmooth import (
     design_smoother,
     error_covariance,
     homodyne,
-    statistical_linearisation,
 )
 from robsmooth.analysis import covariance
 from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators import baselines
 from robsmooth.estimators.loop import LOOPS
-from robsmooth.homodyne.loop import homodyne_loop
-from robsmooth.paper import published
 from tests.helpers.strategies import (
     admissible_delta,
     designs,
@@ -325,7 +321,6 @@ def test_wrong_arguments_are_errors(example):
     for call in (
         lambda: error_covariance(example.plant, zero),
         lambda: delta_sweep(example.plant, [0.0]),
-        lambda: statistical_linearisation(None, lambda P: 0.0),
     ):
         with pytest.raises(TypeError, match="smoother must be an Estimator"):
             call()
@@ -369,196 +364,6 @@ def test_error_of_the_guarantee_is_the_filtered_one_or_that_against_the_delay_mo
     expected = error @ closed_loop(design, Delta).covariance() @ error.T
     assert_allclose(error_covariance(design, Delta, "guaranteed"), expected, rtol=1e-9)
     assert found[0, 0] <= example.mean_square_bound
-
-
-# --- statistical linearisation ------------------------------------------------------------------
-
-
-def test_statistical_linearisation_is_a_fixed_point(example):
-    found = statistical_linearisation(example, homodyne.PAPER.equivalent_slope)
-    slope = (math.exp(-found.filtered / 2) - 1) / 0.4
-    assert found.slope == pytest.approx(slope, rel=1e-12)
-    Delta = np.diag([0.0, slope, found.copy_slope])
-    for output in ("filtered", "smoothed"):
-        P = error_covariance(example, Delta, output, loop="real", reference="filtered")
-        assert getattr(found, output) == pytest.approx(P[0, 0], rel=1e-12)
-
-
-@pytest.mark.parametrize("oscillator", ["filtered", "smoothed"])
-@pytest.mark.parametrize("name", ["smoother, as printed", "Kalman-Bucy"])
-def test_statistical_linearisation_is_that_of_the_homodyne_loop(name, oscillator):
-    """With slopes of its own for the detector and the copy."""
-    design = published.designs()[name]
-    found = statistical_linearisation(design, homodyne.PAPER.equivalent_slope, oscillator)
-    loop = homodyne_loop(homodyne.PAPER, design, oscillator=oscillator)
-    slopes = 1.0 + 0.4 * np.array([found.slope, found.copy_slope])
-    assert_allclose(slopes, loop.equivalent_slopes(), rtol=1e-10)
-    P = loop.covariance(*slopes)
-    A = loop.linearised_drift(*slopes)
-    error, later = np.array([1.0, *-loop.readout[0]]), np.array([0.0, *loop.readout[1]])
-    assert found.filtered == pytest.approx(error @ P @ error, rel=1e-10)
-    smoothed = P[0, 0] - 2 * later @ expm(A * loop.delay) @ P[:, 0] + later @ P @ later
-    assert found.smoothed == pytest.approx(smoothed, rel=1e-9)
-
-
-def test_statistical_linearisation_without_a_reference_is_of_the_whole_phase(example):
-    phase = homodyne.PAPER.kappa / (2 * homodyne.PAPER.lam)
-    estimator = baselines.kalman_bucy(homodyne.PAPER.uncertain_system())
-    found = statistical_linearisation(estimator, homodyne.PAPER.equivalent_slope, None)
-    assert found.slope == pytest.approx(homodyne.PAPER.equivalent_slope(phase), rel=1e-12)
-    by_loop = statistical_linearisation(estimator, homodyne.PAPER.equivalent_slope)
-    assert found.filtered > 5 * by_loop.filtered
-
-
-def test_statistical_linearisation_of_a_loop_is_the_same_with_copies_at_the_reference():
-    system = homodyne.PAPER.uncertain_system()
-    plain, copies = (
-        statistical_linearisation(
-            baselines.fixed_lag_smoother(system, 3.1e-6, 2, copies=copies),
-            homodyne.PAPER.equivalent_slope,
-        )
-        for copies in (False, True)
-    )
-    for name in ("slope", "filtered", "smoothed"):
-        assert getattr(plain, name) == pytest.approx(getattr(copies, name), rel=1e-12)
-
-
-@pytest.mark.parametrize("rate", [0.5, 5.0, 50.0])
-def test_statistical_linearisation_of_a_hardening_nonlinearity_is_found(rate):
-    """Its slope rises as the error falls: a plain iteration swings ever further to both sides."""
-    estimator = baselines.kalman_bucy(homodyne.PAPER.uncertain_system())
-
-    def slope(variance):
-        return rate * variance
-
-    found = statistical_linearisation(estimator, slope)
-
-    def error(variance):
-        Delta = estimator.plant.structured_delta((), [slope(variance)])
-        P = error_covariance(
-            estimator, Delta, "filtered", "real", allow_inadmissible=True, reference="filtered"
-        )
-        return P[0, 0] - variance
-
-    assert found.filtered == pytest.approx(brentq(error, 0.0, 1.0, xtol=1e-15), rel=1e-9)
-
-
-def test_statistical_linearisation_of_a_constant_slope_is_linear(example):
-    found = statistical_linearisation(example, lambda variance: -0.3, None)
-    P = delta_sweep(example, [-0.3], "filtered", loop="real")[0, 0, 0]
-    assert found.filtered == pytest.approx(P, rel=1e-9)
-    assert found.slope == -0.3
-
-
-def test_statistical_linearisation_without_a_fixed_point_is_an_error(example):
-    with pytest.raises(UnstableLoopError):
-        # the loop's gain falls faster than its error can follow
-        statistical_linearisation(example, lambda variance: -40.0 * variance)
-
-
-@pytest.mark.parametrize("unit", [1e-9, 1e9])
-def test_statistical_linearisation_does_not_depend_on_the_unit_of_w(example, unit):
-    plain = statistical_linearisation(example, homodyne.PAPER.equivalent_slope)
-    system = homodyne.PAPER.uncertain_system()
-    scaled = augment(replace(system, C0=system.C0 * unit), 3.1e-6, 2)
-    tau, multipliers = NEAR_INFIMUM
-    found = statistical_linearisation(
-        design_smoother(scaled, tau * unit**2, multipliers),
-        lambda variance: homodyne.PAPER.equivalent_slope(variance / unit**2),
-    )
-    assert found.slope == pytest.approx(plain.slope, rel=1e-9)
-    assert found.filtered / unit**2 == pytest.approx(plain.filtered, rel=1e-9)
-    assert found.smoothed / unit**2 == pytest.approx(plain.smoothed, rel=1e-9)
-
-
-def test_statistical_linearisation_wants_a_function_with_real_values(example):
-    for wrong in (None, -0.3, "slope"):
-        with pytest.raises(TypeError, match=r"^equivalent_slope must be callable, got"):
-            statistical_linearisation(example, wrong)
-    for value, error in ((None, TypeError), (np.nan, ValueError), (np.zeros(1), TypeError)):
-        with pytest.raises(error, match=r"^equivalent_slope of a variance must be"):
-            statistical_linearisation(example, lambda variance, value=value: value)
-
-
-def test_statistical_linearisation_that_runs_away_is_an_error(example):
-    # with slopes towards the loop's instability, such that the error is always above the variance
-    def loop(slope):
-        Delta = example.plant.structured_delta((), [slope])
-        return closed_loop(example, Delta, loop="real", allow_inadmissible=True)
-
-    def error(slope):
-        return loop(slope).error_covariance("filtered")[0, 0]
-
-    def is_stable(slope):
-        try:
-            return bool(loop(slope))
-        except UnstableLoopError:
-            return False
-
-    stable, unstable = 0.0, -100.0
-    for _ in range(40):
-        middle = (stable + unstable) / 2
-        stable, unstable = (middle, unstable) if is_stable(middle) else (stable, middle)
-    start = error(0.0)
-    assert error(stable) > 1e5 * start
-
-    def runaway(variance):
-        return brentq(lambda slope: error(slope) - start - 2 * variance, stable, 0.0)
-
-    with pytest.raises(UnstableLoopError, match="the statistically linear loop diverges"):
-        statistical_linearisation(example, runaway)
-
-
-def test_statistical_linearisation_wants_one_output_and_one_nonlinearity(general):
-    with pytest.raises(ValueError, match="m=2 and g=2"):
-        statistical_linearisation(general, homodyne.PAPER.equivalent_slope)
-    system = homodyne.PAPER.uncertain_system()
-    wide = replace(
-        system,
-        A=-9e3 * np.eye(2),
-        B1=200 * np.eye(2),
-        C0=np.eye(1, 2),
-        C2=np.eye(1, 2),
-        uncertainties=(),
-        nonlinearities=[replace(system.nonlinearities[0], B=np.zeros((2, 1)), C=[[0.0, 900.0]])],
-    )
-    with pytest.raises(ValueError, match=r"must be a multiple of the output w.*got C = \[ *0"):
-        statistical_linearisation(baselines.kalman_bucy(wide), homodyne.PAPER.equivalent_slope)
-
-
-def test_statistical_linearisation_predicts_the_nonlinear_loop():
-    # The Kalman filter's loop with the sine itself, in units of its own: e = phi - phi_hat obeys
-    # d(phi) = -a phi dt + dV,  d(phi_hat) = -a phi_hat dt + L (sin e dt + sqrt(r) dW).
-    # Its oscillator follows phi_hat: in the terms of the plant, it subtracts a copy of its own.
-    a, kappa, r = 9.14e3, 4e4, (2 * 1162.0) ** -2
-    L = np.sqrt(a * a + kappa / r) - a
-    kalman = baselines.kalman_bucy(homodyne.PAPER.uncertain_system())
-    in_loop = replace(
-        kalman,
-        B_c=np.array([[L, -L * np.sqrt(r)]]),
-        C_c=np.array([[1.0], [2 * 1162.0 * 0.4]]),
-    )
-    found = statistical_linearisation(in_loop, homodyne.PAPER.equivalent_slope)
-    rng = np.random.default_rng(7)
-    step, runs, steps = 0.02 / L, 4000, 2000
-    phi = rng.standard_normal(runs) * np.sqrt(kappa / (2 * a))
-    estimate = phi.copy()
-    total = np.zeros(runs)
-    for index in range(steps):
-        noise = rng.standard_normal((2, runs)) * np.sqrt(step)
-        rate = L * (np.sin(phi - estimate) * step + np.sqrt(r) * noise[1])
-        estimate += -a * estimate * step + rate
-        phi += -a * phi * step + np.sqrt(kappa) * noise[0]
-        if index >= steps // 4:
-            total += (phi - estimate) ** 2
-    means = total / (steps - steps // 4)
-    error, deviation = means.mean(), means.std() / np.sqrt(runs)
-    # Euler's step adds a relative L step / 2 = 1%, of which 1 sigma here is half; the method
-    # itself is good to 1%. Four sigma beyond both, at a fixed seed: no false alarms.
-    assert abs(error - found.filtered * (1 + L * step / 2)) < 0.01 * error + 4 * deviation
-    assert deviation < 0.005 * error
-    linear = L * r
-    assert found.filtered > 1.03 * linear  # and linear theory would not do
 
 
 @given(st.floats(-1.0, 1.0))

@@ -576,7 +576,7 @@ def test_in_the_homodyne_loop_its_errors_are_those_that_are_predicted():
     """Step by step in the loop: the oscillator has the filtered estimate for the next sample."""
     p = homodyne.PAPER
     estimator = baselines.fixed_lag_smoother(p.uncertain_system(), 3.1e-6, 2, copies=True)
-    expected = statistical_linearisation(estimator, p.equivalent_slope)
+    expected = statistical_linearisation(p, estimator)
     dt, lag, samples, fine = 1e-7, 31, 30_000, 4
     alpha, beta = p.alpha, p.beta
     scale, slope = 2 * alpha * p.gamma, 2 * alpha * beta

@@ -5,17 +5,33 @@ would fail a comparison at `SIGMAS` = 4.5 standard errors once in 150 000 times.
 """
 
 import json
-import types
+from contextlib import contextmanager
+from dataclasses import replace
 
+import numba
 import numpy as np
 from scipy.linalg import solve_continuous_are
 
 from robsmooth import Estimator, UncertainSystem, Uncertainty, augment
+from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.montecarlo import noise
 from robsmooth.homodyne.montecarlo.noise import BLOCK
 
 SIGMAS = 4.5
-PARAMETERS = types.SimpleNamespace(lam=9.14e3, kappa=4e4, alpha=1162.0, beta=1.0, gamma=0.4)
+
+
+@contextmanager
+def threads_of_kernels(count):
+    """Have kernels use so many threads; None changes nothing."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
+
+
+PARAMETERS = PAPER
 QUIET = 1e-4  # noise power at which the loop is linear: sin e differs from e by a relative 1e-6
 
 
@@ -24,19 +40,28 @@ def quiet(parameters):
 
 
 def with_parameters(**values):
-    return types.SimpleNamespace(**{**vars(PARAMETERS), **values})
+    return replace(PARAMETERS, **values)
+
+
+def for_the_loop(delay, A_c, B_c, C_c, C_a):
+    """An estimator of the phase, of any order, with a copy or without."""
+    system = PARAMETERS.uncertain_system()
+    if len(C_c) == 1:
+        system = replace(system, nonlinearities=())
+    matrices = {"A_c": A_c, "B_c": B_c, "C_c": C_c, "C_a": C_a, "C_f": C_c[:1].copy()}
+    return Estimator(plant=augment(system, delay, order=0), **matrices)
 
 
 def printed_smoother(delay=3.1e-6):
     """The estimator printed in Section IV-B, in the paper's coordinates of the delay model."""
-    return types.SimpleNamespace(
+    return for_the_loop(
+        delay,
         A_c=np.array(
             [[-4.58e5, -0.09, -7.14], [1.93e3, -1.93e6, -1.19e6], [-550.1, 1.0486e6, -0.01]]
         ),
         B_c=np.array([[4.45e5, -190.97], [120.98, -0.052], [545.41, -0.233]]),
         C_c=np.array([[1.02, 4.21e-7, 3.23e-5], [944.68, 3.9e-4, 0.0299]]),
         C_a=np.array([[1.0, -(12 / 3.1e-6) / 2048, 0.0]]),
-        plant=types.SimpleNamespace(delay=delay),
     )
 
 
@@ -45,17 +70,7 @@ def kalman_filter(parameters=PARAMETERS, delay=0.0):
     intensity = (2 * parameters.alpha * parameters.beta) ** -2
     P = solve_continuous_are([[-parameters.lam]], [[1.0]], [[parameters.kappa]], [[intensity]])
     gain = P / intensity
-    return types.SimpleNamespace(
-        A_c=-parameters.lam - gain,
-        B_c=gain,
-        C_c=np.ones((1, 1)),
-        C_a=np.ones((1, 1)),
-        plant=types.SimpleNamespace(delay=delay),
-    )
-
-
-def changed(estimator, **matrices):
-    return types.SimpleNamespace(**{**vars(estimator), **matrices})
+    return for_the_loop(delay, -parameters.lam - gain, gain, np.ones((1, 1)), np.ones((1, 1)))
 
 
 def gaussians(seed, first_path, steps):

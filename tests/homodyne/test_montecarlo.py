@@ -9,7 +9,7 @@ import math
 import os
 import subprocess
 import sys
-import types
+from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -19,9 +19,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from robsmooth._support.errors import LongStepWarning, UnstableLoopError
-from robsmooth.estimators.baselines import fixed_lag_smoother
+from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.homodyne import PAPER
-from robsmooth.homodyne.loop import OSCILLATORS, homodyne_loop
+from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo import (
     LossOfLockWarning,
     MeanSquare,
@@ -33,17 +33,18 @@ from robsmooth.homodyne.montecarlo import (
 )
 from robsmooth.homodyne.montecarlo.euler import CHUNK, SLIPS
 from robsmooth.homodyne.montecarlo.noise import BLOCK
-from robsmooth.homodyne.montecarlo.protocols import ErgodicSimulation, PaperSimulation
+from robsmooth.homodyne.montecarlo.protocols import PaperSimulation
 from tests.helpers.loops import (
     PARAMETERS,
     QUIET,
     assert_within,
-    changed,
+    for_the_loop,
     gaussians,
     kalman_filter,
     printed_smoother,
     quiet,
     same_numbers,
+    threads_of_kernels,
     with_parameters,
 )
 
@@ -64,7 +65,7 @@ def plain_euler(parameters, estimator, draws, step, options):
     looks = {*range(CHUNK, first, CHUNK), first, *range(first + CHUNK, steps, CHUNK), steps}
     oscillator, scale = options.get("oscillator", "filtered"), 2 * p.alpha * p.gamma
     copies = estimator.C_c.shape[0] == 2 and options.get("copy", True)
-    difference = 0.0 if options.get("nonlinearity") == "literal" else 1.0
+    difference = 0.0 if options.get("oscillator") == "none" else 1.0
     strength = math.sqrt(options.get("shot_noise", 1.0))
 
     def f(e):
@@ -78,7 +79,7 @@ def plain_euler(parameters, estimator, draws, step, options):
         phases.append(phase)
         w, w_smoothed = estimator.C_c[0] @ x, estimator.C_a[0] @ x
         copied = estimator.C_c[-1] @ x / scale
-        u = {"filtered": w, "smoothed": w_smoothed, "copy": copied}[oscillator]
+        u = {"filtered": w, "none": w, "smoothed": w_smoothed, "copy": copied}[oscillator]
         if step_index in looks:
             away = phase - u - 2 * np.pi * turns
             turns += np.sign(away) * (np.abs(away) > 1.5 * np.pi)
@@ -105,10 +106,9 @@ def plain_euler(parameters, estimator, draws, step, options):
         {},
         {"oscillator": "smoothed"},
         {"oscillator": "copy"},
-        {"oscillator": "copy", "nonlinearity": "literal"},
         {"copy": False},
-        {"nonlinearity": "literal"},
-        {"nonlinearity": "literal", "copy": False},
+        {"oscillator": "none"},
+        {"oscillator": "none", "copy": False},
         {"shot_noise": 30.0},
         {"oscillator": "smoothed", "shot_noise": 5.0},
     ],
@@ -124,9 +124,10 @@ def test_kernel_agrees_with_a_plain_euler_loop_on_the_same_noise(options):
 def test_an_oscillator_at_the_copy_is_one_at_the_estimate_that_the_copy_is_of():
     design = fixed_lag_smoother(PAPER.uncertain_system(), 3.1e-6, order=2, copies=True)
     how = {"protocol": "paper", "runs": 64, "duration": 2e-5, "step": 1e-8, "seed": 3}
-    by_name = {o: monte_carlo(PARAMETERS, design, oscillator=o, **how) for o in OSCILLATORS}
+    names = ("filtered", "smoothed", "copy")
+    by_name = {o: monte_carlo(PARAMETERS, design, oscillator=o, **how) for o in names}
     for output in ("filtered", "smoothed"):
-        filtered, smoothed, copied = (getattr(by_name[o], output).mean_square for o in OSCILLATORS)
+        filtered, smoothed, copied = (getattr(by_name[o], output).mean_square for o in names)
         assert copied == pytest.approx(filtered, rel=1e-6)
         assert smoothed != pytest.approx(filtered, rel=1e-3)
 
@@ -175,7 +176,8 @@ def test_result_is_the_same_to_the_bit_for_any_threads(monkeypatch, protocol, gr
     arguments = {"protocol": protocol, "runs": 1333, "duration": 2e-5, "seed": 4}
     expected = same_numbers(monte_carlo(PARAMETERS, printed_smoother(), **arguments))
     for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):
-        result = monte_carlo(PARAMETERS, printed_smoother(), threads=threads, **arguments)
+        with threads_of_kernels(threads):
+            result = monte_carlo(PARAMETERS, printed_smoother(), **arguments)
         assert same_numbers(result) == expected
 
 
@@ -183,7 +185,7 @@ def test_result_is_the_same_to_the_bit_with_more_threads_than_cores():
     script = (
         "from robsmooth.homodyne.montecarlo import monte_carlo\n"
         "from tests.homodyne.test_montecarlo import PARAMETERS, printed_smoother, same_numbers\n"
-        "r = monte_carlo(PARAMETERS, printed_smoother(), runs=1333, duration=2e-5, threads=7)\n"
+        "r = monte_carlo(PARAMETERS, printed_smoother(), runs=1333, duration=2e-5)\n"
         "print(same_numbers(r))"
     )
     environment = dict(
@@ -194,17 +196,6 @@ def test_result_is_the_same_to_the_bit_with_more_threads_than_cores():
     )
     here = monte_carlo(PARAMETERS, printed_smoother(), runs=1333, duration=2e-5)
     assert done.stdout.strip() == same_numbers(here)
-
-
-def test_threads_are_set_back_after_an_interruption(monkeypatch):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    before = numba.get_num_threads()
-    monkeypatch.setattr(ErgodicSimulation, "simulate", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        monte_carlo(PARAMETERS, printed_smoother(), threads=1)
-    assert numba.get_num_threads() == before
 
 
 @pytest.mark.parametrize("kernel", [euler.simulate_blocks, splitting.simulate_blocks])
@@ -254,7 +245,8 @@ def linear_mean_squares(P, to_delayed, estimator):
 )
 def test_linear_loop_has_the_variances_of_the_lyapunov_equation(estimator, step):
     parameters = quiet(PARAMETERS)
-    estimator = changed(estimator, B_c=estimator.B_c[:, :1], C_c=estimator.C_c[:1])
+    without = estimator.A_c, estimator.B_c[:, :1].copy(), estimator.C_c[:1], estimator.C_a
+    estimator = for_the_loop(estimator.plant.delay, *without)
     A, Q = linear_loop(parameters, estimator, QUIET)
     transition = np.eye(len(A)) + A * step
     P = solve_discrete_lyapunov(transition, Q * step)
@@ -324,7 +316,7 @@ def test_literal_nonlinearity_loses_lock():
     arguments = {"runs": 500, "duration": 2e-4, "step": 3.1e-8}
     with pytest.warns(LossOfLockWarning, match="cycle slips in"):
         literal = monte_carlo(
-            PARAMETERS, printed_smoother(), "paper", nonlinearity="literal", **arguments
+            PARAMETERS, printed_smoother(), "paper", oscillator="none", **arguments
         )
     assert literal.slipped_paths > 100
     assert literal.filtered.mean_square > 1
@@ -350,20 +342,18 @@ def test_result_does_not_depend_on_the_unit_of_time():
     arguments = {"runs": 64, "duration": 5e-5}
     seconds = monte_carlo(parameters, estimator, **arguments)
     unit = 2.0**-20
-    parameters = types.SimpleNamespace(
+    parameters = with_parameters(
         lam=parameters.lam * unit,
         kappa=parameters.kappa * unit,
         alpha=parameters.alpha * math.sqrt(unit),
-        beta=1.0,
-        gamma=0.4,
     )
     root = math.sqrt(unit)
-    estimator = changed(
-        estimator,
-        A_c=estimator.A_c * unit,
-        B_c=estimator.B_c * [unit, root],
-        C_c=estimator.C_c * [[1], [root]],
-        plant=types.SimpleNamespace(delay=3.1e-6 / unit),
+    estimator = for_the_loop(
+        3.1e-6 / unit,
+        estimator.A_c * unit,
+        estimator.B_c * [unit, root],
+        estimator.C_c * [[1], [root]],
+        estimator.C_a,
     )
     other = monte_carlo(parameters, estimator, runs=64, duration=5e-5 / unit)
     assert other.smoothed.mean_square == pytest.approx(seconds.smoothed.mean_square, rel=1e-9)
@@ -402,13 +392,13 @@ def test_progress_bar_changes_nothing(terminal):
     assert same_numbers(shown) == same_numbers(silent)
 
 
-def test_filtered_row_is_used_where_there_is_one():
-    estimator = changed(printed_smoother(), C_f=np.array([[1.0, 0.0, 0.0]]))
+def test_the_filtered_read_out_steers_the_oscillator():
+    estimator = replace(printed_smoother(), C_f=np.array([[1.0, 0.0, 0.0]]))
     assert_array_equal(homodyne_loop(PARAMETERS, estimator).readout[2], [1, 0, 0])
 
 
 def test_overflow_names_the_first_path():
-    unstable = changed(printed_smoother(0.0), A_c=1e6 * np.eye(3))
+    unstable = replace(printed_smoother(0.0), A_c=1e6 * np.eye(3))
     with pytest.raises(RuntimeError) as caught:
         monte_carlo(PARAMETERS, unstable, "paper", runs=64, step=2e-8, duration=1e-3)
     for part in ("path 0 of seed 0 overflowed", "kappa=40000", "alpha=1162", "step, 2e-08 s"):
@@ -430,7 +420,7 @@ def test_path_that_is_not_a_number_is_named_with_its_parameters(monkeypatch, bad
 
 
 def test_unstable_estimator_is_refused_or_overflows():
-    unstable = changed(kalman_filter(), A_c=np.array([[1e6]]))
+    unstable = replace(kalman_filter(), A_c=np.array([[1e6]]))
     with pytest.raises(UnstableLoopError, match="decay rate"):
         monte_carlo(PARAMETERS, unstable)
     with pytest.raises(RuntimeError, match="the estimator is unstable"):
@@ -455,7 +445,6 @@ def test_step_that_does_not_divide_the_delay_is_told_what_would():
         ({"protocol": "Paper"}, ValueError, "protocol must be one of 'ergodic', 'paper'"),
         ({"precision": "double"}, ValueError, "precision must be one of 'mixed', 'single'"),
         ({"oscillator": "w"}, ValueError, "oscillator must be one of"),
-        ({"nonlinearity": "sin"}, ValueError, "nonlinearity must be one of"),
         ({"copy": 1}, TypeError, "copy must be True or False, got 1"),
         ({"progress": "yes"}, TypeError, "progress must be True or False"),
         ({"runs": 0}, ValueError, "runs must be an integer of at least 1, got 0"),
@@ -479,9 +468,6 @@ def test_step_that_does_not_divide_the_delay_is_told_what_would():
         ({"seed": 2**64}, ValueError, r"seed must be below 2\*\*64"),
         ({"shot_noise": -1.0}, ValueError, "shot_noise must be"),
         ({"shot_noise": math.nan}, ValueError, "shot_noise must be finite"),
-        ({"threads": 0}, ValueError, "threads must be an integer of at least 1"),
-        ({"threads": 10_000}, ValueError, "threads must be at most"),
-        ({"threads": 1.0}, TypeError, "threads must be an integer"),
     ],
     ids=str,
 )
@@ -490,41 +476,16 @@ def test_bad_arguments_are_refused(arguments, error, message):
         monte_carlo(PARAMETERS, printed_smoother(), **arguments)
 
 
-@pytest.mark.parametrize(
-    ("matrices", "error", "message"),
-    [
-        ({"A_c": np.full((3, 3), np.nan)}, ValueError, "smoother.A_c must be finite"),
-        ({"A_c": np.eye(3) * 1j}, ValueError, "smoother.A_c must be real"),
-        ({"A_c": np.zeros((3, 2))}, ValueError, "smoother.A_c must be square"),
-        ({"B_c": np.zeros((2, 2))}, ValueError, "smoother.B_c must have shape"),
-        ({"B_c": np.zeros((3, 1))}, ValueError, "one measurement"),
-        ({"B_c": np.zeros((3, 3)), "C_c": np.zeros((3, 3))}, ValueError, "one measurement"),
-        ({"C_c": np.zeros(3)}, ValueError, "smoother.C_c must have 2 dimension"),
-        ({"C_a": np.zeros((2, 3))}, ValueError, "one output"),
-        ({"C_f": np.zeros((2, 3))}, ValueError, "one output"),
-        ({"plant": types.SimpleNamespace(delay=-1.0)}, ValueError, "plant.delay must be"),
-        ({"plant": None}, TypeError, "smoother must be an estimator"),
-    ],
-    ids=str,
-)
-def test_bad_estimators_are_refused(matrices, error, message):
-    with pytest.raises(error, match=message):
-        monte_carlo(PARAMETERS, changed(printed_smoother(), **matrices))
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "error"),
-    [
-        ("lam", -1.0, ValueError),
-        ("kappa", math.inf, ValueError),
-        ("alpha", 0.0, ValueError),
-        ("beta", "1", TypeError),
-        ("gamma", 0.0, ValueError),
-    ],
-)
-def test_bad_parameters_are_refused(name, value, error):
-    parameters = with_parameters(**{name: value})
-    with pytest.raises(error, match=rf"parameters\.{name} must be"):
-        monte_carlo(parameters, printed_smoother())
-    with pytest.raises(TypeError, match="parameters must be HomodyneParameters"):
-        monte_carlo({"lam": 1}, printed_smoother())
+def test_bad_estimators_and_parameters_are_refused():
+    system = PAPER.uncertain_system()
+    two_outputs = kalman_bucy(replace(system, C0=[[1.0], [2.0]]))
+    two_copies = kalman_bucy(replace(system, nonlinearities=2 * system.nonlinearities))
+    for smoother, error, message in [
+        (two_outputs, ValueError, "one output, one measurement and at most .* got m=2, l=1 and g"),
+        (two_copies, ValueError, "at most one nonlinearity, got m=1, l=1 and g=2"),
+        (None, TypeError, "smoother must be an Estimator, got NoneType"),
+    ]:
+        with pytest.raises(error, match=message):
+            monte_carlo(PARAMETERS, smoother)
+    with pytest.raises(TypeError, match="parameters must be a HomodyneParameters, got dict"):
+        monte_carlo(vars(PARAMETERS), printed_smoother())

@@ -152,16 +152,6 @@ def test_slopes_of_the_sector():
     assert (1 - PAPER.sector_slope) / 2 == pytest.approx(PAPER.gamma)
 
 
-@pytest.mark.parametrize("variance", [1e-6, 0.05, 0.5])
-def test_equivalent_slope_is_the_gaussian_mean_of_the_slope(variance):
-    # Gauss-Hermite; also E[e sin e]/P, the gain of statistical linearisation
-    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
-    errors, weights = math.sqrt(variance) * nodes, weights / math.sqrt(2 * math.pi)
-    gain = weights @ (errors * np.sin(errors)) / variance
-    assert PAPER.beta + PAPER.gamma * PAPER.equivalent_slope(variance) == pytest.approx(gain)
-    assert gain == pytest.approx(weights @ np.cos(errors))
-
-
 def test_fraction_inside_by_sampling():
     rng = np.random.default_rng(0)
     errors = 0.3 * rng.standard_normal(100_000)

@@ -13,6 +13,7 @@ import threading
 import types
 import warnings
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -24,11 +25,15 @@ import robsmooth as rs
 from robsmooth._support import cluster as cluster_module
 from robsmooth._support.checkpoint import CheckpointError
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, run
-from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK, PROTOCOLS, ErgodicSimulation
+from robsmooth.homodyne.montecarlo.protocols import (
+    PILOT_BLOCK,
+    PROTOCOLS,
+    ErgodicSimulation,
+)
 from robsmooth.simulation.statistics import Tally
 from tests.helpers.checkpoints import largest_file, records
 from tests.helpers.clusters import cluster_of_threads, start_cluster
-from tests.helpers.loops import changed, printed_smoother, same_numbers, with_parameters
+from tests.helpers.loops import printed_smoother, same_numbers, threads_of_kernels, with_parameters
 from tests.helpers.waiting import PATIENCE, wait_until
 
 NOISY = with_parameters(kappa=4e5)
@@ -39,10 +44,10 @@ WITH_THE_TESTS = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parent
 each_protocol = pytest.mark.parametrize("protocol", ["paper", "ergodic"])
 
 
-def simulate(protocol="ergodic", parameters=NOISY, estimator=None, **arguments):
+def simulate(protocol="ergodic", parameters=NOISY, estimator=None, threads=None, **arguments):
     """The numbers of a small run, as a text of all their bits."""
     arguments = {"runs": RUNS, "duration": 2e-5} | arguments
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), threads_of_kernels(threads):
         warnings.simplefilter("ignore", LossOfLockWarning)
         result = rs.monte_carlo(parameters, estimator or printed_smoother(), protocol, **arguments)
     return same_numbers(result)
@@ -75,12 +80,12 @@ def merging(monkeypatch):
     """Counts the blocks that are merged, wherever simulated; calls `before[n]()` before block n."""
     merging = types.SimpleNamespace(count=0, before={})
 
-    def noted(*arguments, merge=Tally.merge):
+    def noted(*arguments, merge=Tally.__add__):
         merging.before.pop(merging.count, lambda: None)()
         merging.count += 1
-        merge(*arguments)
+        return merge(*arguments)
 
-    monkeypatch.setattr(Tally, "merge", noted)
+    monkeypatch.setattr(Tally, "__add__", noted)
     return merging
 
 
@@ -193,17 +198,18 @@ for _ in range(2):
 def test_a_full_disk_is_a_clear_error_and_the_run_resumes_once_there_is_room(
     protocol, path, simulated
 ):
-    expected = simulate(protocol)
+    many, blocks = 4 * RUNS, 42
+    expected = simulate(protocol, runs=many)
     with (
         pytest.raises(OSError, match=r"run\.checkpoint takes no more, .*; .* the same run resumes"),
         largest_file(12_000),
     ):
-        simulate(protocol, checkpoint=path, threads=1)
+        simulate(protocol, runs=many, checkpoint=path, threads=1)
     kept = records(path)
-    assert 1 < kept < BLOCKS
+    assert 1 < kept < blocks
     simulated.clear()
-    assert simulate(protocol, checkpoint=path) == expected
-    assert simulated == [*range(kept, BLOCKS)]
+    assert simulate(protocol, runs=many, checkpoint=path) == expected
+    assert simulated == [*range(kept, blocks)]
 
 
 def test_a_damaged_checkpoint_is_refused_and_never_taken_for_a_result(path, simulated):
@@ -267,7 +273,7 @@ def test_a_checkpoint_of_another_estimator_is_refused(path, simulated, matrix):
     simulate(checkpoint=path)
     simulated.clear()
     other = printed_smoother()
-    other = changed(other, **{matrix: getattr(other, matrix) * (1 + 1e-15)})
+    other = replace(other, **{matrix: getattr(other, matrix) * (1 + 1e-15)})
     with pytest.raises(CheckpointError, match=r"estimator_sha256 is .* there and .* here"):
         simulate(estimator=other, checkpoint=path)
     assert simulated == []
@@ -389,7 +395,7 @@ def test_a_run_moves_between_this_machine_and_a_cluster(protocol, client, path, 
 
 
 def test_a_path_that_overflows_is_named_from_a_cluster_as_from_here(client):
-    errors, unstable = [], changed(printed_smoother(), A_c=1e6 * np.eye(3))
+    errors, unstable = [], replace(printed_smoother(), A_c=1e6 * np.eye(3))
     for where in (None, client):
         with pytest.raises(RuntimeError, match=r"path 0 of seed 0 overflowed, with lam=") as caught:
             simulate("paper", estimator=unstable, step=3.1e-8, duration=1e-3, client=where)
@@ -414,13 +420,4 @@ def test_a_cluster_that_is_lost_leaves_a_checkpoint_to_resume_from(path, merging
 def test_what_is_no_client_is_refused(simulated):
     with pytest.raises(TypeError, match=r"client must be a distributed\.Client or None, got 'tcp"):
         simulate(client="tcp://127.0.0.1:8786")
-    assert simulated == []
-
-
-def test_threads_of_this_machine_and_a_cluster_are_not_asked_for_together(cluster, simulated):
-    with (
-        cluster_module.connect(cluster.scheduler_address) as client,
-        pytest.raises(ValueError, match="give either threads or client, not both"),
-    ):
-        simulate(client=client, threads=1)
     assert simulated == []

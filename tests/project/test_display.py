@@ -129,8 +129,8 @@ OBJECTS = {
         ["smoothed 0.0", "constraints used", "16 runs"],
     ),
     "StationaryErrors": (
-        lambda: rs.stationary_errors(PAPER, smoother(), 4),
-        ["smoothed 0.05", "rad^2", "degree 4"],
+        lambda: rs.stationary_errors(PAPER, smoother()),
+        ["smoothed 0.05", "rad^2", "degree"],
     ),
     "Study": (study, ["1 gammas x 1 noises x 1 orders x 2 lags", "2 designs"]),
     "UncertainSystem": (PAPER.uncertain_system, ["n=1 states", "k=1 uncertainties"]),

@@ -14,10 +14,7 @@ SAMPLE = np.random.default_rng(0).normal(3, 1, (2, 1000)) ** 2
 
 
 def moments_of(values, at=()):
-    moments = Moments(len(values))
-    for part in np.split(values, at, axis=1):
-        moments.add(part)
-    return moments
+    return sum((Moments.of(part) for part in np.split(values, at, axis=1)), Moments())
 
 
 @pytest.mark.parametrize("at", [(), (32, 64, 65, 700), (0, 999)], ids=str)
@@ -33,7 +30,7 @@ def test_standard_error_is_that_of_the_sample(at):
 def test_merged_moments_are_those_of_all_values():
     whole = moments_of(SAMPLE[:, :300])
     for part in (SAMPLE[:, 300:300], SAMPLE[:, 300:]):
-        whole.merge(moments_of(part))
+        whole += moments_of(part)
     expected = moments_of(SAMPLE)
     assert whole.count == 1000
     assert_allclose(whole.means, expected.means, rtol=1e-14)
@@ -80,12 +77,9 @@ def test_control_weights_of_controls_that_are_the_same_or_constant_are_finite():
 def test_tally_keeps_paths_that_slipped_apart_and_survives_json():
     slips = np.zeros(1000)
     slips[[3, 500]] = 1, 4
-    tally = Tally(2)
-    tally.add(SAMPLE[:, :400], slips[:400])
-    tally = Tally.from_state(json.loads(json.dumps(tally.state())))
-    rest = Tally(2)
-    rest.add(SAMPLE[:, 400:], slips[400:])
-    tally.merge(rest)
+    tally = Tally() + Tally.of(SAMPLE[:, :400], slips[:400])
+    tally = Tally.from_state(*json.loads(json.dumps(tally.state())))
+    tally += Tally.of(SAMPLE[:, 400:], slips[400:])
     assert (tally.slips, tally.slipped_paths) == (5, 2)
     assert (tally.all.count, tally.locked.count) == (1000, 998)
     kept = SAMPLE[0, slips == 0]

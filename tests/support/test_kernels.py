@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numba import njit
 
 import robsmooth
-from robsmooth.homodyne.montecarlo.noise import with_item
 
 PACKAGE = Path(robsmooth.__file__).parent
 
@@ -110,16 +108,3 @@ rs.monte_carlo(rs.homodyne.PAPER, kalman)
         [float.fromhex(value) for _, value in compiled],
         rtol=1e-12,
     )
-
-
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_a_tuple_has_an_item_replaced_and_is_itself_as_it_was(kind):
-    @njit
-    def replaced(values, index, value):
-        return with_item(values, index, value), values
-
-    values = (kind(1), kind(2), kind(3))
-    for index in range(3):
-        new, old = replaced(values, index, kind(0.1))
-        assert old == values
-        assert new == (*values[:index], kind(0.1), *values[index + 1 :])

@@ -18,6 +18,7 @@ from collections import namedtuple
 
 import numpy as np
 from numba import njit, prange
+from numba.cpython.unsafe.tuple import tuple_setitem
 from numba.extending import register_jitable
 
 from robsmooth._support.kernels import kept
@@ -33,7 +34,6 @@ from robsmooth.homodyne.montecarlo.noise import (
     seed_paths,
     sine,
     slip,
-    with_item,
 )
 
 CHUNK = 32  # steps for which noise is drawn ahead (32 KiB), and between two looks at the lock
@@ -99,7 +99,7 @@ def euler_steps(order, coefficients, steps, state, gaussians):
             copied = coefficients[at.copy] * state[BLOCK + path]
             x = order
             for j in range(n):
-                x = with_item(x, j, state[(1 + j) * BLOCK + path])
+                x = tuple_setitem(x, j, state[(1 + j) * BLOCK + path])
                 error = fma(-coefficients[at.reference + j], x[j], error)
                 if j > 0:
                     copied = fma(coefficients[at.copy + j], x[j], copied)

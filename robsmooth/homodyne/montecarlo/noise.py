@@ -97,21 +97,6 @@ def fma(typingctx, a, b, c):
     return a(a, b, c), codegen
 
 
-@intrinsic
-def with_item(typingctx, values, index, value):
-    """The tuple `values` with its item at `index`, which is not checked, replaced by `value`."""
-
-    def codegen(context, builder, signature, arguments):
-        values, index, value = arguments
-        with builder.goto_entry_block():
-            place = builder.alloca(values.type)
-        builder.store(values, place)
-        builder.store(value, builder.gep(place, [index.type(0), index], inbounds=True))
-        return builder.load(place)
-
-    return values(values, index, values.dtype), codegen
-
-
 def multiple(builder, x, period, mantissa):
     r"""Code for the integer nearest to x / period: with that in its lowest bits, and as a float.
 

@@ -5,8 +5,6 @@ order, as long as they are merged in the order of their index.
 """
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
@@ -30,7 +28,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop
 from robsmooth.homodyne.montecarlo import euler, splitting
 from robsmooth.homodyne.montecarlo.noise import BLOCK
-from robsmooth.simulation.statistics import MeanSquare, Tally, control_weights
+from robsmooth.simulation.statistics import control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
 
@@ -46,17 +44,6 @@ STABLE_PART = 0.5  # of the longest step for which the Euler-Maruyama scheme is 
 
 FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, below which there are no control variates
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
-
-
-@contextmanager
-def threads_of_kernels(count: int | None) -> Iterator[None]:
-    """Have kernels use `count` threads, or as many of them as there are; None changes nothing."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(count or before, numba.config.NUMBA_NUM_THREADS))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(before)
 
 
 class Schedule(NamedTuple):
@@ -98,19 +85,11 @@ class Simulation:
     readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase
     coefficients: euler.Coefficients | splitting.Coefficients
     schedule: tuple[int, ...]  # as the kernel takes it
-    protocol: ClassVar[str]
-    scheme: ClassVar[str]
     kernel: ClassVar[ModuleType]
     default_runs: ClassVar[int]
     silent: ClassVar[float]  # the longest step without a warning, in response times of the loop
-    variables: ClassVar[int] = 2  # that are averaged over paths; the last two are the best errors
     compiled_for: ClassVar[tuple] = ()  # besides the order and the precision
     weights: ClassVar[Matrix | None] = None  # of controls
-
-    def check_step(self, loop: Loop, stacklevel: int) -> None:
-        """Warn where the step is long for the loop."""
-        fine = self.default_step(loop, self.duration)
-        warn_of_long_step(self.step, loop.response_time(), self.silent, fine, stacklevel + 1)
 
     @property
     def blocks(self) -> int:
@@ -124,7 +103,9 @@ class Simulation:
         """
         real, n = PRECISIONS[self.precision], self.readout.shape[1]
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
-        with ALONE, threads_of_kernels(worker_threads()):
+        threads = worker_threads() or numba.get_num_threads()
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # of this thread
+        with ALONE:
             self.kernel.simulate_blocks(
                 *self.compiled_for,
                 (real(0),) * n,
@@ -138,20 +119,16 @@ class Simulation:
         return results[:, : self.kernel.SLIPS + 1]
 
     def reduce(self, outputs: Matrix) -> Matrix:
-        """Return the variables, (variables, paths), of the outputs without the slips."""
-        return outputs
+        """Return the variables, (variables, paths), of the outputs without the slips.
 
-    def estimate(self, tally: Tally) -> tuple[MeanSquare, MeanSquare]:
-        """Filtered and smoothed mean square error, and what they gain over the first variables."""
-        best = self.variables - 2
-        return tally.all.mean_square(best, plain=0), tally.all.mean_square(best + 1, plain=1)
+        The first two are the squared errors; so are the last two, with less variance if possible.
+        """
+        return outputs
 
 
 class PaperSimulation(Simulation):
-    """The published protocol."""
+    """The published protocol: Euler-Maruyama."""
 
-    protocol = "paper"
-    scheme = "Euler-Maruyama"
     kernel = euler
     default_runs = 50_000
     silent = SILENT_EULER
@@ -191,16 +168,13 @@ class PaperSimulation(Simulation):
 
 @dataclass(frozen=True, eq=False)
 class ErgodicSimulation(Simulation):
-    """The time-averaging protocol."""
+    """The time-averaging protocol: Strang's splitting, with a linear control variate."""
 
-    control: Matrix  # (3,), of `control_means`
+    control: Matrix  # (3,), means of the control's squared errors and of the filtered one's square
 
-    protocol = "ergodic"
-    scheme = "Strang splitting with a linear control variate"
     kernel = splitting
     default_runs = 1024
     silent = SILENT_SPLITTING
-    variables = 4
 
     @classmethod
     def default_step(cls, loop: Loop, duration: float) -> float:
@@ -222,6 +196,7 @@ class ErgodicSimulation(Simulation):
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
         stride = int(STEP_OF_TIME_CONSTANT * loop.response_time() / step + MULTIPLE_TOLERANCE)
         steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
+        filtered, lagged = loop.linear_errors(*slopes)
         schedule = time_average(warm_up, steps, delay, longest_stride=stride)
         return cls(
             **numbers,
@@ -232,7 +207,7 @@ class ErgodicSimulation(Simulation):
             readout=loop.readout,
             coefficients=splitting.coefficients_of(loop, step, slopes),
             schedule=schedule,
-            control=splitting.control_means(loop, slopes),
+            control=np.array([filtered, lagged, 3 * filtered**2]),  # it is Gaussian
         )
 
     @property
@@ -277,7 +252,7 @@ def plan(
     seed: int = 0,
     precision: str = "mixed",
 ) -> Simulation:
-    """Check the numbers, fill in defaults, and say what is to be simulated."""
+    """Check the numbers, fill in defaults, say what is to be simulated, and warn of long steps."""
     kind = PROTOCOLS[protocol]
     runs = kind.default_runs if runs is None else validation.integer("runs", runs, low=1)
     if duration is not None:
@@ -291,4 +266,7 @@ def plan(
     if seed >= 2**64:
         raise ValueError(f"seed must be below 2**64, got {seed}")
     validation.choice("precision", precision, tuple(PRECISIONS))
-    return kind.plan(loop, duration, step, runs=runs, seed=seed, precision=precision)
+    simulation = kind.plan(loop, duration, step, runs=runs, seed=seed, precision=precision)
+    fine = kind.default_step(loop, simulation.duration)
+    warn_of_long_step(simulation.step, loop.response_time(), kind.silent, fine, stacklevel=4)
+    return simulation

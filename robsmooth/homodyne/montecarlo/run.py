@@ -22,9 +22,9 @@ from robsmooth._support.kernels import check_compiler
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne.loop import homodyne_loop, numbers_of
+from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo.noise import BLOCK, GENERATOR
-from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, Simulation, plan, threads_of_kernels
+from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, Simulation, plan
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.simulation.statistics import MeanSquare, Tally
 
@@ -164,22 +164,18 @@ def monte_carlo(
     *,
     oscillator: str = "filtered",
     copy: bool = True,
-    nonlinearity: str = "difference",
     shot_noise: float = 1.0,
-    threads: int | None = None,
 ) -> MonteCarloResult:
     r"""Simulate an estimator in the homodyne loop of Section IV and measure its errors.
 
-    The numbers are the same, to the last bit, for any number of threads, on a cluster, and after an
-    interruption; the noise of a path depends on the seed and its index alone.
+    The numbers are the same, to the last bit, for any number of threads, which are as many as numba
+    is set to, on a cluster, and after an interruption; the noise of a path depends on the seed and
+    its index alone.
 
     Parameters
     ----------
-    parameters : HomodyneParameters, or any object with its five numbers
-    smoother : RobustSmoother
-        Any object with ``A_c`` (n, n), ``B_c`` (n, 1 + g), ``C_c`` (1 + g, n), ``C_a`` (1, n) and
-        ``plant.delay`` in seconds will do, where g is 0 or 1; ``C_f`` (1, n) reads the filtered
-        estimate, or the first row of ``C_c`` where there is none.
+    parameters : HomodyneParameters, the loop; the estimator may be made for other ones
+    smoother : Estimator, of one output and one measurement, with one copy or none
     protocol : {"ergodic", "paper"}
         "paper" is the published simulation: Euler-Maruyama from zero, the squared errors at the end
         of each run. "ergodic" gives the stationary errors in far less time: it averages along each
@@ -200,15 +196,13 @@ def monte_carlo(
     checkpoint : path, optional
         A file that is written every few seconds, from which the same call resumes.
     progress : bool, show a progress bar
-    oscillator : {"filtered", "smoothed", "copy"}
-        What the local oscillator's phase u follows: an estimate, or the argument of the copy,
-        :math:`\tilde\nu/2\alpha\gamma`, so that the copy's output is zero.
+    oscillator : {"filtered", "smoothed", "copy", "none"}
+        What the local oscillator's phase u follows: an estimate; the argument of the copy,
+        :math:`\tilde\nu/2\alpha\gamma`, so that the copy's output is zero; or nothing: the
+        nonlinearity is then :math:`f(\varphi)`, as the words of Section IV-E have it, and not
+        :math:`f(\varphi - u)`, as Section IV-A derives it. Slips are then of the filtered estimate.
     copy : bool, run the estimator's copy of the nonlinearity; without, its input is zero
-    nonlinearity : {"difference", "literal"}
-        The nonlinearity is :math:`f(\varphi - u)`, as derived in Section IV-A, or
-        :math:`f(\varphi)`, as the words of Section IV-E have it.
     shot_noise : float, power of the photocurrent's noise, :math:`s` in :math:`\sqrt s\,dW`
-    threads : int, optional, of this machine; default: as numba is set
 
     Returns
     -------
@@ -246,19 +240,16 @@ def monte_carlo(
     started = time.perf_counter()
     check_compiler("monte_carlo")
     validation.choice("protocol", protocol, tuple(PROTOCOLS))
-    options = {"oscillator": oscillator, "copy": copy, "nonlinearity": nonlinearity}
-    loop = homodyne_loop(parameters, smoother, **options, shot_noise=shot_noise)
+    loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
     simulation = plan(loop, protocol, runs, duration, step, seed, precision)
-    simulation.check_step(loop, stacklevel=2)
     validation.boolean("progress", progress)
-    _check_threads(threads, client)
-    options |= {"copy": bool(copy), "shot_noise": float(shot_noise)}
-    inputs = {"parameters": numbers_of(parameters), "delay": loop.delay, **options}
-    inputs |= {"estimator_sha256": _estimator_digest(smoother), "scheme": simulation.scheme}
-    names = ("protocol", "runs", "seed", "precision", "step", "warm_up", "duration")
-    settings = {name: getattr(simulation, name) for name in names}
+    inputs = {"parameters": dict(vars(parameters)), "delay": loop.delay, "oscillator": oscillator}
+    inputs |= {"copy": bool(copy), "shot_noise": float(shot_noise)}
+    inputs["estimator_sha256"] = _estimator_digest(smoother)
+    names = ("runs", "seed", "precision", "step", "warm_up", "duration")
+    settings = {"protocol": protocol, **{name: getattr(simulation, name) for name in names}}
     identity = {**settings, **inputs, "software": cluster.software()}
-    with threads_of_kernels(threads), open_journal(checkpoint, identity) as journal:
+    with open_journal(checkpoint, identity) as journal:
         tally = _tally(simulation, journal, client, progress, inputs["parameters"])
 
     if tally.slips:
@@ -268,10 +259,9 @@ def monte_carlo(
             LossOfLockWarning,
             stacklevel=2,
         )
-    filtered, smoothed = simulation.estimate(tally)
     return MonteCarloResult(
-        smoothed=smoothed,
-        filtered=filtered,
+        smoothed=tally.all.mean_square(-1, plain=1),  # the last two are the best
+        filtered=tally.all.mean_square(-2, plain=0),
         filtered_in_lock=tally.locked.mean_square(0),
         smoothed_in_lock=tally.locked.mean_square(1),
         slips=tally.slips,
@@ -283,23 +273,10 @@ def monte_carlo(
     )
 
 
-def _check_threads(threads: int | None, client) -> None:
-    if threads is None:
-        return
-    if client is not None:
-        raise ValueError("threads are of this machine: give either threads or client, not both")
-    most = numba.config.NUMBA_NUM_THREADS
-    if validation.integer("threads", threads, low=1) > most:
-        raise ValueError(
-            f"threads must be at most {most}, numba's limit here, got {threads}: set the "
-            "environment variable NUMBA_NUM_THREADS to have more"
-        )
-
-
-def _estimator_digest(smoother) -> str:
+def _estimator_digest(smoother: Estimator) -> str:
     digest = hashlib.sha256()
     for name in ("A_c", "B_c", "C_c", "C_a", "C_f"):
-        matrix = np.ascontiguousarray(getattr(smoother, name, smoother.C_c[:1]), dtype=float)
+        matrix = np.ascontiguousarray(getattr(smoother, name), dtype=float)
         digest.update(f"{name}{matrix.shape}".encode() + matrix.tobytes())
     return digest.hexdigest()
 
@@ -308,9 +285,9 @@ def _tally(
     simulation: Simulation, journal: Journal | None, client, progress: bool, parameters: dict
 ) -> Tally:
     """Simulate the blocks that the journal does not have, wherever, and merge them in order."""
-    tally, first = Tally(simulation.variables), 0
+    tally, first = Tally(), 0
     if journal and journal.last:
-        tally, first = Tally.from_state(journal.last["tally"]), journal.last["blocks"]
+        tally, first = Tally.from_state(*journal.last["tally"]), journal.last["blocks"]
     if first < simulation.blocks:
         _ = simulation.weights  # computed here, for all machines
     group = min(max(STEPS_OF_A_GROUP // (BLOCK * simulation.steps), 1), BLOCKS_OF_A_GROUP)
@@ -328,7 +305,7 @@ def _tally(
     with progress_bar(**extent, unit_scale=True, shown=progress) as bar:
         for tallies in cluster.in_order(simulate, calls, client):
             for each in tallies:
-                tally.merge(each)
+                tally += each
             first = min(first + size, end)
             bar.update(tally.all.count - bar.n)
             due = time.perf_counter() - saved > CHECKPOINT_EVERY or first == end
@@ -342,22 +319,17 @@ def _tallies(
     simulation: Simulation, group: int, parameters: dict, first: int, count: int
 ) -> list[Tally]:
     """Simulate `count` blocks, here or on a worker, and sum up each group of them."""
-    at_once = group * (cluster.worker_threads() or numba.get_num_threads())
-    end, tallies = first + count, []
-    for start in range(first, end, at_once):
-        results = simulation.simulate(start, min(at_once, end - start))
-        for offset in range(0, len(results), group):
-            path = (start + offset) * BLOCK
-            values = np.hstack(list(results[offset : offset + group]))
-            values = values[:, : simulation.runs - path]
-            wrong = np.flatnonzero(~np.isfinite(values).all(axis=0))
-            if wrong.size:
-                given = ", ".join(f"{name}={value:g}" for name, value in parameters.items())
-                raise RuntimeError(
-                    f"path {path + wrong[0]} of seed {simulation.seed} overflowed, with {given}: "
-                    f"the step, {simulation.step:g} s, is too long for this loop, or the estimator "
-                    "is unstable in it"
-                )
-            tallies.append(Tally(simulation.variables))
-            tallies[-1].add(simulation.reduce(values[:-1]), values[-1])
+    results, tallies = simulation.simulate(first, count), []
+    for offset in range(0, count, group):
+        path = (first + offset) * BLOCK
+        values = np.hstack(list(results[offset : offset + group]))[:, : simulation.runs - path]
+        wrong = np.flatnonzero(~np.isfinite(values).all(axis=0))
+        if wrong.size:
+            given = ", ".join(f"{name}={value:g}" for name, value in parameters.items())
+            raise RuntimeError(
+                f"path {path + wrong[0]} of seed {simulation.seed} overflowed, with {given}: "
+                f"the step, {simulation.step:g} s, is too long for this loop, or the estimator "
+                "is unstable in it"
+            )
+        tallies.append(Tally.of(simulation.reduce(values[:-1]), values[-1]))
     return tallies

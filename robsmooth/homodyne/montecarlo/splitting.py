@@ -32,9 +32,8 @@ from collections import namedtuple
 
 import numpy as np
 from numba import njit, prange
+from numba.cpython.unsafe.tuple import tuple_setitem
 from numba.extending import register_jitable
-from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from robsmooth._numerics.lyapunov import noise_root, square_root
 from robsmooth._numerics.steps import responses
@@ -53,7 +52,6 @@ from robsmooth.homodyne.montecarlo.noise import (
     sine,
     slip,
     whole_turns,
-    with_item,
 )
 
 CHUNK = 8  # steps for which noise is drawn ahead
@@ -128,18 +126,6 @@ def control_slopes(loop: Loop) -> tuple[float, float]:
         return 1.0, 1.0
 
 
-def control_means(loop: Loop, slopes: tuple[float, float]) -> NDArray[np.float64]:
-    """Means, rad^2 and rad^4, of the control's squared errors and fourth power of the filtered."""
-    P = loop.covariance(*slopes)
-    filtered = np.concatenate([[1.0], -loop.readout[0]])
-    smoothed = np.concatenate([[0.0], -loop.readout[1]])
-    # covariance of now and the phase a delay ago
-    cross = (expm(loop.linearised_drift(*slopes) * loop.delay) @ P)[:, 0]
-    square = float(filtered @ P @ filtered)
-    lagged = float(P[0, 0] + 2 * smoothed @ cross + smoothed @ P @ smoothed)
-    return np.array([square, lagged, 3 * square**2])  # it is Gaussian
-
-
 @njit
 def find_kick(pair, copy, order, coefficients, state):
     """Write the kick's terms of first and of second order along h b_s, and along h b_c."""
@@ -186,10 +172,10 @@ def split_step(pair, copy, order, coefficients, gaussians, state):
         y = d = order
         g = pair
         for j in range(n):
-            y = with_item(y, j, state[row.control + j * BLOCK + path])
-            d = with_item(d, j, state[row.difference + j * BLOCK + path])
+            y = tuple_setitem(y, j, state[row.control + j * BLOCK + path])
+            d = tuple_setitem(d, j, state[row.difference + j * BLOCK + path])
         for j in range(m):
-            g = with_item(g, j, gaussians[j * BLOCK + path])
+            g = tuple_setitem(g, j, gaussians[j * BLOCK + path])
         for i in range(n):
             of_state, of_noise = at.transition + (1 + i) * (1 + n), at.root + (1 + i) * m
             of_y = coefficients[of_state] * phase
