@@ -58,7 +58,7 @@ def is_stable(A: Matrix) -> bool:
 def hardly_decays(A: Matrix) -> bool:
     """Return whether a mode of A, or of one of (N, n, n), decays by next to nothing."""
     poles = np.linalg.eigvals(A)
-    return bool((-poles.real.max(axis=-1) < _SLOW * np.abs(poles).max(axis=-1)).any())
+    return bool((-poles.real.max(axis=-1) <= _SLOW * np.abs(poles).max(axis=-1)).any())
 
 
 def natural_units(A: Matrix, B: Matrix) -> Matrix:

@@ -57,6 +57,7 @@ ILL_CONDITIONED = (
     "the covariance of the linearised loop is lost in rounding: its rates, or the scales of the "
     "estimator's states, are too far apart"
 )
+_LEAST_DECAY = 1e-8  # of the phase, relative to the rate of its filter
 LARGEST_VARIANCE = 4 * np.pi**2  # rad^2, a turn: such a loop is not locked at all
 
 
@@ -170,7 +171,10 @@ def homodyne_loop(
     validation.choice("oscillator", oscillator, OSCILLATORS)
     copy = validation.boolean("copy", copy)
     shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
-    system = parameters.uncertain_system()
+    # a phase that does not decay is taken to, by so little that no error tells
+    rate = 2.0 * parameters.alpha * parameters.beta * math.sqrt(parameters.kappa)
+    lam = max(parameters.lam, _LEAST_DECAY * rate)
+    system = replace(parameters, lam=lam).uncertain_system()
     system = replace(system, D21=math.sqrt(shot_noise) * system.D21)
     estimator = _estimator(smoother, system, copy)
 
