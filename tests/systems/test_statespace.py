@@ -311,9 +311,9 @@ def test_python_control_joins_system_and_estimator_by_the_names_of_their_signals
         outputs=[f"smoothed[{i}]" for i in range(system.m)],
         check_unused=False,
     )
-    expected = closed_loop(design, Delta)
+    A, B = closed_loop(design, Delta)
     read_out = np.hstack([np.zeros_like(plant.C_p0), design.C_a])
-    response = transfer(expected.A, expected.B[:, : system.q], read_out, 1j * omega)
+    response = transfer(A, B[:, : system.q], read_out, 1j * omega)
     assert_allclose(
         loop.frequency_response([omega]).complex.reshape(response.shape),
         response,
