@@ -67,7 +67,6 @@ def chosen(name: str, wanted: str | Iterable[str] | None, signals: Signals) -> S
     several = isinstance(wanted, Iterable) and not isinstance(wanted, str)
     wanted = list(wanted) if several else [wanted]
     wrong = [repr(s) for s in wanted if not isinstance(s, str) or s not in signals]
-    if wrong or (name == "inputs" and not wanted):
-        got = wrong[0] if wrong else "none"
-        raise ValueError(f"{name} must be among {', '.join(signals)}, got {got}")
+    if wrong:
+        raise ValueError(f"{name} must be among {', '.join(signals)}, got {wrong[0]}")
     return {signal: signals[signal] for signal in wanted}

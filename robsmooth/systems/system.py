@@ -195,45 +195,32 @@ class UncertainSystem:
             nonlinearities=nonlinearities,
         )
 
-    def to_statespace(
-        self,
-        inputs: str | Iterable[str] | None = None,
-        outputs: str | Iterable[str] | None = None,
-    ) -> "control.StateSpace":
+    def to_statespace(self) -> "control.StateSpace":
         """Return the linear part as a python-control object, with its channels open.
-
-        Parameters
-        ----------
-        inputs, outputs : str or sequence of str, optional
-            Which to keep. Inputs are the white noises ``W`` (of unit intensity), the uncertainties
-            ``xi_0``, ... and the nonlinearities' values ``mu``. Outputs are ``w`` (to estimate),
-            ``y`` (the measurement dy/dt), the uncertainties' bounds ``zeta_0``, ... and the
-            nonlinearities' arguments ``nu``. Default: all.
 
         Returns
         -------
         control.StateSpace
-            With the components ``W[0]``, ``W[1]``, ..., which ``interconnect`` joins by name.
+            Its inputs are the white noises ``W[0]``, ``W[1]``, ... (of unit intensity), the
+            uncertainties ``xi_0[0]``, ... and the nonlinearities' values ``mu[0]``, ... Its outputs
+            are ``w[0]``, ... (to estimate), ``y[0]``, ... (the measurement dy/dt), the
+            uncertainties' bounds ``zeta_0[0]``, ... and the nonlinearities' arguments ``nu[0]``,
+            ... ``interconnect`` joins them by name.
 
         Examples
         --------
         >>> import robsmooth as rs
-        >>> system = rs.homodyne.PAPER.uncertain_system()
-        >>> system.to_statespace(inputs="W", outputs="y").input_labels
-        ['W[0]', 'W[1]']
+        >>> rs.homodyne.PAPER.uncertain_system().to_statespace().input_labels
+        ['W[0]', 'W[1]', 'xi_0[0]', 'mu[0]']
         """
         channels = [("W", "w", self.B1, self.C0, self.D21)]
         for s, c in enumerate(self.uncertainties):
             channels.append((f"xi_{s}", f"zeta_{s}", c.B, c.C, c.D))
         channels.append(("mu", "nu", *self.stacked(self.nonlinearities)))
-        drives = {name: B for name, _, B, _, _ in channels}
-        reads = {"w": self.C0, "y": self.C2} | {name: C for _, name, _, C, _ in channels}
-        return statespace.state_space(
-            self.A,
-            statespace.chosen("inputs", inputs, drives),
-            statespace.chosen("outputs", outputs, reads),
-            {("y", name): D for name, _, _, _, D in channels},
-        )
+        inputs = {name: B for name, _, B, _, _ in channels}
+        outputs = {"w": self.C0, "y": self.C2} | {name: C for _, name, _, C, _ in channels}
+        feedthrough = {("y", name): D for name, _, _, _, D in channels}
+        return statespace.state_space(self.A, inputs, outputs, feedthrough)
 
     def stacked(self, channels: Sequence[Channel]) -> tuple[Matrix, Matrix, Matrix]:
         """Return B, C and D of some of the system's channels side by side."""

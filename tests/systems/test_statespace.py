@@ -79,19 +79,6 @@ def test_each_named_part_has_the_transfer_function_of_its_matrices(system, omega
         assert control.evalfr(sys[names], s) == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
-def test_whole_signals_are_chosen_by_their_names():
-    system = random_system(np.random.default_rng(0), n=2, m=2, measurements=2, g=2)
-    sys = system.to_statespace(inputs="W", outputs=["y", "zeta_1"])
-    assert sys.input_labels == [f"W[{i}]" for i in range(4)]
-    assert sys.output_labels == ["y[0]", "y[1]", "zeta_1[0]"]
-    assert_array_equal(sys.D, np.vstack([system.D21, np.zeros((1, 4))]))
-    assert_array_equal(sys.C, np.vstack([system.C2, system.uncertainties[1].C]))
-    assert system.to_statespace(outputs=[]).D.shape == (0, 10)
-    for inputs, outputs in (("xi_2", None), (None, ["y", "smoothed"]), (0, None), ([], None)):
-        with pytest.raises(ValueError, match=r"^(inputs|outputs) must be among .*, got ('|0|none)"):
-            system.to_statespace(inputs, outputs)
-
-
 def test_what_goes_out_is_in_continuous_time_a_copy_and_keeps_all_states(monkeypatch):
     monkeypatch.setitem(control.config.defaults, "control.default_dt", 1.0)
     monkeypatch.setitem(control.config.defaults, "statesp.remove_useless_states", True)
@@ -156,7 +143,8 @@ def test_lqe_of_the_exported_system_is_its_kalman_filter(seed):
         C2=rng.standard_normal((2, 3)),
         D21=np.hstack([np.zeros((2, 2)), noise]),
     )
-    L, _, _ = control.lqe(system.to_statespace("W", "y"), np.eye(4), system.D21 @ system.D21.T)
+    sys = system.to_statespace()[["y[0]", "y[1]"], [f"W[{i}]" for i in range(4)]]
+    L, _, _ = control.lqe(sys, np.eye(4), system.D21 @ system.D21.T)
     assert_allclose(kalman_bucy(system).B_c, L, rtol=0, atol=1e-7 * (1 + np.abs(L).max()))
 
 
