@@ -141,11 +141,11 @@ class AugmentedSystem:
 
     def M(self, multipliers: ArrayLike) -> Matrix:
         """Return M(lambda), the sum of lambda_i M_i."""
-        return _combination(multipliers, self.M_i, sum(self.input_sizes))
-
-    def N(self, multipliers: ArrayLike) -> Matrix:
-        """Return N(lambda), the sum of lambda_i N_i."""
-        return _combination(multipliers, self.N_i, sum(self.output_sizes))
+        if len(multipliers) != len(self.M_i):
+            given = len(multipliers)
+            raise ValueError(f"multipliers must have {len(self.M_i)} entries, got {given}")
+        zero = np.zeros([sum(self.input_sizes)] * 2)
+        return sum(map(np.multiply, multipliers, self.M_i), zero)
 
     @cached_property
     def J(self) -> Matrix:
@@ -336,12 +336,6 @@ def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix,
     copies = [bound * row for bound, row in zip(bounds, rows[k + g :], strict=True)]
     differences = [row - copy for row, copy in zip(own, copies, strict=True)]
     return tuple(frozen(F.T @ F) for F in (*rows[:k], *differences, *own, *copies))
-
-
-def _combination(weights: ArrayLike, matrices: Sequence[Matrix], size: int) -> Matrix:
-    if len(weights) != len(matrices):
-        raise ValueError(f"multipliers must have {len(matrices)} entries, got {len(weights)}")
-    return sum(map(np.multiply, weights, matrices), np.zeros((size, size)))
 
 
 def _blocks(name: str, given: Sequence, sizes: Sequence[tuple[int, int]]) -> list[Matrix]:

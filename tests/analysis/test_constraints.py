@@ -57,7 +57,7 @@ def test_bound_of_a_design_is_the_analysis_at_its_multipliers_with_more_noise(de
     loop = open_loop(design, "guaranteed", "theory")
     C = loop.truth - loop.estimate
     spread = loop.inputs @ np.linalg.solve(plant.M(theta), loop.inputs.T)
-    weighted = loop.outputs.T @ plant.N(theta) @ loop.outputs
+    weighted = loop.outputs.T @ np.tensordot(theta, plant.N_i, 1) @ loop.outputs
     P = solve_riccati(loop.A, C.T @ C + weighted, -spread).X
     assert_allclose(design.tau * np.trace(spread @ P), design.mean_square_bound, rtol=1e-6)
     # and the noise is more than the loop's own
@@ -109,7 +109,7 @@ def test_no_other_multipliers_have_a_lower_bound(design, seed):
     for _ in range(5):
         theta = ours * np.exp(rng.uniform(0.01, 1.0) * rng.standard_normal(ours.size))
         spread = loop.inputs @ np.linalg.solve(plant.M(theta), loop.inputs.T)
-        weighted = loop.outputs.T @ plant.N(theta) @ loop.outputs
+        weighted = loop.outputs.T @ np.tensordot(theta, plant.N_i, 1) @ loop.outputs
         try:
             P = solve_riccati(loop.A, C.T @ C + weighted, -spread).X
         except ArithmeticError:
