@@ -215,10 +215,7 @@ def delta_sweep(
     plant = smoother.plant
     pattern = plant.structured_delta((), [1.0] * plant.system.g)
     _check_norm(plant, np.abs(slopes).max(initial=0.0) * pattern)
-    result = np.empty((slopes.size, plant.system.m, plant.system.m))
-    chunk = max(_BATCH // (plant.n + len(smoother.A_c)) ** 2, 1)
-    for start in range(0, slopes.size, chunk):
-        some = slice(start, start + chunk)
-        A, B = closed_loop(smoother, slopes[some, None, None] * pattern, loop)
-        result[some] = _stationary_error(A, B, smoother, output)
-    return result
+    size = slopes.size * (plant.n + len(smoother.A_c)) ** 2
+    parts = np.array_split(slopes[:, None, None], 1 + size // _BATCH)
+    loops = (closed_loop(smoother, part * pattern, loop) for part in parts)
+    return np.concatenate([_stationary_error(*each, smoother, output) for each in loops])
