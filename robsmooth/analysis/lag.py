@@ -24,7 +24,10 @@ from robsmooth._support.validation import Matrix, frozen
 from robsmooth.analysis.covariance import error_covariance
 from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
+from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.smoother import design_smoother
+from robsmooth.systems.augmented import augment
 from robsmooth.systems.system import UncertainSystem
 
 Family = Callable[[UncertainSystem, float, int], Estimator]
@@ -35,7 +38,6 @@ Error = Callable[[float], float]  # of a lag
 _LEAST_GAIN = 1e-6  # of that from filtering to two-sided smoothing: a longer lag gains no more
 _SHORTEST_LAG = 1e-3  # of the longest: lags are tried from here
 _LAG_RATIO = 1.5  # between lags that are tried
-_SLACK = 1.05  # a lower order may have a lag longer by this factor
 _LAG_TOLERANCE = 1e-4  # of the best lag's logarithm; the error's is of the order of its square
 
 
@@ -110,9 +112,10 @@ def lag_sweep(
     system : UncertainSystem
     lags : sequence of float, in seconds, not negative
     orders : sequence of int, of the delay's Pade model
-    design : "classical" or callable
-        The nominal system's fixed-lag smoother with copies of the nonlinearities, or a function
-        that makes an `Estimator` of system, lag and order.
+    design : {"classical", "filtered cost", "smoothed cost"} or callable
+        The nominal system's fixed-lag smoother with copies of the nonlinearities; the robust one
+        with the least bound on the filtered error, or on the smoothed one, which takes a search
+        for each lag and order; or a function that makes an `Estimator` of system, lag and order.
     progress : bool, whether to show a bar
 
     Returns
@@ -142,7 +145,7 @@ def lag_sweep(
     if not lags.size * orders.size:
         raise ValueError(f"{'orders' if lags.size else 'lags'} must have at least one value")
     validation.boolean("progress", progress)
-    make = _family(design)
+    make = _family(system, design)
     grid = [(lag, int(order)) for order in orders for lag in lags]
     cases = [
         worst_case(make(system, lag, order), loop="real")
@@ -163,7 +166,7 @@ class LagChoice:
     ----------
     lag, order : float, in seconds, and int, of the delay's Pade model
     error, target : float
-        The nominal smoothed mean square error, and its limit, in the squared unit of w.
+        The smoothed mean square error, by the criterion, and its limit, in the squared unit of w.
     shortest : float
         No linear smoother of any order meets the target nominally with a lag below this (s).
     lags : dict of int to float
@@ -202,9 +205,9 @@ class LagChoice:
 
 @one_thread
 def best_lag(
-    system: UncertainSystem, order: int, design: Design = "classical"
+    system: UncertainSystem, order: int, design: Design = "classical", criterion: str = "nominal"
 ) -> tuple[float, float]:
-    """Find the lag with the least nominal smoothed error for an order of the delay's model.
+    """Find the lag with the least smoothed error for an order of the delay's model.
 
     Parameters
     ----------
@@ -212,6 +215,7 @@ def best_lag(
     order : int, of the delay's Pade model, at least one
     design
         As in `lag_sweep`.
+    criterion : {"nominal", "worst"}, the error without uncertainty, or under the worst constant one
 
     Returns
     -------
@@ -233,7 +237,7 @@ def best_lag(
     >>> round(lag, 8), round(error, 4)
     (4.01e-06, 0.0453)
     """
-    error = _error_of_lag(system, design)
+    error = _error_of_lag(system, design, criterion)
     of_lag = partial(error, order=validation.integer("order", order, low=1))
     longest = _longest_lag(system)
     return _least(of_lag, *_on_a_grid(of_lag, _SHORTEST_LAG * longest, 2 * longest))
@@ -246,12 +250,14 @@ def choose_lag(
     *,
     fraction: float | None = None,
     design: Design = "classical",
+    criterion: str = "nominal",
     max_order: int = 8,
+    slack: float = 0.05,
 ) -> LagChoice:
-    """Choose the lag and the order of a smoother whose nominal error meets a target.
+    """Choose the lag and the order of a smoother whose error meets a target.
 
     Each order has a shortest lag that meets the target, if any; higher orders have shorter ones.
-    The choice is the lowest order whose lag is, within 5%, the shortest of all.
+    The choice is the lowest order whose lag is, within `slack`, the shortest of all.
 
     Parameters
     ----------
@@ -260,9 +266,10 @@ def choose_lag(
     fraction : float, optional
         In its place: the share, from 0 to 1, of the gain from optimal filtering to two-sided
         smoothing.
-    design
-        As in `lag_sweep`.
+    design, criterion
+        As in `best_lag`: the error that is to meet the target.
     max_order : int, the highest order to try
+    slack : float, how much longer than the shortest the lag may be, relatively, for a lower order
 
     Returns
     -------
@@ -287,8 +294,9 @@ def choose_lag(
     >>> round(choice.lag, 8), choice.order
     (2.58e-06, 2)
     """
-    error = _error_of_lag(system, design)
+    error = _error_of_lag(system, design, criterion)
     max_order = validation.integer("max_order", max_order, low=1)
+    slack = validation.real("slack", slack, low=0.0)
     target = _target(system, target, fraction)
     filtered = error(0.0, order=0)
     if filtered <= target:
@@ -301,7 +309,7 @@ def choose_lag(
     for order in range(1, max_order + 1):
         lags[order], lowest = _shortest_lag(partial(error, order=order), target, low, high)
         least = min(least, lowest)
-        if lags[order] <= _SLACK * shortest:
+        if lags[order] <= (1.0 + slack) * shortest:
             break  # no higher order can do better than that
     best = min(lags.values())
     if math.isinf(best):
@@ -311,7 +319,7 @@ def choose_lag(
             f"least that was found, at lags above the {shortest:.4g} s that an exact delay would "
             f"take, is {least:.6g}; try a higher max_order or another design",
         )
-    order, lag = next(item for item in lags.items() if item[1] <= _SLACK * best)
+    order, lag = next(item for item in lags.items() if item[1] <= (1.0 + slack) * best)
     return LagChoice(lag, order, error(lag, order=order), target, shortest, lags)
 
 
@@ -337,22 +345,31 @@ def _target(system: UncertainSystem, target: float | None, fraction: float | Non
     return target
 
 
-def _family(design: Design) -> Family:
-    """Return the function that makes the estimator of a system, a lag and an order."""
+def _family(system: UncertainSystem, design: Design) -> Family:
+    """Return the function that makes the estimator of a lag and an order."""
     if callable(design):
         return design
-    if design != "classical":
-        raise ValueError(f"design must be 'classical' or a function, got {design!r}")
-    return partial(baselines.fixed_lag_smoother, copies=True)
+    validation.choice("design", design, ("classical", "filtered cost", "smoothed cost"))
+    if design == "classical":
+        return partial(baselines.fixed_lag_smoother, copies=True)
+    if design == "smoothed cost":
+        return lambda system, lag, order: minimize_bound(augment(system, lag, order), "smoothed")
+    best = minimize_bound(augment(system, 0.0, 0))  # is the best for all lags and orders
+    return lambda system, lag, order: design_smoother(
+        augment(system, lag, order), best.tau, best.multipliers
+    )
 
 
-def _error_of_lag(system: UncertainSystem, design: Design) -> Callable[..., float]:
-    """Return the nominal smoothed mean square error as a function of lag and order."""
+def _error_of_lag(system: UncertainSystem, design: Design, criterion: str) -> Callable[..., float]:
+    """Return the smoothed mean square error as a function of lag and order."""
     validation.instance("system", system, UncertainSystem)
-    make = _family(design)
+    criterion = validation.choice("criterion", criterion, ("nominal", "worst"))
+    make = _family(system, design)
 
     def error(lag: float, order: int) -> float:
         smoother = make(system, lag, order)
+        if criterion == "worst":
+            return worst_case(smoother, loop="real").mean_square
         Delta = smoother.plant.structured_delta()
         return float(np.trace(error_covariance(smoother, Delta, loop="real")))
 
@@ -382,12 +399,12 @@ def _least(error: Error, lags: Floats, errors: Floats) -> tuple[float, float]:
     """Return the lag of the least error, and that error, between the best lag's neighbours."""
     best = int(errors.argmin())
     result = minimize_scalar(
-        lambda logarithm: error(math.exp(logarithm)),
+        lambda logarithm: -1.0 / error(math.exp(logarithm)),  # an error may be infinite
         bounds=np.log([lags[max(best - 1, 0)], lags[min(best + 1, len(lags) - 1)]]),
         method="bounded",
         options={"xatol": _LAG_TOLERANCE},
     )
-    lag, least = math.exp(result.x), float(result.fun)
+    lag, least = math.exp(result.x), float(-1.0 / result.fun)
     return (lag, least) if least < errors[best] else (float(lags[best]), float(errors[best]))
 
 
@@ -407,5 +424,5 @@ def _shortest_lag(error: Error, target: float, low: float, high: float) -> tuple
 
 
 def _crossing(error: Error, target: float, low: float, high: float) -> float:
-    """Return the lag between two at which the error falls to the target."""
+    """Return the lag between two at which the error, which may be infinite, falls to the target."""
     return brentq(lambda lag: 1.0 - target / error(lag), low, high, xtol=1e-12 * high, rtol=1e-12)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -17,7 +18,9 @@ from robsmooth import (
     error_covariance,
     homodyne,
 )
+from robsmooth.analysis import lag
 from robsmooth.analysis.lag import best_lag, choose_lag, lag_sweep
+from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.baselines import optimal_fixed_lag_error, optimal_two_sided_error
 from tests.helpers.strategies import random_system, seeds
@@ -76,12 +79,38 @@ def test_a_lag_that_is_too_long_for_its_order_is_worse_than_none():
     assert sweep.nominal[0, 0] < FILTERING < sweep.nominal[0, 1]
 
 
+def test_search_of_the_filtered_cost_serves_all_lags_and_orders(monkeypatch):
+    # V is the same function of tau and lambda with a lag and without, and so is where it is least
+    plants = augment(EXAMPLE, 0.0, 0), augment(EXAMPLE, LAG, 2)
+    for tau, *multipliers in np.geomspace(
+        [1e-6, 0.7, 0.3, 1e-6, 1e-6], [4e-6, 1, 0.49, 1e-5, 1e-5], 5
+    ):
+        without, with_lag = (design_smoother(plant, tau, multipliers) for plant in plants)
+        assert_allclose(with_lag.bound, without.bound, rtol=1e-6)
+    carried, searched = with_lag, []
+    monkeypatch.setattr(lag, "minimize_bound", lambda plant: searched.append(plant) or without)
+    sweep = lag_sweep(EXAMPLE, [1e-6, LAG], [1, 2], "filtered cost")
+    assert sweep.nominal[1, 1] == worst_case(carried, loop="real").nominal
+    assert [(plant.delay, plant.order) for plant in searched] == [(0.0, 0)]
+
+
+def test_search_of_the_smoothed_cost_is_made_for_each_lag_and_order(monkeypatch):
+    def search(plant, cost):
+        return design_smoother(plant, 7.03e-7, [1.0, 0.4999, 1e-6, 1e-6], cost)
+
+    monkeypatch.setattr(lag, "minimize_bound", search)
+    sweep = lag_sweep(EXAMPLE, [1e-6, LAG], [1, 2], "smoothed cost")
+    design = search(augment(EXAMPLE, LAG, 2), "smoothed")
+    assert sweep.nominal[1, 1] == worst_case(design, loop="real").nominal
+
+
+@pytest.mark.parametrize("criterion", ["nominal", "worst"])
 @pytest.mark.parametrize("design", ["classical", near_infimum])
-def test_best_lag_is_that_of_a_fine_grid(design):
-    best, error = best_lag(EXAMPLE, 2, design)
+def test_best_lag_is_that_of_a_fine_grid(design, criterion):
+    best, error = best_lag(EXAMPLE, 2, design, criterion)
     lags = np.geomspace(best / 3, 3 * best, 41)
     sweep = lag_sweep(EXAMPLE, lags, [2], design)
-    errors = sweep.nominal[0]
+    errors = getattr(sweep, criterion)[0]
     assert error <= errors.min() * (1 + 1e-7)
     assert_allclose(errors[20], error, rtol=1e-9)
     assert errors.argmin() in (19, 20, 21)
@@ -119,6 +148,20 @@ def test_target_and_fraction_are_two_ways_to_say_the_same():
     assert by_target == by_fraction
 
 
+def test_slack_trades_lag_for_order():
+    strict, generous = (choose_lag(EXAMPLE, fraction=0.9, slack=slack) for slack in (0.0, 0.3))
+    assert generous.order < strict.order
+    assert strict.lag < generous.lag <= 1.3 * strict.lag
+
+
+def test_choice_by_the_worst_case():
+    choice = choose_lag(EXAMPLE, 0.08, criterion="worst", design=near_infimum, max_order=3)
+    found = worst_case(near_infimum(EXAMPLE, choice.lag, choice.order), loop="real")
+    assert_allclose((choice.error, found.mean_square), 0.08, rtol=1e-9)
+    # the nominal error meets it long before
+    assert choose_lag(EXAMPLE, 0.08, design=near_infimum).lag < choice.lag / 3
+
+
 def test_filter_is_chosen_where_it_meets_the_target():
     choice = choose_lag(EXAMPLE, 1.01 * FILTERING)
     assert (choice.lag, choice.order, choice.shortest) == (0.0, 0, 0.0)
@@ -126,10 +169,8 @@ def test_filter_is_chosen_where_it_meets_the_target():
 
 
 def test_robust_smoother_may_need_a_lag_for_what_the_optimal_filter_has():
-    smoother = near_infimum(EXAMPLE, 0.0, 0)
-    filtered = error_covariance(smoother, smoother.plant.structured_delta(), loop="real")[0, 0]
-    target = (FILTERING + filtered) / 2
-    choice = choose_lag(EXAMPLE, target, design=near_infimum, max_order=2)
+    worst = worst_case(near_infimum(EXAMPLE, 0.0, 0), loop="real").mean_square
+    choice = choose_lag(EXAMPLE, 0.9 * worst, criterion="worst", design=near_infimum, max_order=2)
     assert choice.shortest == 0.0 < choice.lag
     assert choice.target > FILTERING
 
@@ -186,8 +227,11 @@ def test_what_is_not_understood_is_refused():
         lag_sweep(EXAMPLE, [1e-6], [0])
     with pytest.raises(ValueError, match="lags must have at least one value"):
         lag_sweep(EXAMPLE, [], [1])
-    with pytest.raises(ValueError, match=r"design must be 'classical' or a function, got 'robust'"):
+    with pytest.raises(ValueError, match=r"design must be one of 'classical', .* got 'robust'"):
         lag_sweep(EXAMPLE, [1e-6], [1], "robust")
+    for function in (partial(best_lag, EXAMPLE, 1), partial(choose_lag, EXAMPLE, 0.05)):
+        with pytest.raises(ValueError, match="criterion must be one of 'nominal', 'worst', got"):
+            function(criterion="best")
     with pytest.raises(ValueError, match="order must be an integer of at least 1"):
         best_lag(EXAMPLE, 0)
     for both in ({}, {"target": 0.05, "fraction": 0.5}):
@@ -197,5 +241,7 @@ def test_what_is_not_understood_is_refused():
         choose_lag(EXAMPLE, fraction=1.0)
     with pytest.raises(ValueError, match="target must be finite and in"):
         choose_lag(EXAMPLE, math.nan)
+    with pytest.raises(ValueError, match="slack must be finite and in"):
+        choose_lag(EXAMPLE, 0.05, slack=-0.1)
     with pytest.raises(ValueError, match="max_order must be an integer of at least 1"):
         choose_lag(EXAMPLE, 0.05, max_order=0)
