@@ -95,8 +95,7 @@ def deviations(P: Matrix) -> Matrix:
 
 def square_root(P: Matrix) -> Matrix:
     """Return an L with P = L L', of an (n, n) covariance; no digit depends on its units."""
-    units = np.sqrt(np.maximum(P.diagonal(), 0.0))
-    units[units == 0.0] = 1.0
+    units = deviations(P)
     weights, directions = np.linalg.eigh(P / np.outer(units, units))
     return units[:, None] * directions * np.sqrt(np.maximum(weights, 0.0))
 

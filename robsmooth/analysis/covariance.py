@@ -25,11 +25,9 @@ what the state one lag back contributes, and the noise since then. The state is
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag
 
 from robsmooth._numerics.lyapunov import check_certainty, covariances
 from robsmooth._numerics.modes import hardly_decays
@@ -52,74 +50,15 @@ _BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once
 _NORM_ERROR = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
-class ClosedLoop:
-    """The loop dX = A X dt + B dW of plant and estimator, X = [x_p; x_hat], or one for each A."""
-
-    A: Matrix  # (..., N, N), 1/s
-    B: Matrix  # (N, q + g)
-    estimator: Estimator
-
-    def covariance(self, rows: Matrix | None = None) -> Matrix:
-        """Return the stationary covariance of X, or of `rows` times X."""
-        T = self._error_coordinates
-        found = covariances(T @ self.A @ T, T @ self.B)
-        outputs = block_diag(self.estimator.plant.C_p0, self.estimator.C_f) @ T
-        P, error = (_squared(outputs, each) for each in (found.stationary, found.error))
-        check_certainty("the covariance of the closed loop", P, error)
-        return _squared(T if rows is None else rows @ T, found.stationary)
-
-    def error_covariance(self, output: str) -> Matrix:
-        """Return the (..., m, m) stationary covariance of one of the errors of `open_loop`."""
-        truth, estimate, delay = error_rows(self.estimator, output)
-        try:
-            return self._error_covariance(truth, estimate, delay)
-        except (UnstableLoopError, ArithmeticError):
-            if not hardly_decays(self.A):
-                raise
-        if self.A.ndim > 2:
-            return np.array([replace(self, A=A).error_covariance(output) for A in self.A])
-        result, error = drifting_error(self.A, self.B, truth, estimate, delay)
-        check_certainty("the error covariance", result, error)
-        return result
-
-    @np.errstate(over="ignore", invalid="ignore")  # of a loop that runs away
-    def _error_covariance(self, truth: Matrix, estimate: Matrix, delay: float) -> Matrix:
-        """Return the same where all modes of the loop decay."""
-        T = self._error_coordinates
-        truth, estimate = truth @ T, estimate @ T
-        found = covariances(T @ self.A @ T, T @ self.B, delay)
-        E, error = found.transition, found.error
-        past, since = truth - estimate @ E, error - _squared(E, error)
-        result = _squared(past, found.stationary) + _squared(estimate, found.grown)
-        error = _squared(past, error) + _squared(estimate, since)
-        check_certainty("the error covariance", result, error)
-        return result
-
-    @property
-    def _error_coordinates(self) -> Matrix:
-        """T = inv(T) with T [x_p; x_hat] = [x_p; x_p - x_hat]."""
-        n, n_c = self.estimator.plant.n, len(self.estimator.A_c)
-        if n != n_c:
-            return np.eye(n + n_c)  # of an estimator of another order there is no such error
-        return np.kron([[1.0, 0.0], [1.0, -1.0]], np.eye(n))
-
-
 def closed_loop(
-    estimator: Estimator,
-    Delta: ArrayLike,
-    loop: str = "theory",
-    allow_inadmissible: bool = False,
-    reference: Reference = None,
-) -> ClosedLoop:
-    """Close the loop under a constant uncertainty; see `error_covariance` for the arguments."""
-    validation.instance("smoother", estimator, Estimator)
-    plant = estimator.plant
-    shape = plant.B1_tilde.shape[1], plant.C1_tilde.shape[0]
-    Delta = validation.matrix("Delta", Delta, shape)
-    if not allow_inadmissible:
-        _check_norm(plant, Delta)
-    return _closed(estimator, Delta, loop, reference)
+    estimator: Estimator, Delta: Matrix, loop: str = "theory", reference: Reference = None
+) -> tuple[Matrix, Matrix]:
+    """Return A and B of dX = A X dt + B dW, X = [x_p; x_hat], for one Delta or (N, ., .) of them.
+
+    The arguments are those of `error_covariance`.
+    """
+    A, B, inputs, outputs = matrices(estimator, loop, reference)
+    return A + inputs @ Delta @ outputs, B
 
 
 def _check_norm(plant: AugmentedSystem, Delta: Matrix) -> None:
@@ -135,13 +74,36 @@ def _check_norm(plant: AugmentedSystem, Delta: Matrix) -> None:
         )
 
 
-def _closed(
-    estimator: Estimator, Delta: Matrix, loop: str, reference: Reference = None
-) -> ClosedLoop:
-    """Close the loop for one Delta or (N, ., .) of them."""
-    A, B, inputs, outputs = matrices(estimator, loop, reference)
-    A = A + inputs @ Delta @ outputs
-    return ClosedLoop(A, B, estimator)
+def _stationary_error(A: Matrix, B: Matrix, estimator: Estimator, output: str) -> Matrix:
+    """Return the (..., m, m) stationary covariance of one of the errors, of one A or of several."""
+    truth, estimate, delay = error_rows(estimator, output)
+    n, n_c = estimator.plant.n, len(estimator.A_c)
+    T = np.eye(n + n_c)  # an estimator of another order has no such error
+    if n == n_c:
+        T = np.kron([[1.0, 0.0], [1.0, -1.0]], np.eye(n))
+    try:
+        # T is its own inverse
+        return _decaying_error(T @ A @ T, T @ B, truth @ T, estimate @ T, delay)
+    except (UnstableLoopError, ArithmeticError):
+        if not hardly_decays(A):
+            raise
+    if A.ndim > 2:
+        return np.array([_stationary_error(each, B, estimator, output) for each in A])
+    result, error = drifting_error(A, B, truth, estimate, delay)
+    check_certainty("the error covariance", result, error)
+    return result
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of a loop that runs away
+def _decaying_error(A: Matrix, B: Matrix, truth: Matrix, estimate: Matrix, delay: float) -> Matrix:
+    """Return the covariance of truth X(t - delay) - estimate X(t) where all modes decay."""
+    found = covariances(A, B, delay)
+    E, error = found.transition, found.error
+    past, since = truth - estimate @ E, error - _squared(E, error)
+    result = _squared(past, found.stationary) + _squared(estimate, found.grown)
+    error = _squared(past, error) + _squared(estimate, since)
+    check_certainty("the error covariance", result, error)
+    return result
 
 
 def _squared(C: Matrix, P: Matrix) -> Matrix:
@@ -205,9 +167,13 @@ def error_covariance(
     array([[0.0609]])
     """
     validation.choice("output", output, OUTPUTS)
-    loop = which_loop(loop, copy_noise)
-    closed = closed_loop(smoother, Delta, loop, allow_inadmissible, reference)
-    return closed.error_covariance(output)
+    validation.instance("smoother", smoother, Estimator)
+    plant = smoother.plant
+    Delta = validation.matrix("Delta", Delta, (plant.B1_tilde.shape[1], len(plant.C1_tilde)))
+    if not allow_inadmissible:
+        _check_norm(plant, Delta)
+    A, B = closed_loop(smoother, Delta, which_loop(loop, copy_noise), reference)
+    return _stationary_error(A, B, smoother, output)
 
 
 @one_thread
@@ -249,10 +215,7 @@ def delta_sweep(
     plant = smoother.plant
     pattern = plant.structured_delta((), [1.0] * plant.system.g)
     _check_norm(plant, np.abs(slopes).max(initial=0.0) * pattern)
-    result = np.empty((slopes.size, plant.system.m, plant.system.m))
-    chunk = max(_BATCH // (plant.n + len(smoother.A_c)) ** 2, 1)
-    for start in range(0, slopes.size, chunk):
-        some = slice(start, start + chunk)
-        closed = _closed(smoother, slopes[some, None, None] * pattern, loop)
-        result[some] = closed.error_covariance(output)
-    return result
+    size = slopes.size * (plant.n + len(smoother.A_c)) ** 2
+    parts = np.array_split(slopes[:, None, None], 1 + size // _BATCH)
+    loops = (closed_loop(smoother, part * pattern, loop) for part in parts)
+    return np.concatenate([_stationary_error(*each, smoother, output) for each in loops])

@@ -70,7 +70,6 @@ def worst_case(
     loop: str = "theory",
     *,
     starts: int = 16,
-    seed: int = 0,
 ) -> WorstCase:
     """Search for the constant admissible uncertainty with the largest mean square error.
 
@@ -79,7 +78,6 @@ def worst_case(
     smoother, output, loop
         As in `error_covariance`.
     starts : int, number of corners of the admissible set to start from, besides its centre
-    seed : int, of the corners
 
     Returns
     -------
@@ -99,8 +97,7 @@ def worst_case(
     """
     opened, _ = scaled(open_loop(smoother, output, loop))
     starts = validation.integer("starts", starts, low=1)
-    seed = validation.integer("seed", seed, low=0)
-    _, Delta = worst_delta(opened, starts, seed)
+    _, Delta = worst_delta(opened, starts, seed=0)
 
     def error(Delta: Matrix) -> float:
         if not np.isfinite(mean_square(opened, Delta)):

@@ -17,7 +17,6 @@ system's q noises, `W` has g that the theory adds to the copies through :math:`J
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,11 +28,7 @@ from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.delay import DelayModel, pade_delay
-from robsmooth.systems.statespace import state_space
 from robsmooth.systems.system import UncertainSystem
-
-if TYPE_CHECKING:
-    import control
 
 _MISFIT = 1e-9  # largest of Assumption 1, relative to each row's size
 _STANDING = 1e-6  # of the fastest mode's rate: a mode that decays by less does not
@@ -146,11 +141,11 @@ class AugmentedSystem:
 
     def M(self, multipliers: ArrayLike) -> Matrix:
         """Return M(lambda), the sum of lambda_i M_i."""
-        return _combination(multipliers, self.M_i, sum(self.input_sizes))
-
-    def N(self, multipliers: ArrayLike) -> Matrix:
-        """Return N(lambda), the sum of lambda_i N_i."""
-        return _combination(multipliers, self.N_i, sum(self.output_sizes))
+        if len(multipliers) != len(self.M_i):
+            given = len(multipliers)
+            raise ValueError(f"multipliers must have {len(self.M_i)} entries, got {given}")
+        zero = np.zeros([sum(self.input_sizes)] * 2)
+        return sum(map(np.multiply, multipliers, self.M_i), zero)
 
     @cached_property
     def J(self) -> Matrix:
@@ -219,25 +214,6 @@ class AugmentedSystem:
         blocks = _blocks("uncertainties", uncertainties, sizes[:k])
         slopes = _blocks("nonlinearities", nonlinearities, sizes[k : k + g])
         return block_diag(np.zeros((0, 0)), *blocks, *slopes, *slopes)
-
-    def to_statespace(self) -> "control.StateSpace":
-        """Return the linear part as `UncertainSystem.to_statespace` does, with the output ``w_a``.
-
-        Returns
-        -------
-        control.StateSpace
-
-        Examples
-        --------
-        >>> import robsmooth as rs
-        >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-        >>> plant.to_statespace().output_labels
-        ['w[0]', 'y[0]', 'zeta_0[0]', 'nu[0]', 'w_a[0]']
-        """
-        inputs, outputs, feedthrough = self.system.signals()
-        inputs = {name: _padded(B, self.n, B.shape[1]) for name, B in inputs.items()}
-        outputs = {name: _padded(C, len(C), self.n) for name, C in outputs.items()}
-        return state_space(self.A_p, inputs, {**outputs, "w_a": self.C_a}, feedthrough)
 
     def __repr__(self) -> str:
         model = f"delay={self.delay:g} s, order={self.order}, n={self.n} states"
@@ -360,12 +336,6 @@ def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix,
     copies = [bound * row for bound, row in zip(bounds, rows[k + g :], strict=True)]
     differences = [row - copy for row, copy in zip(own, copies, strict=True)]
     return tuple(frozen(F.T @ F) for F in (*rows[:k], *differences, *own, *copies))
-
-
-def _combination(weights: ArrayLike, matrices: Sequence[Matrix], size: int) -> Matrix:
-    if len(weights) != len(matrices):
-        raise ValueError(f"multipliers must have {len(matrices)} entries, got {len(weights)}")
-    return sum(map(np.multiply, weights, matrices), np.zeros((size, size)))
 
 
 def _blocks(name: str, given: Sequence, sizes: Sequence[tuple[int, int]]) -> list[Matrix]:

@@ -24,17 +24,12 @@ Both Gramians are the identity (up to the unit of time): no coordinates are bett
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.systems.statespace import state_space
-
-if TYPE_CHECKING:
-    import control
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +67,6 @@ class DelayModel:
         s = 1j * np.asarray(omega)[..., None, None]
         identity = np.eye(self.F.shape[0])
         return self.H @ np.linalg.solve(s * identity - self.F, self.G + 0j * s) + self.J
-
-    def to_statespace(self) -> "control.StateSpace":
-        """Return the model as a python-control object, from ``w`` to ``w_a``."""
-        return state_space(self.F, {"w": self.G}, {"w_a": self.H}, {("w_a", "w"): self.J})
 
 
 def pade_delay(delay: float, order: int, channels: int = 1) -> DelayModel:

@@ -1,11 +1,10 @@
-"""State-space systems with named signals: the way to python-control's objects and back.
+"""State-space systems with named signals: the way to python-control's objects.
 
 A signal is a vector with a name. Its components are called ``name[0]``, ``name[1]``, ... there:
 python-control connects them by name, and finds parts as in ``sys["y[0]", "W[1]"]``.
 """
 
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,23 +60,6 @@ def check_continuous(name: str, sys: "control.StateSpace") -> None:
         raise ValueError(f"{name} must have a state, got a static gain")
 
 
-def components(name: str, labels: Sequence[str]) -> dict[str, list[int]]:
-    """Return where the components of each signal stand, in their order."""
-    found: dict[str, list[tuple[int, int]]] = {}
-    for position, label in enumerate(labels):
-        signal, index = re.fullmatch(r"(?s)(.*?)(?:\[(\d+)\])?", label).groups("0")
-        found.setdefault(signal, []).append((int(index), position))
-    for signal, components in found.items():
-        components.sort()
-        indices = [index for index, _ in components]
-        if indices != list(range(len(indices))):
-            raise ValueError(
-                f"{name} {signal!r} must have its components numbered '{signal}[0]', "
-                f"'{signal}[1]', ..., each once, got the numbers {indices}"
-            )
-    return {signal: [at for _, at in components] for signal, components in found.items()}
-
-
 def chosen(name: str, wanted: str | Iterable[str] | None, signals: Signals) -> Signals:
     """Return the signals of some names, in the order given; None keeps all."""
     if wanted is None:
@@ -85,7 +67,6 @@ def chosen(name: str, wanted: str | Iterable[str] | None, signals: Signals) -> S
     several = isinstance(wanted, Iterable) and not isinstance(wanted, str)
     wanted = list(wanted) if several else [wanted]
     wrong = [repr(s) for s in wanted if not isinstance(s, str) or s not in signals]
-    if wrong or (name == "inputs" and not wanted):
-        got = wrong[0] if wrong else "none"
-        raise ValueError(f"{name} must be among {', '.join(signals)}, got {got}")
+    if wrong:
+        raise ValueError(f"{name} must be among {', '.join(signals)}, got {wrong[0]}")
     return {signal: signals[signal] for signal in wanted}

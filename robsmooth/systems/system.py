@@ -20,10 +20,9 @@ A nonlinearity whose slopes lie in a sector around another slope than zero, :mat
 :math:`C_2`, and :math:`\psi_i(\nu) - c_i\nu` is kept, whose constant is half the sector's width.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,7 +38,6 @@ from robsmooth.systems.channels import (
     fitting,
     with_feedback,
 )
-from robsmooth.systems.statespace import Feedthrough, Signals
 
 if TYPE_CHECKING:
     import control
@@ -170,10 +168,6 @@ class UncertainSystem:
         ValueError, TypeError
             For another kind of plant, an intensity that is no covariance, and as the class.
 
-        See Also
-        --------
-        from_statespace : for a plant whose signals have names.
-
         Examples
         --------
         >>> import control
@@ -201,124 +195,32 @@ class UncertainSystem:
             nonlinearities=nonlinearities,
         )
 
-    @classmethod
-    def from_statespace(
-        cls,
-        sys: "control.StateSpace",
-        lipschitz: ArrayLike = (),
-        functions: Sequence[Callable[[Any], Any] | None] | None = None,
-        references: Sequence[str | None] | None = None,
-    ) -> "UncertainSystem":
-        """Read a system from a python-control object whose signals are named as `to_statespace`'s.
-
-        Parameters
-        ----------
-        sys : control.StateSpace
-            In continuous time. Its signals may come in any order; only y may have feedthrough.
-        lipschitz, functions, references : (g,) sequences, optional
-            Of the nonlinearities, as in `Nonlinearity`: what a linear system does not hold.
-
-        Returns
-        -------
-        UncertainSystem
-
-        Raises
-        ------
-        ValueError, TypeError
-            For other signals or feedthrough, and as the class.
-
-        See Also
-        --------
-        to_statespace, from_plant : the way back, and for a plant that is not so named.
-
-        Examples
-        --------
-        >>> import robsmooth as rs
-        >>> system = rs.homodyne.PAPER.uncertain_system()
-        >>> rs.UncertainSystem.from_statespace(system.to_statespace(), lipschitz=[1.0]).g
-        1
-        """
-        statespace.check_continuous("sys", sys)
-        inputs = statespace.components("sys's input", sys.input_labels)
-        outputs = statespace.components("sys's output", sys.output_labels)
-        k = _number_of_uncertainties(inputs, outputs)
-        for i, j in np.argwhere(sys.D):
-            if i not in outputs["y"]:
-                names = f"{sys.input_labels[j]!r} to {sys.output_labels[i]!r}"
-                raise ValueError(f"sys must have feedthrough to 'y' only, got {names}")
-
-        def channel(signal: str, output: str) -> tuple[Matrix, Matrix, Matrix]:
-            columns, rows = inputs.get(signal, []), outputs.get(output, [])
-            return sys.B[:, columns], sys.C[rows], sys.D[np.ix_(outputs["y"], columns)]
-
-        B1, C0, D21 = channel("W", "w")
-        mu, nu, D = channel("mu", "nu")
-        g, named = mu.shape[1], {"lipschitz": validation.array("lipschitz", lipschitz, ndim=1)}
-        for name, given in (("functions", functions), ("references", references)):
-            named[name] = [None] * g if given is None else given
-            validation.instance(name, named[name], Sequence)
-        for name, given in {"sys's output 'nu'": nu, **named}.items():
-            if len(given) != g:
-                wanted = f"as many entries as sys's input 'mu', {g}, got {len(given)}"
-                raise ValueError(f"{name} must have {wanted}")
-        return cls(
-            A=sys.A,
-            B1=B1,
-            C0=C0,
-            C2=sys.C[outputs["y"]],
-            D21=D21,
-            uncertainties=[Uncertainty(*channel(f"xi_{s}", f"zeta_{s}")) for s in range(k)],
-            nonlinearities=[
-                Nonlinearity(mu[:, [i]], nu[[i]], D[:, [i]], *of_function)
-                for i, of_function in enumerate(zip(*named.values(), strict=True))
-            ],
-        )
-
-    def to_statespace(
-        self,
-        inputs: str | Iterable[str] | None = None,
-        outputs: str | Iterable[str] | None = None,
-    ) -> "control.StateSpace":
+    def to_statespace(self) -> "control.StateSpace":
         """Return the linear part as a python-control object, with its channels open.
-
-        Parameters
-        ----------
-        inputs, outputs : str or sequence of str, optional
-            Which to keep. Inputs are the white noises ``W`` (of unit intensity), the uncertainties
-            ``xi_0``, ... and the nonlinearities' values ``mu``. Outputs are ``w`` (to estimate),
-            ``y`` (the measurement dy/dt), the uncertainties' bounds ``zeta_0``, ... and the
-            nonlinearities' arguments ``nu``. Default: all.
 
         Returns
         -------
         control.StateSpace
-            With the components ``W[0]``, ``W[1]``, ..., which ``interconnect`` joins by name.
-
-        See Also
-        --------
-        from_statespace : the way back.
+            Its inputs are the white noises ``W[0]``, ``W[1]``, ... (of unit intensity), the
+            uncertainties ``xi_0[0]``, ... and the nonlinearities' values ``mu[0]``, ... Its outputs
+            are ``w[0]``, ... (to estimate), ``y[0]``, ... (the measurement dy/dt), the
+            uncertainties' bounds ``zeta_0[0]``, ... and the nonlinearities' arguments ``nu[0]``,
+            ... ``interconnect`` joins them by name.
 
         Examples
         --------
         >>> import robsmooth as rs
-        >>> system = rs.homodyne.PAPER.uncertain_system()
-        >>> system.to_statespace(inputs="W", outputs="y").input_labels
-        ['W[0]', 'W[1]']
+        >>> rs.homodyne.PAPER.uncertain_system().to_statespace().input_labels
+        ['W[0]', 'W[1]', 'xi_0[0]', 'mu[0]']
         """
-        drives, reads, feedthrough = self.signals()
-        drives = statespace.chosen("inputs", inputs, drives)
-        reads = statespace.chosen("outputs", outputs, reads)
-        return statespace.state_space(self.A, drives, reads, feedthrough)
-
-    def signals(self) -> tuple[Signals, Signals, Feedthrough]:
-        """Inputs, outputs and feedthrough of the linear part by name, for `state_space`."""
         channels = [("W", "w", self.B1, self.C0, self.D21)]
         for s, c in enumerate(self.uncertainties):
             channels.append((f"xi_{s}", f"zeta_{s}", c.B, c.C, c.D))
         channels.append(("mu", "nu", *self.stacked(self.nonlinearities)))
         inputs = {name: B for name, _, B, _, _ in channels}
         outputs = {"w": self.C0, "y": self.C2} | {name: C for _, name, _, C, _ in channels}
-        return inputs, outputs, {("y", name): D for name, _, _, _, D in channels}
+        feedthrough = {("y", name): D for name, _, _, _, D in channels}
+        return statespace.state_space(self.A, inputs, outputs, feedthrough)
 
     def stacked(self, channels: Sequence[Channel]) -> tuple[Matrix, Matrix, Matrix]:
         """Return B, C and D of some of the system's channels side by side."""
@@ -415,24 +317,3 @@ def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
         got = f"one whose correlation matrix has the eigenvalue {eigenvalues.min():.3g}"
         raise ValueError(f"{name} must be nonnegative definite, got {got}")
     return unit[:, None] * (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T)
-
-
-def _number_of_uncertainties(inputs: Iterable[str], outputs: Iterable[str]) -> int:
-    """Check that a system's signals are those of the class, and count its uncertainties."""
-    k = next(s for s in count() if f"xi_{s}" not in inputs and f"zeta_{s}" not in outputs)
-    for kind, signals, known, channel in (
-        ("input", inputs, ["W", "mu"], "xi"),
-        ("output", outputs, ["w", "y", "nu"], "zeta"),
-    ):
-        allowed = [*known, *(f"{channel}_{s}" for s in range(k))]
-        for name in signals:
-            if name not in allowed:
-                raise ValueError(
-                    f"sys's {kind} {name!r} must be one of {', '.join(known)}, {channel}_0, "
-                    f"{channel}_1, ..., numbered from 0 without a gap; for a plant that is not so "
-                    "named there is from_plant"
-                )
-    for name in ("w", "y"):
-        if name not in outputs:
-            raise ValueError(f"sys must have an output {name!r}, got {', '.join(outputs)}")
-    return k

@@ -105,11 +105,11 @@ def test_error_of_a_smoother_is_that_of_exact_arithmetic(problem, kappa):
     _, system, units, lag, order = problem
     system = in_units(noisier(system, 10.0**kappa), **units)
     smoother = fixed_lag_smoother(system, lag / units["time"], min(order, 3 - system.n))
-    loop = closed_loop(smoother, nominal(smoother))
+    A, B = closed_loop(smoother, nominal(smoother))
     # of the same floats: the differences of matrices are rounded here as they are there
     n = smoother.plant.n
     T = np.kron([[1.0, 0.0], [1.0, -1.0]], np.eye(n))
-    P = exact_covariance(T @ loop.A @ T, T @ loop.B @ loop.B.T @ T.T)[n:, n:]
+    P = exact_covariance(T @ A @ T, T @ B @ B.T @ T.T)[n:, n:]
     C = smoother.plant.C_p0
     found = error_covariance(smoother, nominal(smoother), "filtered")
     size = np.abs(C) @ np.sqrt(np.diag(P))  # what the terms of C P C' are of the size of

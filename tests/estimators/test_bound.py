@@ -101,7 +101,7 @@ def stabilising(A, Q, S):
 def independent_bound(plant, cost, tau, multipliers):
     """V on the constraint's boundary, from the equations of Section III written out again."""
     multipliers = multipliers / np.linalg.eigvalsh(plant.J.T @ plant.M(multipliers) @ plant.J)[-1]
-    inverse, N = np.linalg.inv(plant.M(multipliers)), tau * plant.N(multipliers)
+    inverse, N = np.linalg.inv(plant.M(multipliers)), tau * np.tensordot(multipliers, plant.N_i, 1)
     B1, C1, C2, D21 = plant.B1_tilde, plant.C1_tilde, plant.C2_tilde, plant.D21_tilde
     C = plant.C_p0 if cost == "filtered" else plant.C_a
     E = np.linalg.inv(D21 @ inverse @ D21.T)

@@ -64,7 +64,8 @@ def test_multiplier_matrix_of_the_example_is_the_printed_one(example):
     determinant = l3 * l4 + l2 * (l3 + l4)
     block = np.array([[l2 + l4, l2], [l2, l2 + l3]]) / determinant
     assert_allclose(np.linalg.inv(M)[1:, 1:], block, rtol=1e-9)
-    assert_allclose(example.N([l1, l2, l3, l4]), M, rtol=1e-15)  # all Lipschitz constants are 1
+    for M_i, N_i in zip(example.M_i, example.N_i, strict=True):
+        assert_array_equal(N_i, M_i)  # all Lipschitz constants are 1
 
 
 def quadratic_forms(parts, weights):
@@ -94,7 +95,6 @@ def test_constraint_matrices_evaluate_the_integrands_of_the_constraints(general)
         assert_allclose([xi @ M @ xi for M in general.M_i], inputs, rtol=1e-12, atol=1e-14)
         assert_allclose([zeta @ N @ zeta for N in general.N_i], outputs, rtol=1e-12, atol=1e-14)
         assert xi @ general.M(multipliers) @ xi == pytest.approx(multipliers @ inputs)
-        assert zeta @ general.N(multipliers) @ zeta == pytest.approx(multipliers @ outputs)
 
 
 def test_multipliers_are_taken_in_the_papers_order(general):
@@ -261,10 +261,9 @@ def test_noise_of_a_measurement_is_checked_in_its_own_unit(D, words):
 
 
 @pytest.mark.parametrize("count", [0, 7, 9])
-def test_multiplier_matrices_want_the_right_number_of_multipliers(general, count):
-    for matrix in (general.M, general.N):
-        with pytest.raises(ValueError, match="multipliers must have 8 entries"):
-            matrix(np.ones(count))
+def test_multiplier_matrix_wants_the_right_number_of_multipliers(general, count):
+    with pytest.raises(ValueError, match="multipliers must have 8 entries"):
+        general.M(np.ones(count))
 
 
 @pytest.mark.parametrize("system", [None, 3, "system"])
@@ -287,7 +286,7 @@ def test_lipschitz_constant_and_output_only_matter_by_their_product(seed):
     multipliers = rng.uniform(0.1, 1.0, 5)
     weighted = []
     for plant in (augment(system, 1.0, 1), augment(other, 1.0, 1)):
-        weighted.append(plant.C1_tilde.T @ plant.N(multipliers) @ plant.C1_tilde)
+        weighted.append(plant.C1_tilde.T @ np.tensordot(multipliers, plant.N_i, 1) @ plant.C1_tilde)
     assert_allclose(*weighted, rtol=0, atol=1e-13)
 
 

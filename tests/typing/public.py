@@ -47,9 +47,7 @@ assert_type(plant.order, int)
 Delta = plant.structured_delta((0.5, [[-1.0]]))
 assert_type(Delta, Floats)
 
-back = rs.UncertainSystem.from_statespace(system.to_statespace())
-assert_type(back, rs.UncertainSystem)
-controlled = rs.UncertainSystem.from_plant(system.to_statespace("W", "w"), np.eye(2), 1.0)
+controlled = rs.UncertainSystem.from_plant(system.to_statespace(), np.eye(4), 1.0)
 assert_type(controlled, rs.UncertainSystem)
 
 # --- estimators -----------------------------------------------------------------------------------
