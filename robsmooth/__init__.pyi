@@ -53,6 +53,7 @@ from robsmooth.simulation.statistics import InadmissibleWarning as InadmissibleW
 from robsmooth.simulation.statistics import SamplePaths as SamplePaths
 from robsmooth.simulation.statistics import SimulatedError as SimulatedError
 from robsmooth.simulation.statistics import SimulationResult as SimulationResult
+from robsmooth.systems import examples as examples
 from robsmooth.systems.augmented import AugmentedSystem as AugmentedSystem
 from robsmooth.systems.augmented import augment as augment
 from robsmooth.systems.channels import Nonlinearity as Nonlinearity

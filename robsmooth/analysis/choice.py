@@ -204,7 +204,8 @@ def best_smoother(
     ------
     InfeasibleDesignError
         Where no estimator has a finite error; for the certified one it says which fraction of the
-        uncertainty has one. Where the plant is not stable, or a measurement has no noise.
+        uncertainty has one. Where a measurement has no noise, no measurement sees a mode that does
+        not decay, or an uncertainty does.
     ValueError, TypeError
         For an argument that is not as described.
 

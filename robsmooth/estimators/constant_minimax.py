@@ -92,8 +92,8 @@ def constant_minimax_smoother(
     Raises
     ------
     InfeasibleDesignError
-        Where every candidate's error has no limit for some constant uncertainty; where the plant is
-        not stable, or a measurement has no noise.
+        Where every candidate's error has no limit for some constant uncertainty, and else as in
+        `minimax_smoother`.
     ValueError, TypeError
         For an argument that is not as described.
 

@@ -109,7 +109,8 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     ------
     InfeasibleDesignError
         Where no estimator has a finite guarantee; it says with which fraction of the uncertainty
-        one has. Where the plant is not stable, or a measurement has no noise.
+        one has. Where a measurement has no noise, no measurement sees a mode that does not decay,
+        or an uncertainty does.
     ValueError, TypeError
         For an argument that is not as described.
 

@@ -53,7 +53,7 @@ def tuned_fixed_lag_smoother(
     Parameters
     ----------
     plant : AugmentedSystem
-        Made by `augment`, with a stable A.
+        Made by `augment`.
     against : {"constant", "admissible"}
         Which error is to be least: the worst constant or the certified worst one, the latter
         against the output of the delay model.
@@ -67,7 +67,7 @@ def tuned_fixed_lag_smoother(
     Raises
     ------
     InfeasibleDesignError
-        Where A is not stable, or a measurement has no noise.
+        As in `minimax_smoother`, but for a guarantee.
     ValueError, TypeError
         For an argument that is not as described.
 
