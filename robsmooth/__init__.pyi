@@ -29,11 +29,11 @@ from robsmooth.estimators.constant_minimax import (
 )
 from robsmooth.estimators.discrete import DiscreteSmoother as DiscreteSmoother
 from robsmooth.estimators.estimator import Estimator as Estimator
-from robsmooth.estimators.limit import limiting_smoother as limiting_smoother
 from robsmooth.estimators.minimax import MinimaxSmoother as MinimaxSmoother
 from robsmooth.estimators.minimax import minimax_smoother as minimax_smoother
 from robsmooth.estimators.smoother import RobustSmoother as RobustSmoother
 from robsmooth.estimators.smoother import design_smoother as design_smoother
+from robsmooth.estimators.smoother import limiting_smoother as limiting_smoother
 from robsmooth.homodyne.loop import statistical_linearisation as statistical_linearisation
 from robsmooth.homodyne.moments import StationaryErrors as StationaryErrors
 from robsmooth.homodyne.moments import stationary_errors as stationary_errors

@@ -42,12 +42,9 @@ def weights(name: str, plant: AugmentedSystem, given: Sequence[float]) -> np.nda
     return result
 
 
-def singular(plant: AugmentedSystem, multipliers: np.ndarray) -> np.ndarray:
-    """Return which multipliers are zero and make M(lambda) singular, (k + 3g,) of bool."""
-    k, g = plant.system.k, plant.system.g
-    zero = multipliers == 0.0
-    few = zero[k:].reshape(3, g).sum(axis=0) > 1
-    return zero & np.concatenate([zero[:k], np.tile(few, 3)])
+def of_measurements(plant: AugmentedSystem) -> np.ndarray:
+    """Return which nonlinearities do not enter the state, (g,) of bool."""
+    return np.array([not c.B.any() for c in plant.system.nonlinearities], dtype=bool)
 
 
 def multiplier_level(plant: AugmentedSystem, multipliers: Sequence[float]) -> float:
@@ -58,12 +55,17 @@ def multiplier_level(plant: AugmentedSystem, multipliers: Sequence[float]) -> fl
 
 def check_multipliers(plant: AugmentedSystem, multipliers: np.ndarray, limit: bool) -> None:
     """Check M(lambda) > 0, but for a limit, and the constraint (eqcons)."""
-    if not limit and singular(plant, multipliers).any():
+    k, positive = plant.system.k, multipliers > 0.0
+    pairs = positive[k:].reshape(3, -1)
+    enough = pairs.sum(axis=0) > 1
+    if limit:
+        enough |= pairs[0] & of_measurements(plant)
+    if not (positive[:k].all() and enough.all()):
         raise InfeasibleDesignError(
             "M(lambda) > 0",
             "every uncertainty needs a positive multiplier and every nonlinearity two positive "
-            f"ones, got {multipliers.tolist()} (limiting_smoother gives the limit in which more "
-            "of them vanish)",
+            f"ones, got {multipliers.tolist()} (in a limit, see limiting_smoother, a nonlinearity "
+            "that does not enter the state needs that of the difference alone)",
         )
     level = multiplier_level(plant, multipliers)
     if level > 1.0 + _EQUALITY_SLACK:

@@ -61,11 +61,14 @@ with l rows of measurements in the place of l + g. (eqCparams) and (eqbound) bec
     A_c = A_p - KC_2 + Y(R + \Gamma\tilde C_c)/\tau,\\
     V &= \tfrac12\operatorname{tr}(YR + UXT).
 
-Where some multipliers are zero and M is singular, the equations are those of the limit
-(`robsmooth.estimators.limit`).
+Where both multipliers of a nonlinearity and of its copy go to zero, and only that of their
+difference stays, the bound may fall all the way, and no design attains its infimum. Then f goes to
+zero, and the noise 1/f of the X equation has no bound. Where that noise does not enter the state,
+it is left out, and the equations are those of the limit. There the share a of the copy is one:
+this is the *nonlinear observer*, which takes the copy's output for the nonlinearity's, and is
+robust against their difference alone.
 """
 
-from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -87,71 +90,50 @@ class Weights(NamedTuple):
     b: np.ndarray  # (g,) ... and of their arguments
     Y: np.ndarray  # (k + g,) lambda_s, then e
     X: np.ndarray  # (k + g,) lambda_s, then f
-    rates: np.ndarray  # (k + g,) how fast those of the X equation grow as a limit is left
 
     @classmethod
-    def of(cls, k: int, multipliers: np.ndarray, rates: np.ndarray) -> "Weights":
-        """Return the weights; where neither d nor c is left, b depends on the rates alone."""
-        both = np.array([multipliers, rates])
-        d, o, c = np.moveaxis(both[:, k:].reshape(2, 3, -1), 1, 0)
-        pair = np.where(d[0] + c[0] > 0.0, (d[0], c[0]), (d[1], c[1]))
-        a, b, rest = _share((d[0], *pair), (o[0], *pair[::-1]))
-        X, fast = np.hstack([both[:, :k], rest**2 * d + o + b**2 * c])
-        return cls(a, b, np.concatenate([multipliers[:k], d[0] + o[0]]), X, fast)
-
-
-def _share(parts: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> np.ndarray:
-    """Return part/(part + other), zero where both are."""
-    total = np.add(parts, others)
-    return np.divide(parts, total, out=np.zeros_like(total), where=total > 0.0)
+    def of(cls, k: int, multipliers: np.ndarray) -> "Weights":
+        """Return the weights."""
+        s, (d, o, c) = multipliers[:k], multipliers[k:].reshape(3, -1)
+        a, b = d / (d + o), d / (d + c)
+        return cls(a, b, np.concatenate([s, d + o]), np.concatenate([s, o + b * c]))
 
 
 class DesignEquations:
-    """The equations at one tau and lambda; `rates` say how fast zeros are approached in a limit."""
+    """The equations at one tau and lambda."""
 
-    def __init__(
-        self, problem: DesignProblem, tau: float, multipliers: np.ndarray, rates: np.ndarray
-    ) -> None:
+    def __init__(self, problem: DesignProblem, tau: float, multipliers: np.ndarray) -> None:
         self.problem, self.tau, self.multipliers = problem, tau, multipliers
-        self.weights = Weights.of(problem.k, multipliers, rates)
+        self.weights = Weights.of(problem.k, multipliers)
         self.R = problem.C.T @ problem.C + self._output_cost(self.weights.Y)
         self.Q_X = self._output_cost(self.weights.X)  # R - Gamma G^{-1} Gamma'
-        # Diagonals of Lambda_Y^{-1}, Lambda_X^{-1}; zero for noise without bound, and its size.
-        self.noise_Y = _inverse(self.weights.Y)[problem.channels]
-        self.noise_X = _inverse(self.weights.X)[problem.channels]
-        fast = _inverse(self.weights.rates)[problem.channels]
-        self.unbounded_noise = np.where(problem.unbounded, fast, 0.0)
-        _, B, _, D = problem.of_Y
-        self.E = D * self.noise_Y @ D.T
-        self.L = B * self.noise_Y @ D.T
+        # Diagonals of Lambda_Y^{-1} and Lambda_X^{-1}; zero for noise without bound.
+        self.noise_Y = (1.0 / self.weights.Y)[problem.channels]
+        weights = self.weights.X[problem.channels]
+        self.noise_X = np.divide(1.0, weights, out=np.zeros_like(weights), where=weights > 0.0)
+        self.E = problem.D * self.noise_Y @ problem.D.T
+        self.L = problem.B * self.noise_Y @ problem.D.T
         self.worst_noise = problem.B * self.noise_X @ problem.B.T  # B1_tilde M^{-1} B1_tilde'
 
     @cached_property
     def over_E(self) -> tuple[Matrix, Matrix]:
         """(l, n) E^{-1} C2 and E^{-1} L'."""
-        _, _, C2, _ = self.problem.of_Y
-        return tuple(np.hsplit(np.linalg.solve(self.E, np.hstack([C2, self.L.T])), 2))
+        both = np.hstack([self.problem.C2, self.L.T])
+        return tuple(np.hsplit(np.linalg.solve(self.E, both), 2))
 
     @property
     def equation_Y(self) -> Equation:
         """The first Riccati equation of Assumption 3."""
-        A, B, C2, _ = self.problem.of_Y
-        information, gain = self.over_E
+        problem, (information, gain) = self.problem, self.over_E
         return (
-            (A - self.L @ information).T,
-            B * self.noise_Y @ B.T - self.L @ gain,
-            C2.T @ information - self.R / self.tau,
+            (problem.A - self.L @ information).T,
+            problem.B * self.noise_Y @ problem.B.T - self.L @ gain,
+            problem.C2.T @ information - self.R / self.tau,
         )
 
     def equation_X(self, quadratic_sign: float = 1.0) -> Equation:
         """Return the second Riccati equation of Assumption 3; the theory has `quadratic_sign` 1."""
         return self.problem.A, self.Q_X, -quadratic_sign / self.tau * self.worst_noise
-
-    def equation_of_slope(self, X: Matrix) -> Equation:
-        """Return the equation of x, how fast X grows as a limit is left."""
-        B = self.problem.B
-        A = self.problem.A + self.worst_noise @ X / self.tau
-        return A, self._output_cost(self.weights.rates), -B * self.unbounded_noise @ B.T / self.tau
 
     def solve_Y(self) -> RiccatiSolution:
         """Return the solution of the first Riccati equation."""
@@ -185,14 +167,12 @@ class DesignEquations:
     def gains(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, Matrix, float, float]:
         """Return A_c, B_c and C_c of (eqCparams), V of (eqbound), and rho(YX)."""
         problem, (a, b, *_) = self.problem, self.weights
-        A, _, C2, _ = problem.of_Y
         K, _, T, bound, radius = self.solution(X, Y)
         arguments = problem.C1[problem.rows >= problem.k] / problem.lipschitz[:, None]
         difference = self.tau * problem.lipschitz**2 * np.split(self.multipliers[problem.k :], 3)[0]
         Gamma = -np.hstack([problem.C.T, arguments.T * difference])
         C_c = np.vstack([problem.C, b[:, None] * arguments]) @ T
-        A_c = A - K @ C2 + Y @ (self.R + Gamma @ C_c) / self.tau
-        K = K @ problem.combinations.T + problem.known
+        A_c = problem.A - K @ problem.C2 + Y @ (self.R + Gamma @ C_c) / self.tau
         copies = (problem.B - K @ problem.D)[:, problem.channels >= problem.k] * a
         return A_c, np.hstack([K, copies]), C_c, bound, radius
 
@@ -200,8 +180,3 @@ class DesignEquations:
         """Return tau C1' Lambda C1."""
         C1 = self.problem.C1
         return self.tau * (C1.T * weights[self.problem.rows] @ C1)
-
-
-def _inverse(weights: np.ndarray) -> np.ndarray:
-    """Return one over each weight, zero where it is zero."""
-    return np.divide(1.0, weights, out=np.zeros_like(weights), where=weights > 0.0)

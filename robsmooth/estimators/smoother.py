@@ -123,7 +123,47 @@ def design_smoother(
     >>> round(smoother.mean_square_bound, 4)
     0.2465
     """
-    return solve_design(plant, design_equations(plant, tau, multipliers, cost), cost)
+    return _solved(plant, design_equations(plant, tau, multipliers, cost), cost)
+
+
+def limiting_smoother(
+    plant: AugmentedSystem, tau: float, multipliers: ArrayLike, cost: str = "filtered"
+) -> RobustSmoother:
+    r"""Design the smoother in the limit where the zeros among the multipliers are approached.
+
+    It is the limit of `design_smoother` at multipliers that go to zero, gains and bound. Its
+    guarantee is the limit of theirs: a stable loop's error is a continuous function of the gains.
+
+    Parameters
+    ----------
+    plant, tau, multipliers, cost
+        As in `design_smoother`. Of a nonlinearity that enters the measurements and not the state,
+        the multipliers of both the mu and the mu-tilde constraint may be zero.
+
+    Returns
+    -------
+    RobustSmoother
+        Where M(lambda) is positive all the same, that of `design_smoother`.
+
+    Raises
+    ------
+    InfeasibleDesignError
+        Where Assumption 2 or 3 or the constraint (eqcons) fails in the limit, or other multipliers
+        are zero.
+
+    See Also
+    --------
+    minimize_bound, design_smoother : the search for tau and lambda; a design.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
+    >>> limit = rs.limiting_smoother(plant, tau=1.1e-6, multipliers=[1.0, 0.5, 0.0, 0.0])
+    >>> round(limit.mean_square_bound, 4)
+    0.2433
+    """
+    return _solved(plant, design_equations(plant, tau, multipliers, cost, limit=True), cost)
 
 
 def design_equations(
@@ -131,28 +171,17 @@ def design_equations(
     tau: float,
     multipliers: ArrayLike,
     cost: str = "filtered",
-    *,
     limit: bool = False,
-    rates: ArrayLike | None = None,
 ) -> DesignEquations:
     """Return the equations of a design or of a limit, after checking all but Assumption 3."""
     conditions.check_plant(plant, cost)
     tau = validation.positive("tau", tau)
     multipliers = conditions.weights("multipliers", plant, multipliers)
-    zeros = 1.0 * conditions.singular(plant, multipliers)
-    rates = zeros if rates is None else conditions.weights("rates", plant, rates)
-    rates = np.where(multipliers == 0.0, rates, 0.0)
     conditions.check_multipliers(plant, multipliers, limit)
-    if conditions.singular(plant, multipliers + rates).any():
-        raise ValueError(
-            "rates must be positive for enough of the vanishing multipliers to make M positive, "
-            f"got {rates.tolist()}"
-        )
-    problem = DesignProblem.of(plant, cost, multipliers > 0.0)
-    return DesignEquations(problem, tau, multipliers, rates)
+    return DesignEquations(DesignProblem.of(plant, cost), tau, multipliers)
 
 
-def solve_design(plant: AugmentedSystem, equations: DesignEquations, cost: str) -> RobustSmoother:
+def _solved(plant: AugmentedSystem, equations: DesignEquations, cost: str) -> RobustSmoother:
     """Solve the equations of a design, after checking Assumption 3."""
     conditions.check_stable(plant)
     Y = conditions.certified_solution(conditions.ASSUMPTION_Y, equations.solve_Y)

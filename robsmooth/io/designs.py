@@ -34,9 +34,8 @@ from robsmooth._support import files, validation
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.conditions import COSTS, weights
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.minimax import ROUTES, MinimaxSmoother, certified_error
-from robsmooth.estimators.smoother import RobustSmoother
+from robsmooth.estimators.smoother import RobustSmoother, limiting_smoother
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.functions import name_of

@@ -6,8 +6,10 @@ from scipy.integrate import quad_vec
 from scipy.linalg import sqrtm
 
 from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne
-from robsmooth.estimators.bound_function import BoundFunction
-from robsmooth.estimators.limit import limiting_smoother
+from robsmooth.estimators.bound_function import log_bound
+from robsmooth.estimators.problem import DesignProblem
+from robsmooth.estimators.smoother import limiting_smoother
+from robsmooth.estimators.units import Units
 from tests.helpers.limits import CASES, limit_of
 from tests.helpers.strategies import feasible_design, random_system
 
@@ -30,31 +32,30 @@ def general_design(seed, cost):
     raise AssertionError("no feasible design found")
 
 
-def all_positive(plant, cost):
-    return BoundFunction.of(plant, cost, np.ones(len(plant.M_i), dtype=bool))
-
-
-def check(v, theta, rates, bound, tau):
-    assert tau / v.time * np.exp(v(theta, rates)) == pytest.approx(bound, rel=1e-11)
+def value(plant, cost, tau, multipliers):
+    """V as the search finds it, in natural units."""
+    units = Units.of(plant.system)
+    natural = tau / (units.time * units.w**2)
+    problem = DesignProblem.of(units.plant(plant), cost)
+    v = np.exp(log_bound(problem, natural * np.asarray(multipliers)))
+    return natural * v * units.w**2
 
 
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("seed", range(4))
 def test_value_is_that_of_the_design(seed, cost):
     design = general_design(seed, cost)
-    v = all_positive(design.plant, cost)
-    rates = np.zeros_like(design.multipliers)
-    check(v, design.tau / v.time * design.multipliers, rates, design.bound, design.tau)
+    found = value(design.plant, cost, design.tau, design.multipliers)
+    assert found == pytest.approx(design.bound, rel=1e-11)
 
 
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("case", CASES)
 def test_the_same_in_the_limit(case, cost):
-    plant, zero, rates = CASES[case]
-    limit = limit_of(plant, zero, cost, rates)
-    v = BoundFunction.of(plant, cost, limit.multipliers > 0.0)
-    speeds = np.array(rates or (limit.multipliers == 0.0), dtype=float)
-    check(v, limit.tau / v.time * limit.multipliers, speeds, limit.bound, limit.tau)
+    plant, zero = CASES[case]
+    limit = limit_of(plant, zero, cost)
+    found = value(plant, cost, limit.tau, limit.multipliers)
+    assert found == pytest.approx(limit.bound, rel=1e-11)
 
 
 @pytest.mark.parametrize("cost", COSTS)
@@ -64,12 +65,12 @@ def test_small_multipliers_of_a_pair_do_no_harm(J_21, small, cost):
     # The copy and the nonlinearity are nearly one channel: formed plainly, the bound loses as many
     # digits as M has decades.
     plant = augment(homodyne.PAPER.uncertain_system(), 3.1e-6, 2, J_21=J_21)
-    v, tau = all_positive(plant, cost), 1.1e-6
+    tau = 1.1e-6
     limit = limiting_smoother(plant, tau, [1.0, 0.5, 0.0, 0.0], cost)
 
     def excess(small):  # relative to the limit, for one of `small`
-        value = v(tau / v.time * np.array([1.0, 0.5 - small, small, small]), np.zeros(4))
-        return (tau / v.time * np.exp(value) - limit.bound) / (small * limit.bound)
+        found = value(plant, cost, tau, [1.0, 0.5 - small, small, small])
+        return (found - limit.bound) / (small * limit.bound)
 
     slope = (10.0 * excess(1e-6) - excess(1e-5)) / 9.0
     assert excess(small) == pytest.approx(slope, rel=1e-4 + 2e3 * small + 1e-13 / small)
@@ -112,10 +113,9 @@ def test_bound_is_half_the_entropy_of_the_closed_loop(seed, cost):
 
 
 def test_conditions_of_a_design_are_those_of_the_value(example):
-    v = all_positive(example, "filtered")
     for tau, multipliers in ((1.1e-6, [1, 0.45, 1e-2, 1e-2]), (1e-8, [1, 0.49, 1e-4, 1e-4])):
         with pytest.raises(InfeasibleDesignError) as here:
-            v(tau / v.time * np.array(multipliers), np.zeros(4))
+            value(example, "filtered", tau, multipliers)
         with pytest.raises(InfeasibleDesignError) as there:
             design_smoother(example, tau, multipliers)
         assert here.value.condition == there.value.condition

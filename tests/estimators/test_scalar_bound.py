@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robsmooth import InfeasibleDesignError, augment, design_smoother, minimize_bound
-from robsmooth.estimators.limit import limiting_smoother
+from robsmooth.estimators.smoother import limiting_smoother
 from robsmooth.homodyne import PAPER
 from tests.helpers.proof import least_tau, prove_infimum
 from tests.helpers.scalar_bound import scalar_bound

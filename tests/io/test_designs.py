@@ -24,8 +24,8 @@ from robsmooth import (
     homodyne,
 )
 from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
-from robsmooth.estimators.limit import limiting_smoother
 from robsmooth.estimators.minimax import certified_error, minimax_smoother
+from robsmooth.estimators.smoother import limiting_smoother
 from robsmooth.io.designs import load, save
 from tests.helpers.strategies import designs, feasible_design, plants, random_system, systems
 

@@ -54,7 +54,7 @@ assert_type(controlled, rs.UncertainSystem)
 
 smoother = rs.minimize_bound(plant, cost="smoothed")
 given = rs.design_smoother(plant, smoother.tau, smoother.multipliers, cost="smoothed")
-limiting = rs.limiting_smoother(plant, given.tau, given.multipliers, "smoothed", rates=[0, 0])
+limiting = rs.limiting_smoother(plant, given.tau, given.multipliers, "smoothed")
 least = rs.minimax_smoother(plant, "filtered")
 assert_type(least, rs.MinimaxSmoother)
 assert_type(least.certified, float)
