@@ -40,11 +40,11 @@ from robsmooth.systems.augmented import AugmentedSystem, undelayed
 
 VANISHING = 1e-6  # stands for zero beside an infimum, relative to the largest multiplier
 _EXCESS = 1e-3  # of a bound beside an infimum; for less of it, smaller multipliers are taken
-_LARGEST_TAU = 1e10  # the best tau is between this and its inverse, in natural units ...
+_LARGEST_TAU = 1e20  # the best tau is between this and its inverse, in natural units ...
 _TAU_TOLERANCE = 1e-7  # ... and found to this, relatively
 
 _SAMPLE = 4  # random multipliers for each start
-_TAUS = 10.0 ** np.arange(-6.0, 7.0)  # of the starts
+_TAUS = 10.0 ** np.arange(-16.0, 7.0)  # of the starts
 _LEAST = 1e-13  # a multiplier, relative to the largest that the constraint allows
 _IGNORED = 1e-10  # the same, where a start ignores a channel
 _SAME = 1e-9  # bounds that differ by less, relatively
