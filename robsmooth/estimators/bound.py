@@ -41,14 +41,15 @@ from robsmooth.systems.augmented import AugmentedSystem, undelayed
 
 VANISHING = 1e-6  # stands for zero beside an infimum, relative to the largest multiplier
 _EXCESS = 1e-3  # of a bound beside an infimum; for less of it, smaller multipliers are taken
-_LARGEST_TAU = 1e10  # the best tau is between this and its inverse, in natural units ...
+_LARGEST_TAU = 1e20  # the best tau is between this and its inverse, in natural units ...
 _TAU_TOLERANCE = 1e-7  # ... and found to this, relatively
 
 _SAMPLE = 4  # random multipliers for each start
-_TAUS = 10.0 ** np.arange(-6.0, 7.0)  # of the starts
+_TAUS = 10.0 ** np.arange(-16.0, 7.0)  # of the starts
 _LEAST = 1e-13  # a multiplier, relative to the largest that the constraint allows
 _IGNORED = 1e-10  # the same, where a start ignores a channel
 _SAME = 1e-9  # bounds that differ by less, relatively
+_STEP = 1e-6  # of the differences, in logarithms
 _REFUSED = 1e3  # more than the logarithm of any bound
 _ROUNDING = 1e-18  # a level of the constraint that is smaller is rounding
 _ROUGH = {"ftol": 1e-6, "maxiter": 50}  # SLSQP's options from each start ...
@@ -184,6 +185,12 @@ class _Search:
         """Return log V at a point."""
         return self.log_bound(*self.arguments(point))
 
+    def gradient(self, point: np.ndarray) -> np.ndarray:
+        """Return the slopes of the objective, zero next to points without a design."""
+        steps = _STEP * np.eye(len(point))
+        low, high = ([self.objective(each) for each in point + side] for side in (-steps, steps))
+        return np.where(np.maximum(low, high) < _REFUSED, np.subtract(high, low), 0.0) / (2 * _STEP)
+
     def slack(self, point: np.ndarray) -> np.ndarray:
         """Return the eigenvalues of I - J'M(lambda)J."""
         return 1.0 - np.linalg.eigvalsh(np.tensordot(self.arguments(point)[1], self.levels, 1))
@@ -216,7 +223,7 @@ class _Search:
         """Return log V and the point on the constraint where SLSQP stops."""
         high = np.log([_LARGEST_TAU, *self.natural()])
         low = np.log([1.0 / _LARGEST_TAU, *_LEAST * self.natural()])
-        how = {"method": "SLSQP", "options": options, "jac": "3-point"}
+        how = {"method": "SLSQP", "options": options, "jac": self.gradient}
         how |= {"bounds": np.transpose([low, high])}
         how |= {"constraints": {"type": "ineq", "fun": self.slack, "jac": self.slopes}}
         point = np.clip(minimize(self.objective, point, **how).x, low, high)

@@ -44,7 +44,7 @@ def _stabilising(condition: str, A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
     """Return the stabilising solution of A'X + XA + Q - XSX = 0, which the condition asks for."""
     n = len(A)
     size_Q, size_S = np.linalg.norm(Q), np.linalg.norm(S)
-    unit = np.sqrt(size_Q / size_S) if size_Q > 0.0 < size_S else 1.0
+    unit = np.sqrt(size_Q / size_S) if size_Q > 0.0 < size_S else 1.0 / (size_S or 1.0)
     hamiltonian = np.block([[A, -unit * S], [-Q / unit, -A.T]])
     size = np.linalg.norm(hamiltonian)
     if not size < _LARGEST:

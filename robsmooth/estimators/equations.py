@@ -70,7 +70,6 @@ robust against their difference alone.
 """
 
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -83,34 +82,20 @@ from robsmooth.estimators.problem import DesignProblem
 Equation = tuple[Matrix, Matrix, Matrix]  # the A, Q and S of A'Z + ZA + Q - ZSZ = 0
 
 
-class Weights(NamedTuple):
-    """What the equations need of the multipliers of k uncertainties and g nonlinearities."""
-
-    a: np.ndarray  # (g,) the shares of the copies' outputs ...
-    b: np.ndarray  # (g,) ... and of their arguments
-    Y: np.ndarray  # (k + g,) lambda_s, then e
-    X: np.ndarray  # (k + g,) lambda_s, then f
-
-    @classmethod
-    def of(cls, k: int, multipliers: np.ndarray) -> "Weights":
-        """Return the weights."""
-        s, (d, o, c) = multipliers[:k], multipliers[k:].reshape(3, -1)
-        a, b = d / (d + o), d / (d + c)
-        return cls(a, b, np.concatenate([s, d + o]), np.concatenate([s, o + b * c]))
-
-
 class DesignEquations:
     """The equations at one tau and lambda."""
 
     def __init__(self, problem: DesignProblem, tau: float, multipliers: np.ndarray) -> None:
         self.problem, self.tau, self.multipliers = problem, tau, multipliers
-        self.weights = Weights.of(problem.k, multipliers)
-        self.R = problem.C.T @ problem.C + self._output_cost(self.weights.Y)
-        self.Q_X = self._output_cost(self.weights.X)  # R - Gamma G^{-1} Gamma'
+        of_s, (d, o, c) = multipliers[: problem.k], multipliers[problem.k :].reshape(3, -1)
+        self.d, self.a, self.b = d, d / (d + o), d / (d + c)
+        of_Y, of_X = np.concatenate([of_s, d + o]), np.concatenate([of_s, o + self.b * c])
+        self.R = problem.C.T @ problem.C + self._output_cost(of_Y)
+        self.Q_X = self._output_cost(of_X)  # R - Gamma G^{-1} Gamma'
         # Diagonals of Lambda_Y^{-1} and Lambda_X^{-1}; zero for noise without bound.
-        self.noise_Y = (1.0 / self.weights.Y)[problem.channels]
-        weights = self.weights.X[problem.channels]
-        self.noise_X = np.divide(1.0, weights, out=np.zeros_like(weights), where=weights > 0.0)
+        self.noise_Y = (1.0 / of_Y)[problem.channels]
+        of_X = of_X[problem.channels]
+        self.noise_X = np.divide(1.0, of_X, out=np.zeros_like(of_X), where=of_X > 0.0)
         self.E = problem.D * self.noise_Y @ problem.D.T
         self.L = problem.B * self.noise_Y @ problem.D.T
         self.worst_noise = problem.B * self.noise_X @ problem.B.T  # B1_tilde M^{-1} B1_tilde'
@@ -158,22 +143,20 @@ class DesignEquations:
         T = np.eye(len(X)) + root / (self.tau - radii) @ root.T @ X
         information, gain = self.over_E
         K = Y @ information.T + gain.T
-        a, b, *_ = self.weights
         copies = self.problem.channels >= self.problem.k
-        B, excess = self.problem.B[:, copies], a * b * self.noise_X[copies]  # 1/f - 1/e
+        B, excess = self.problem.B[:, copies], self.a * self.b * self.noise_X[copies]  # 1/f - 1/e
         U = K @ self.E @ K.T + B * excess @ B.T
         return K, U, T, 0.5 * float(np.trace(Y @ self.R + U @ X @ T)), radius
 
     def gains(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, Matrix, float, float]:
         """Return A_c, B_c and C_c of (eqCparams), V of (eqbound), and rho(YX)."""
-        problem, (a, b, *_) = self.problem, self.weights
+        problem = self.problem
         K, _, T, bound, radius = self.solution(X, Y)
         arguments = problem.C1[problem.rows >= problem.k] / problem.lipschitz[:, None]
-        difference = self.tau * problem.lipschitz**2 * np.split(self.multipliers[problem.k :], 3)[0]
-        Gamma = -np.hstack([problem.C.T, arguments.T * difference])
-        C_c = np.vstack([problem.C, b[:, None] * arguments]) @ T
+        Gamma = -np.hstack([problem.C.T, arguments.T * (self.tau * problem.lipschitz**2 * self.d)])
+        C_c = np.vstack([problem.C, self.b[:, None] * arguments]) @ T
         A_c = problem.A - K @ problem.C2 + Y @ (self.R + Gamma @ C_c) / self.tau
-        copies = (problem.B - K @ problem.D)[:, problem.channels >= problem.k] * a
+        copies = (problem.B - K @ problem.D)[:, problem.channels >= problem.k] * self.a
         return A_c, np.hstack([K, copies]), C_c, bound, radius
 
     def _output_cost(self, weights: np.ndarray) -> Matrix:
