@@ -1,6 +1,7 @@
 """The public names, for type checkers and for `__init__`, which imports by this list."""
 
 from robsmooth import homodyne as homodyne
+from robsmooth._support.errors import CoarseDelayWarning as CoarseDelayWarning
 from robsmooth._support.errors import InfeasibleDesignError as InfeasibleDesignError
 from robsmooth._support.errors import LongStepWarning as LongStepWarning
 from robsmooth._support.errors import UnstableLoopError as UnstableLoopError

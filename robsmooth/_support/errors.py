@@ -26,6 +26,26 @@ class UnstableLoopError(ValueError):
     """A closed loop without a stationary covariance: it is not asymptotically stable."""
 
 
+class CoarseDelayWarning(RuntimeWarning):
+    """The delay's model is too coarse: the smoothed estimate is worse than the filtered one.
+
+    See Also
+    --------
+    robsmooth.judge, robsmooth.lag_sweep : give it; find the order that is enough.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> import robsmooth as rs
+    >>> system = rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.001]])
+    >>> with warnings.catch_warnings(record=True) as given:
+    ...     warnings.simplefilter("always")
+    ...     result = rs.judge(rs.baselines.fixed_lag_smoother(system, 0.5, order=2))
+    >>> given[0].category.__name__
+    'CoarseDelayWarning'
+    """
+
+
 class LongStepWarning(RuntimeWarning):
     """The step is long for the loop: the results of the simulation depend on it.
 

@@ -1,17 +1,25 @@
 """Which smoother to use: all candidates, judged by the same three errors."""
 
 import math
+import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
+from robsmooth._support.errors import (
+    CoarseDelayWarning,
+    InfeasibleDesignError,
+    UnstableLoopError,
+)
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.analysis.constraints import analysis_bound
+from robsmooth.analysis.covariance import error_covariance
 from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
@@ -22,6 +30,7 @@ from robsmooth.estimators.minimax import minimax_smoother
 from robsmooth.systems.augmented import AugmentedSystem, check_is_plant
 
 _ERRORS = {"admissible": "certified", "constant": "worst_constant"}
+_WORSE = 1.01  # times the filtered error
 _WORTHWHILE = 0.01  # of the classical smoother's error: a design that gains less is not chosen
 _CLASSICAL = "classical"
 _PAPER = "paper's V, "
@@ -69,6 +78,11 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     -------
     Judgement
 
+    Warns
+    -----
+    CoarseDelayWarning
+        Where the smoothed error is above the filtered one, without uncertainty.
+
     See Also
     --------
     best_smoother, worst_case, analysis_bound : all candidates; the worst case, and the certificate.
@@ -83,11 +97,37 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     """
     validation.instance("estimator", estimator, Estimator)
     validation.choice("output", output, COSTS)
+    judgement = _judged(estimator, output)
+    if output == "smoothed":
+        _warn_of_coarse_delay(estimator, judgement.nominal)
+    return judgement
+
+
+def _judged(estimator: Estimator, output: str) -> Judgement:
     constant = worst_case(estimator, output, loop="real")
     certified = math.inf
     with suppress(UnstableLoopError):  # what an uncertainty sees grows without bound
         certified = analysis_bound(estimator, output, loop="real").mean_square
     return Judgement(constant.nominal, constant.mean_square, certified)
+
+
+def _warn_of_coarse_delay(estimator: Estimator, smoothed: float) -> None:
+    """Warn where waiting makes the nominal error larger: a smoother with an exact delay cannot."""
+    if estimator.plant.delay == 0.0:
+        return
+    Delta = estimator.plant.structured_delta()
+    try:
+        filtered = float(np.trace(error_covariance(estimator, Delta, "filtered", loop="real")))
+    except (UnstableLoopError, ArithmeticError):
+        return
+    if smoothed > _WORSE * filtered:
+        warnings.warn(
+            f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: the "
+            f"delay's model of order {estimator.plant.order} is too coarse for this signal; a "
+            "higher order or a shorter delay helps",
+            CoarseDelayWarning,
+            stacklevel=4,
+        )
 
 
 _NONE = Judgement(math.inf, math.inf, math.inf)
@@ -209,6 +249,11 @@ def best_smoother(
     ValueError, TypeError
         For an argument that is not as described.
 
+    Warns
+    -----
+    CoarseDelayWarning
+        As in `judge`, of the best.
+
     See Also
     --------
     judge : the three errors of one estimator.
@@ -234,7 +279,7 @@ def best_smoother(
     for name, make in progress_bar(designs, unit="design", shown=progress):
         try:
             estimator = make()
-            candidates[name] = Candidate(estimator, judge(estimator, output))
+            candidates[name] = Candidate(estimator, _judged(estimator, output))
         except InfeasibleDesignError as error:
             failures[name] = error
             candidates[name] = Candidate(None, _NONE, str(error))
@@ -245,6 +290,8 @@ def best_smoother(
         raise failures.get("minimax" if against == "admissible" else "constant minimax", none)
     if errors[_CLASSICAL] <= (1.0 + _WORTHWHILE) * errors[best]:
         best = _CLASSICAL
+    if output == "smoothed":
+        _warn_of_coarse_delay(candidates[best].estimator, candidates[best].judgement.nominal)
     return Choice(candidates[best].estimator, best, candidates, against, output)
 
 

@@ -48,7 +48,7 @@ def clock(
     --------
     >>> import robsmooth as rs
     >>> rs.baselines.kalman_bucy(rs.examples.clock()).poles.round(3)
-    array([-0.113+0.j, -0.887+0.j])
+    array([-0.336, -0.942])
     """
     phase = math.sqrt(validation.positive("phase_noise", phase_noise))
     frequency = math.sqrt(validation.positive("frequency_noise", frequency_noise))

@@ -99,6 +99,7 @@ OBJECTS = {
         lambda: rs.lag_sweep(PAPER.uncertain_system(), [1e-6, 2e-6], [1, 2]),
         ["2 orders x 2 lags", "filtering=0.08", "two_sided=0.04"],
     ),
+    "CoarseDelayWarning": (lambda: rs.CoarseDelayWarning("coarse"), ["coarse"]),
     "LongStepWarning": (lambda: rs.LongStepWarning("long"), ["long"]),
     "LossOfLockWarning": (lambda: rs.LossOfLockWarning("slipped"), ["slipped"]),
     "MeanSquare": (lambda: rs.MeanSquare(0.0517, 0.0003), ["0.0517", "0.0003"]),

@@ -27,6 +27,9 @@ assert_type(
     rs.Nonlinearity([[0]], [[1]], [[1]], sector=(0.6, 1)).sector, tuple[float, float] | None
 )
 assert_type(rs.sector(np.tanh, 1, chords=True).remainder(0.1), Any)
+assert_type(rs.examples.random_walk(diffusion=2.0), rs.UncertainSystem)
+assert_type(rs.examples.clock(), rs.UncertainSystem)
+assert_type(rs.examples.resonant_phase(uncertainty=0.01), rs.UncertainSystem)
 assert_type(decay, rs.Uncertainty)
 assert_type(decay.B, Floats)
 assert_type(sine.lipschitz, float)
@@ -170,7 +173,12 @@ assert_type(found[0].value, float | str | None)
 
 # --- errors and warnings --------------------------------------------------------------------------
 
-for warning in (rs.InadmissibleWarning, rs.LongStepWarning, rs.LossOfLockWarning):
+for warning in (
+    rs.CoarseDelayWarning,
+    rs.InadmissibleWarning,
+    rs.LongStepWarning,
+    rs.LossOfLockWarning,
+):
     assert issubclass(warning, Warning)
 try:
     rs.design_smoother(plant, 1e-9, [1.0, 1.0])
