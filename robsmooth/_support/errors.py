@@ -29,10 +29,6 @@ class UnstableLoopError(ValueError):
 class CoarseDelayWarning(RuntimeWarning):
     """The delay's model is too coarse: the smoothed estimate is worse than the filtered one.
 
-    See Also
-    --------
-    robsmooth.judge, robsmooth.lag_sweep : give it; find the order that is enough.
-
     Examples
     --------
     >>> import warnings

@@ -97,7 +97,7 @@ def worst_case(
     """
     opened, _ = scaled(open_loop(smoother, output, loop))
     starts = validation.integer("starts", starts, low=1)
-    _, Delta = worst_delta(opened, starts, seed=0)
+    _, Delta = worst_delta(opened, starts)
 
     def error(Delta: Matrix) -> float:
         if not np.isfinite(mean_square(opened, Delta)):

@@ -111,7 +111,7 @@ def constant_minimax_smoother(
     natural = Natural.of(plant, output)
     drifts = natural.drift.V.size > 0
     candidates = _candidates(natural.plant)
-    found = [(*worst_delta(_loop(each, drifts), _STARTS, seed=0), each) for each in candidates]
+    found = [(*worst_delta(_loop(each, drifts), _STARTS), each) for each in candidates]
     start = min(found, key=itemgetter(0))
     if math.isinf(start[0]):
         raise InfeasibleDesignError(
@@ -161,7 +161,7 @@ def _designed(
             estimator = _descended(estimator, Deltas, sharpness, drifts)
         loop = _loop(estimator, drifts)
         inner = max(mean_square(loop, each) for each in Deltas)
-        value, Delta = worst_delta(loop, _STARTS, seed=0)
+        value, Delta = worst_delta(loop, _STARTS)
         if value < best[0]:
             best = value, estimator
         if value <= (1.0 + _CLOSED) * inner:

@@ -20,7 +20,7 @@ from robsmooth._support import notation, validation
 from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.statespace import chosen, state_space
+from robsmooth.systems.statespace import state_space
 
 if TYPE_CHECKING:
     import control
@@ -79,20 +79,16 @@ class Estimator:
         poles = np.linalg.eigvals(self.A_c)
         return poles[np.lexsort((poles.imag, -poles.real))]
 
-    def to_statespace(
-        self, slopes: ArrayLike | None = None, outputs: str | Iterable[str] | None = None
-    ) -> "control.StateSpace":
+    def to_statespace(self, slopes: ArrayLike | None = None) -> "control.StateSpace":
         """Return the estimator as a python-control object.
 
         Its inputs are ``y[0]``, ..., the measurement dy/dt, and ``mu_copy[0]``, ..., what the
-        copies of the nonlinearities give at its output ``nu_copy``.
+        copies give at its output ``nu_copy``. Other outputs are ``smoothed`` and ``filtered``.
 
         Parameters
         ----------
         slopes : (g,) sequence of floats, optional
             Those of the copies, which closes them, and ``mu_copy`` goes. Zeros are nominal.
-        outputs : str or sequence of str, optional
-            Which to keep, of ``smoothed``, ``filtered`` and ``nu_copy``. Default: all.
 
         Returns
         -------
@@ -106,7 +102,7 @@ class Estimator:
         --------
         >>> import robsmooth as rs
         >>> smoother = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
-        >>> smoother.to_statespace(outputs="filtered").input_labels
+        >>> smoother.to_statespace().input_labels
         ['y[0]', 'mu_copy[0]']
         """
         system = self.plant.system
@@ -121,7 +117,7 @@ class Estimator:
                 raise ValueError(f"slopes must have {system.g} entries, got {slopes.size}")
             A = A + copies * slopes @ nu
         read_outs = {"smoothed": self.C_a, "filtered": self.C_f, "nu_copy": nu}
-        return state_space(A, inputs, chosen("outputs", outputs, read_outs), {})
+        return state_space(A, inputs, read_outs, {})
 
     def discretize(
         self, dt: float, functions: Iterable[Callable[[Any], Any] | None] | None = None

@@ -4,7 +4,7 @@ A signal is a vector with a name. Its components are called ``name[0]``, ``name[
 python-control connects them by name, and finds parts as in ``sys["y[0]", "W[1]"]``.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,15 +58,3 @@ def check_continuous(name: str, sys: "control.StateSpace") -> None:
         raise ValueError(f"{name} must be in continuous time, got one in steps of dt={sys.dt!r}")
     if sys.nstates == 0:
         raise ValueError(f"{name} must have a state, got a static gain")
-
-
-def chosen(name: str, wanted: str | Iterable[str] | None, signals: Signals) -> Signals:
-    """Return the signals of some names, in the order given; None keeps all."""
-    if wanted is None:
-        return signals
-    several = isinstance(wanted, Iterable) and not isinstance(wanted, str)
-    wanted = list(wanted) if several else [wanted]
-    wrong = [repr(s) for s in wanted if not isinstance(s, str) or s not in signals]
-    if wrong:
-        raise ValueError(f"{name} must be among {', '.join(signals)}, got {wrong[0]}")
-    return {signal: signals[signal] for signal in wanted}
