@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import LinAlgError, schur, solve_sylvester
+from scipy.linalg import LinAlgError, matrix_balance, schur, solve_sylvester
 
 from robsmooth._numerics.lyapunov import balanced_norm, covariances, deviations
 from robsmooth._support.validation import Matrix
@@ -19,6 +19,8 @@ from robsmooth._support.validation import Matrix
 _GAP = 1e5  # between the decay rates of modes that hardly decay, and of the next
 _STANDING = 1e-12  # of the fastest mode's rate: a mode that decays by less does not, to rounding
 _DECAY = 0.01  # of A's norm, so that all modes decay
+_LOST = 1e-6  # how far the products of V and W may be from one and zero
+_UNREACHED = 1e-3  # of the noise
 _SLOW = 1e-9  # of that rate
 _ROUNDING = 1e-13  # of that rate
 _UNSEEN = 1e-8  # of an output's size: what it shows of a mode then is rounding
@@ -55,16 +57,20 @@ def is_stable(A: Matrix) -> bool:
     return slowest > _STANDING * fastest
 
 
-def hardly_decays(A: Matrix) -> bool:
+def hardly_decays(A: Matrix, slow: float = _SLOW) -> bool:
     """Return whether a mode of A, or of one of (N, n, n), decays by next to nothing."""
     poles = np.linalg.eigvals(A)
-    return bool((-poles.real.max(axis=-1) <= _SLOW * np.abs(poles).max(axis=-1)).any())
+    return bool((-poles.real.max(axis=-1) <= slow * np.abs(poles).max(axis=-1)).any())
 
 
 def natural_units(A: Matrix, B: Matrix) -> Matrix:
     """Return units of the states: what the noise makes of them if all modes were to decay."""
     shift = _DECAY * balanced_norm(A) + max(0.0, np.linalg.eigvals(A).real.max())
-    return deviations(covariances(A - shift * np.eye(len(A)), B).stationary)
+    # a state that no noise reaches has a size, too, beside those that one does
+    balance = matrix_balance(A, permute=False, separate=True)[1][0]
+    reached = np.linalg.norm(B / balance[:, None]) or 1.0
+    noise = np.hstack([B, np.diag(_UNREACHED * reached * balance)])
+    return deviations(covariances(A - shift * np.eye(len(A)), noise).stationary)
 
 
 def separations(A: Matrix, B: Matrix) -> Iterator[Modes]:
@@ -88,4 +94,7 @@ def modes(A: Matrix, B: Matrix, limit: float) -> Modes:
         mixing = solve_sylvester(first, -rest, -T[:d, d:])
     V, W = x[:, None] * U[:, :d], (U[:, :d] - U[:, d:] @ mixing.T).T / x
     V_rest, W_rest = x[:, None] * (U[:, :d] @ mixing + U[:, d:]), U[:, d:].T / x
+    lost = np.abs(W @ V - np.eye(d)).max(initial=0.0)
+    if not lost <= _LOST:
+        raise LinAlgError("the modes are too close to each other to be told apart")
     return Modes(V, W, first, V_rest, W_rest, rest, x)

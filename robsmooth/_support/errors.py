@@ -36,7 +36,7 @@ class CoarseDelayWarning(RuntimeWarning):
     >>> system = rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.001]])
     >>> with warnings.catch_warnings(record=True) as given:
     ...     warnings.simplefilter("always")
-    ...     result = rs.judge(rs.baselines.fixed_lag_smoother(system, 0.5, order=2))
+    ...     choice = rs.best_smoother(rs.augment(system, delay=0.5, order=2))
     >>> given[0].category.__name__
     'CoarseDelayWarning'
     """

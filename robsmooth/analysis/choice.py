@@ -25,6 +25,7 @@ from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.constant_minimax import constant_minimax_smoother
+from robsmooth.estimators.drift import Drift
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.minimax import minimax_smoother
 from robsmooth.systems.augmented import AugmentedSystem, check_is_plant
@@ -78,11 +79,6 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     -------
     Judgement
 
-    Warns
-    -----
-    CoarseDelayWarning
-        Where the smoothed error is above the filtered one, without uncertainty.
-
     See Also
     --------
     best_smoother, worst_case, analysis_bound : all candidates; the worst case, and the certificate.
@@ -97,37 +93,11 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     """
     validation.instance("estimator", estimator, Estimator)
     validation.choice("output", output, COSTS)
-    judgement = _judged(estimator, output)
-    if output == "smoothed":
-        _warn_of_coarse_delay(estimator, judgement.nominal)
-    return judgement
-
-
-def _judged(estimator: Estimator, output: str) -> Judgement:
     constant = worst_case(estimator, output, loop="real")
     certified = math.inf
     with suppress(UnstableLoopError):  # what an uncertainty sees grows without bound
         certified = analysis_bound(estimator, output, loop="real").mean_square
     return Judgement(constant.nominal, constant.mean_square, certified)
-
-
-def _warn_of_coarse_delay(estimator: Estimator, smoothed: float) -> None:
-    """Warn where waiting makes the nominal error larger: a smoother with an exact delay cannot."""
-    if estimator.plant.delay == 0.0:
-        return
-    Delta = estimator.plant.structured_delta()
-    try:
-        filtered = float(np.trace(error_covariance(estimator, Delta, "filtered", loop="real")))
-    except (UnstableLoopError, ArithmeticError):
-        return
-    if smoothed > _WORSE * filtered:
-        warnings.warn(
-            f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: the "
-            f"delay's model of order {estimator.plant.order} is too coarse for this signal; a "
-            "higher order or a shorter delay helps",
-            CoarseDelayWarning,
-            stacklevel=4,
-        )
 
 
 _NONE = Judgement(math.inf, math.inf, math.inf)
@@ -252,7 +222,7 @@ def best_smoother(
     Warns
     -----
     CoarseDelayWarning
-        As in `judge`, of the best.
+        Where the classical smoother's error is above its filter's, without uncertainty.
 
     See Also
     --------
@@ -274,12 +244,13 @@ def best_smoother(
     validation.choice("against", against, tuple(_ERRORS))
     validation.choice("output", output, COSTS)
     validation.boolean("progress", progress)
+    Drift.of(plant)  # says what there is no estimator for
     candidates, failures = {}, {}
     designs = _designs(plant, against, output).items()
     for name, make in progress_bar(designs, unit="design", shown=progress):
         try:
             estimator = make()
-            candidates[name] = Candidate(estimator, _judged(estimator, output))
+            candidates[name] = Candidate(estimator, judge(estimator, output))
         except InfeasibleDesignError as error:
             failures[name] = error
             candidates[name] = Candidate(None, _NONE, str(error))
@@ -290,9 +261,25 @@ def best_smoother(
         raise failures.get("minimax" if against == "admissible" else "constant minimax", none)
     if errors[_CLASSICAL] <= (1.0 + _WORTHWHILE) * errors[best]:
         best = _CLASSICAL
-    if output == "smoothed":
-        _warn_of_coarse_delay(candidates[best].estimator, candidates[best].judgement.nominal)
+    if output == "smoothed" and math.isfinite(candidates[_CLASSICAL].judgement.nominal):
+        _warn_of_coarse_delay(candidates[_CLASSICAL])
     return Choice(candidates[best].estimator, best, candidates, against, output)
+
+
+def _warn_of_coarse_delay(classical: Candidate) -> None:
+    """Warn where waiting makes the nominal error larger: a smoother with an exact delay cannot."""
+    estimator, smoothed = classical.estimator, classical.judgement.nominal
+    assert estimator is not None
+    plant, Delta = estimator.plant, estimator.plant.structured_delta()
+    filtered = float(np.trace(error_covariance(estimator, Delta, "filtered", "real")))
+    if plant.delay > 0.0 and smoothed > _WORSE * filtered:
+        warnings.warn(
+            f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: the "
+            f"delay's model of order {plant.order} is too coarse for this signal; a higher order "
+            "or a shorter delay helps",
+            CoarseDelayWarning,
+            stacklevel=4,
+        )
 
 
 def _designs(

@@ -25,6 +25,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.loop import drifting_output
+from robsmooth.estimators.problem import reaches
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.delay import pade_delay
@@ -50,12 +51,15 @@ class Drift:
     def of(cls, plant: AugmentedSystem) -> "Drift":
         """Return the observer of a plant; an InfeasibleDesignError says why there is none."""
         system, k, g = plant.system, plant.system.k, plant.system.g
+        if not reaches(system.A, system.B1, system.C0):
+            detail = "no noise in B1 drives C0 x, so that the estimate zero has no error in the end"
+            raise InfeasibleDesignError("A process noise", detail)
         without_delay = pade_delay(0.0, 0, system.m)
         _, gain = kalman_gain(system, without_delay)
         rate = np.abs(np.linalg.eigvals(system.A - gain @ system.C2)).max()
         found = modes(system.A, system.B1, _SLOW * rate)
-        V = _unseen(found, system, rate)
-        W = np.linalg.pinv(V / found.units[:, None]) / found.units
+        rest = _unseen(found, system, rate)
+        V, W = found.V @ rest, rest.T @ found.W
         gain = np.zeros((system.n, system.l))
         if V.size:
             noise = np.hstack([W @ system.B1, np.zeros((V.shape[1], system.q))])
@@ -118,7 +122,7 @@ def _sees(C: Matrix, V: Matrix, found: Modes) -> np.ndarray:
 
 
 def _unseen(found: Modes, system: UncertainSystem, rate: float) -> Matrix:
-    """Return those of the modes, (n, d), that no uncertainty sees; the others must decay."""
+    """Return those combinations of the modes that no uncertainty sees; the others must decay."""
     rest = np.eye(len(found.A))
     for s, channel in enumerate(system.uncertainties):
         rows = channel.C @ found.V / (np.linalg.norm(channel.C * found.units) or 1.0)
@@ -132,7 +136,7 @@ def _unseen(found: Modes, system: UncertainSystem, rate: float) -> Matrix:
             detail = drifting_output(f"uncertainties[{s}]", drift)
             raise InfeasibleDesignError("A bounded uncertainty", detail)
         rest = rest @ null_space((np.eye(len(rest)) - unseen @ unseen.T) @ rest)
-    return found.V @ rest
+    return rest
 
 
 def _left(system: UncertainSystem, gain: Matrix) -> UncertainSystem:

@@ -45,6 +45,7 @@ from robsmooth.systems.functions import on_arrays
 Uncertainties = Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]]
 
 _SLOPE_TOLERANCE = 1e-6  # relative to the Lipschitz constant
+_SLOW = 1e-5  # of the fastest mode's rate: nobody waits for one that is slower
 _ZERO_DEVIATION = 1e-9  # a deviation below this, relative to its terms, is rounding
 
 
@@ -86,7 +87,7 @@ class NonlinearLoop:
     def _modes(self) -> Modes | None:
         """The linear loop's modes that hardly decay, where the errors do not hold them, or None."""
         A, B = self.linear_drift[: self.order], self.noise[: self.order]
-        if not hardly_decays(A):
+        if not hardly_decays(A, _SLOW):
             return None
         w, filtered, smoothed = np.split(self.readout, 3)
         with np.errstate(over="ignore", invalid="ignore"):  # of a loop that runs away

@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag, expm, solve_sylvester
+from scipy.linalg import LinAlgError, block_diag, expm, solve_sylvester
 
 from robsmooth._numerics.modes import modes, rates
 from robsmooth._support import notation, validation
@@ -288,7 +288,10 @@ def _growth(system: UncertainSystem, model: DelayModel) -> Matrix:
     :math:`C_0 V e^{-A_z\delta} z(t)` but for the noise since then, and the model's state becomes
     S z with :math:`S A_z = F_a S + G_a C_0 V`. For integrators the two are the same.
     """
-    found = modes(system.A, system.B1, _STANDING * rates(system.A)[1])
+    try:
+        found = modes(system.A, system.B1, _STANDING * rates(system.A)[1])
+    except LinAlgError:  # integrators that rounding has put apart: the model delays them exactly
+        return frozen(np.zeros_like(system.C0))
     w = system.C0 @ found.V
     lacking = w @ expm(-model.delay * found.A) - model.J @ w
     if len(model.F) and len(found.A):

@@ -83,7 +83,8 @@ def test_bound_is_half_the_entropy_of_the_closed_loop(seed, cost):
     # |T| < 1, and V/tau is -1/(4 pi) times the integral of log det(I - T*T) over all frequencies.
     design = general_design(seed, cost)
     plant, m = design.plant, design.plant.system.m
-    M, N = (f(design.tau * design.multipliers) for f in (plant.M, plant.N))
+    theta = design.tau * design.multipliers
+    M, N = plant.M(theta), np.tensordot(theta, np.array(plant.N_i), axes=1)
     into, out = np.linalg.inv(sqrtm(M).real), sqrtm(N).real
     C = plant.C_p0 if cost == "filtered" else plant.C_a
     A = np.block(

@@ -221,6 +221,88 @@ def test_a_mode_without_a_stable_filter_is_named(A, B1, C2, message):
         rs.baselines.kalman_bucy(system)
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.3])
+def test_a_system_without_process_noise_is_named(delay):
+    plant = rs.augment(replace(WALK, A=[[-1]], B1=[[0, 0]]), delay, 2)
+    for design in (
+        rs.minimax_smoother,
+        rs.constant_minimax_smoother,
+        rs.best_smoother,
+        rs.baselines.tuned_fixed_lag_smoother,
+    ):
+        with pytest.raises(rs.InfeasibleDesignError, match=r"no noise in B1 drives C0 x"):
+            design(plant)
+
+
+def judged(system, delay, order=2):
+    return vars(rs.judge(rs.baselines.fixed_lag_smoother(system, delay, order))).values()
+
+
+@pytest.mark.parametrize("mixing", [1e-5, 1e-8, 0.0])
+def test_a_phase_with_a_coloured_frequency_has_all_designs(mixing):
+    # the noise of the integrated mode is that of its spectral projection
+    D21 = [[0, 0.1, 0]]
+    system = rs.UncertainSystem(
+        [[0, 1], [0, -1]], [[0, 0, mixing], [1, 0, 0]], [[1, 0]], [[1, 0]], D21
+    )
+    least = rs.baselines.optimal_fixed_lag_error(system, 0.5)[0, 0]
+    assert_allclose(list(judged(system, 0.5)), least, rtol=1e-3)
+    robust = rs.minimax_smoother(rs.augment(system, 0.5, 2))
+    assert robust.certified == pytest.approx(least, rel=5e-3)  # of the delay's model
+    assert rs.judge(robust).nominal == pytest.approx(least, rel=1e-3)
+
+
+def test_integrators_behind_an_ordinary_sensor():
+    A = [[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, -10, 1], [0, 0, 0, -1e3]]
+    B1 = [[0, 0], [0, 0], [0, 0], [1, 0]]
+    system = rs.UncertainSystem(A, B1, np.eye(1, 4), np.eye(1, 4), [[0, 0.1]])
+    least = rs.baselines.optimal_fixed_lag_error(system, 0.5)[0, 0]
+    for order in (2, 4):
+        assert_allclose(list(judged(system, 0.5, order)), least, rtol=1e-4)
+
+
+@pytest.mark.parametrize("decay", [1e-7, 1e-8, 1e-9, 3e-10])
+def test_a_stable_plant_with_a_slow_mode_has_its_error(decay):
+    B1 = [[1, 0, 0, 0], [0, (2 * decay) ** 0.5, 0, 0]]
+    D21 = np.hstack([np.zeros((2, 2)), np.eye(2)])
+    system = rs.UncertainSystem([[-1, 0], [0, -decay]], B1, [[1, 1]], np.eye(2), D21)
+    smoother = rs.baselines.fixed_lag_smoother(system, 0.1, 2)
+    expected = rs.error_covariance(smoother, NOTHING)[0, 0]
+    assert_allclose(list(judged(system, 0.1)), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("delay", [1e-6, 1e-9, 1e-11])
+def test_a_delay_that_is_next_to_nothing_changes_next_to_nothing(delay):
+    assert_allclose(list(judged(WALK, delay)), 1.0, rtol=2 * delay + 1e-9)
+
+
+@pytest.mark.parametrize("rate", [1e4, 1e6, 1e7])
+def test_the_minimax_smoother_is_no_worse_than_the_classical_beside_a_fast_mode(rate):
+    B1 = [[1, 0, 0], [0, (2 * rate) ** 0.5, 0]]
+    system = rs.UncertainSystem([[0, 0], [0, -rate]], B1, [[1, 0]], [[1, 1]], [[0, 0, 1]])
+    robust = rs.judge(rs.minimax_smoother(rs.augment(system, 0.1, 2)))
+    classical, *_ = judged(system, 0.1)
+    assert robust.nominal <= 1.001 * classical
+
+
+def test_a_drift_that_noise_reaches_through_rounding_only_has_its_error():
+    A = np.diag([0.0, 0.0, -0.3])
+    A[0, 1], A[1, 0] = 1.0, -1.0
+    rate = rs.Uncertainty([[0.5], [0], [1]], [[0, 0, 0.2]], [[0.1], [0]])
+    force = rs.Nonlinearity([[0], [0.3], [0]], [[0, 0, 1]], [[0], [0.2]], 0.4)
+    B1 = np.hstack([np.eye(3), np.zeros((3, 2))])
+    C, D21 = [[1, 0, 0], [0, 1, 1]], [[0, 0, 0, 0.3, 0], [0, 0, 0, 0.1, 0.3]]
+    system = rs.UncertainSystem(A, B1, [[1, 0, 0], [0, 0, 1]], C, D21, [rate], [force])
+    for order in (1, 3, 5):
+        found = rs.judge(rs.minimax_smoother(rs.augment(system, 0.6, order)))
+        assert found.nominal < found.worst_constant < found.certified < 1.3
+
+
+def test_sample_paths_do_not_wait_for_a_mode_that_hardly_decays():
+    smoother = rs.baselines.fixed_lag_smoother(loop_of(0.01), 3.1e-6, 2, copies=True)
+    assert len(rs.sample_paths(smoother, runs=1).time) < 1000
+
+
 def test_a_delayed_mode_that_grows_is_read_out_exactly():
     grows = replace(WALK, A=[[0.5]])
     for delay in (0.3, 4.0):

@@ -571,9 +571,12 @@ def test_unstable_estimator_is_named():
         stationary_errors(PAPER, one_state(1e6, gain=1.0, smoothed=1.0))
 
 
-def test_rates_too_far_apart_are_an_error():
-    with pytest.raises(ArithmeticError, match="lost in rounding"):
-        stationary_errors(replace(PAPER, lam=1e-11), one_state(-GAIN))
+def test_a_phase_that_does_not_decay_has_the_errors_of_one_that_hardly_does():
+    system = replace(PAPER, lam=0.0).uncertain_system()
+    design = fixed_lag_smoother(system, 0.0, 0, copies=True)
+    none, little = (stationary_errors(replace(PAPER, lam=lam), design) for lam in (0.0, 1.0))
+    assert none.filtered == pytest.approx(little.filtered, rel=1e-5)
+    assert stationary_errors(replace(PAPER, lam=1e-11), design).filtered == none.filtered
 
 
 def test_too_many_states_are_an_error():
