@@ -92,27 +92,20 @@ class Drift:
         copies = into @ B - gain @ D
         own, measured = len(A_c), plant.C2_tilde[:l] @ basis
         observer = block_diag(self.W, np.eye(delays)) @ plant.A_p @ basis - gain @ measured
+        # what each read-out takes of the observer's state
+        w = plant.C_p0 if np.array_equal(fields["C_c"][:m], fields["C_f"]) else plant.C_a
+        arguments = plant.C1_tilde[sum(plant.output_sizes[: plant.system.k]) :][: plant.system.g]
+        reads = {"C_c": np.vstack([w, arguments]), "C_a": plant.C_a, "C_f": plant.C_p0}
         whole = Estimator(
             plant=plant,
             A_c=np.block([[A_c, -B_y @ measured], [np.zeros((len(gain), own)), observer]]),
             B_c=np.block([[B_y, B_mu - B_y @ D], [gain, copies]]),
-            **{
-                name: np.hstack([fields[name], rows @ basis])
-                for name, rows in self._reads(plant, fields, m).items()
-            },
+            **{name: np.hstack([fields[name], rows @ basis]) for name, rows in reads.items()},
         )
         to = np.eye(own + len(gain))
         to[: plant.n, own:] = basis
         whole = whole.in_coordinates(to, 2.0 * np.eye(len(to)) - to)
         return {name: getattr(whole, name) for name in fields}
-
-    @staticmethod
-    def _reads(plant: AugmentedSystem, fields: dict[str, Any], m: int) -> dict[str, Matrix]:
-        """Return what each read-out takes of the observer's state."""
-        filtered = np.array_equal(fields["C_c"][:m], fields["C_f"])
-        w = plant.C_p0 if filtered else plant.C_a
-        arguments = plant.C1_tilde[sum(plant.output_sizes[: plant.system.k]) :][: plant.system.g]
-        return {"C_c": np.vstack([w, arguments]), "C_a": plant.C_a, "C_f": plant.C_p0}
 
 
 def _sees(C: Matrix, V: Matrix, found: Modes) -> np.ndarray:
