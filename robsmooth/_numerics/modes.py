@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import LinAlgError, matrix_balance, schur, solve_sylvester
+from scipy.linalg import LinAlgError, schur, solve_sylvester
+from scipy.linalg.lapack import dgebal
 
 from robsmooth._numerics.lyapunov import balanced_norm, covariances, deviations
 from robsmooth._support.validation import Matrix
@@ -67,7 +68,7 @@ def natural_units(A: Matrix, B: Matrix) -> Matrix:
     """Return units of the states: what the noise makes of them if all modes were to decay."""
     shift = _DECAY * balanced_norm(A) + max(0.0, np.linalg.eigvals(A).real.max())
     # a state that no noise reaches has a size, too, beside those that one does
-    balance = matrix_balance(A, permute=False, separate=True)[1][0]
+    balance = dgebal(A, scale=1)[3]
     reached = np.linalg.norm(B / balance[:, None]) or 1.0
     noise = np.hstack([B, np.diag(_UNREACHED * reached * balance)])
     return deviations(covariances(A - shift * np.eye(len(A)), noise).stationary)
