@@ -83,12 +83,11 @@ def separations(A: Matrix, B: Matrix) -> Iterator[Modes]:
     for faster, slower in pairwise(decays[::-1]):
         if faster > _GAP * slower:
             with suppress(LinAlgError):  # a pair of poles that rounding has put apart
-                yield modes(A, B, faster / 2.0)
+                yield modes(A, x, faster / 2.0)
 
 
-def modes(A: Matrix, B: Matrix, limit: float) -> Modes:
-    """Return the modes of dx = A x dt + B dW that decay by less than a limit, 1/s, and the rest."""
-    x = natural_units(A, B)
+def modes(A: Matrix, x: Matrix, limit: float) -> Modes:
+    """Return the modes of A that decay by less than a limit, 1/s, and the rest; x are units."""
     T, U, d = schur(A / x[:, None] * x, sort=lambda real, _: -real <= limit)
     first, rest, mixing = T[:d, :d], T[d:, d:], np.zeros((d, len(A) - d))
     if mixing.size:

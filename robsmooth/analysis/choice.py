@@ -11,11 +11,7 @@ import numpy as np
 
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.errors import (
-    CoarseDelayWarning,
-    InfeasibleDesignError,
-    UnstableLoopError,
-)
+from robsmooth._support.errors import CoarseDelayWarning, InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.analysis.constraints import analysis_bound

@@ -30,10 +30,11 @@ _STEPS_WITHOUT_GAIN = 3  # in a row: then the search is over
 def mean_square(loop: OpenLoop, Delta: Matrix) -> float:
     """Return the mean square error; infinity where it has no limit."""
     A = loop.A + loop.inputs @ Delta @ loop.outputs
+    if not hardly_decays(A):
+        return _moments(loop, A)[0]
     with suppress(UnstableLoopError):
-        if hardly_decays(A):
-            parts = A, loop.B, loop.truth, loop.estimate, loop.delay
-            return float(np.trace(drifting_error(*parts)[0]))
+        error, _ = drifting_error(A, loop.B, loop.truth, loop.estimate, loop.delay)
+        return float(np.trace(error))
     return _moments(loop, A)[0] if is_stable(A) else math.inf
 
 

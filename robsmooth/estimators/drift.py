@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag, null_space
 
-from robsmooth._numerics.modes import Modes, modes
+from robsmooth._numerics.modes import Modes, modes, natural_units
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
@@ -57,7 +57,7 @@ class Drift:
         without_delay = pade_delay(0.0, 0, system.m)
         _, gain = kalman_gain(system, without_delay)
         rate = np.abs(np.linalg.eigvals(system.A - gain @ system.C2)).max()
-        found = modes(system.A, system.B1, _SLOW * rate)
+        found = modes(system.A, natural_units(system.A, system.B1), _SLOW * rate)
         rest = _unseen(found, system, rate)
         V, W = found.V @ rest, rest.T @ found.W
         gain = np.zeros((system.n, system.l))
@@ -120,8 +120,8 @@ def _unseen(found: Modes, system: UncertainSystem, rate: float) -> Matrix:
     for s, channel in enumerate(system.uncertainties):
         rows = channel.C @ found.V / (np.linalg.norm(channel.C * found.units) or 1.0)
         size = np.linalg.norm(found.A, 2) or 1.0
-        powers = [np.linalg.matrix_power(found.A / size, i) for i in range(len(found.A))]
-        seen = np.vstack([rows @ power for power in powers]) if powers else rows
+        powers = (np.linalg.matrix_power(found.A / size, i) for i in range(max(len(found.A), 1)))
+        seen = np.vstack([rows @ power for power in powers])
         unseen = null_space(np.where(np.abs(seen) > _UNSEEN, seen, 0.0))
         sees = null_space(unseen.T)
         drift = sees.T @ found.A @ sees

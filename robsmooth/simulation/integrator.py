@@ -27,6 +27,7 @@ from robsmooth.simulation.loop import NonlinearLoop
 
 CHUNK = 64  # steps for which noise is drawn ahead, and between two looks for divergence
 GROWTH = 1e6  # of an output, from the first chunk on: divergence
+_LARGEST = 1e290  # of an output that is zero in the first chunk: it may grow without overflow
 
 
 class ExponentialIntegrator:
@@ -90,10 +91,10 @@ class ExponentialIntegrator:
             size = np.abs(records)
             if limit is None:
                 largest = size.max(axis=(0, 2), where=np.isfinite(size), initial=0.0)[:, None]
-                limit = np.where(largest > 0.0, GROWTH * largest, np.finfo(float).max)
-            grown = math.exp(self.loop.growth_rate * self.step * (before + start + count))
-            if not (size / grown <= limit).all():  # nor is it with a NaN
-                step, _, column = np.argwhere(~(size / grown <= limit))[0]
+                limit = np.where(largest > 0.0, GROWTH * largest, _LARGEST)
+            grown = limit * math.exp(self.loop.growth_rate * self.step * (before + start + count))
+            if not (size <= grown).all():  # nor is it with a NaN
+                step, _, column = np.argwhere(~(size <= grown))[0]
                 raise RuntimeError(
                     f"path {paths[column]} of seed {seed} diverges: by "
                     f"{(start + step + 1) * self.step:.4g} s an output is not a number or beyond "

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgError, block_diag, expm, solve_sylvester
 
-from robsmooth._numerics.modes import modes, rates
+from robsmooth._numerics.modes import modes, natural_units, rates
 from robsmooth._support import notation, validation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.tables import table_of_values
@@ -167,7 +167,7 @@ class AugmentedSystem:
             )
         return frozen(J)
 
-    @property
+    @cached_property
     def known(self) -> tuple[Matrix, Matrix]:
         """(n, g) and (l, g) arrays, what the copies' outputs are known to do to state and y."""
         l, g = self.system.l, self.system.g  # noqa: E741 - the paper's letter
@@ -288,13 +288,16 @@ def _growth(system: UncertainSystem, model: DelayModel) -> Matrix:
     :math:`C_0 V e^{-A_z\delta} z(t)` but for the noise since then, and the model's state becomes
     S z with :math:`S A_z = F_a S + G_a C_0 V`. For integrators the two are the same.
     """
+    slowest, fastest = rates(system.A)
+    if slowest > _STANDING * fastest:  # all modes decay
+        return frozen(np.zeros_like(system.C0))
     try:
-        found = modes(system.A, system.B1, _STANDING * rates(system.A)[1])
+        found = modes(system.A, natural_units(system.A, system.B1), _STANDING * fastest)
     except LinAlgError:  # integrators that rounding has put apart: the model delays them exactly
         return frozen(np.zeros_like(system.C0))
     w = system.C0 @ found.V
     lacking = w @ expm(-model.delay * found.A) - model.J @ w
-    if len(model.F) and len(found.A):
+    if len(model.F):
         lacking -= model.H @ solve_sylvester(model.F, -found.A, -model.G @ w)
     lacking[np.abs(lacking) <= _ROUNDING * np.abs(w).max(initial=0.0)] = 0.0
     return frozen(lacking @ found.W)

@@ -26,7 +26,8 @@ def random_walk(diffusion: float = 1.0, noise: float = 1.0) -> UncertainSystem:
     array([[0.9094]])
     """
     root = math.sqrt(validation.positive("diffusion", diffusion))
-    return UncertainSystem([[0.0]], [[root, 0.0]], [[1.0]], [[1.0]], [[0.0, _noise(noise)]])
+    D21 = [[0.0, validation.positive("noise", noise)]]
+    return UncertainSystem([[0.0]], [[root, 0.0]], [[1.0]], [[1.0]], D21)
 
 
 def clock(
@@ -57,7 +58,7 @@ def clock(
         B1=[[phase, 0.0, 0.0], [0.0, frequency, 0.0]],
         C0=[[1.0, 0.0]],
         C2=[[1.0, 0.0]],
-        D21=[[0.0, 0.0, _noise(noise)]],
+        D21=[[0.0, 0.0, validation.positive("noise", noise)]],
     )
 
 
@@ -101,10 +102,6 @@ def resonant_phase(
         B1=[[0.0, 0.0], [force, 0.0]],
         C0=[[1.0, 0.0]],
         C2=[[1.0, 0.0]],
-        D21=[[0.0, _noise(noise)]],
+        D21=[[0.0, validation.positive("noise", noise)]],
         uncertainties=[Uncertainty([[0.0], [force]], [[stiffness, 0.0]], [[0.0]])],
     )
-
-
-def _noise(intensity: float) -> float:
-    return validation.positive("noise", intensity)
