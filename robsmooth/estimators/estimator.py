@@ -21,6 +21,7 @@ from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.statespace import state_space
+from robsmooth.systems.system import UncertainSystem
 
 if TYPE_CHECKING:
     import control
@@ -42,6 +43,8 @@ class Estimator:
         The read-outs of the smoothed estimate of w one delay back and of the filtered one of w now;
         the latter is w-hat for every design but one whose cost is on the smoothed error.
     cost : {None, "filtered", "smoothed"}, which error has a guarantee, where one has
+    nominal : pair of UncertainSystem or None
+        The systems that a classical design runs as its model, and has its gain for.
 
     See Also
     --------
@@ -62,6 +65,7 @@ class Estimator:
     C_a: Matrix
     C_f: Matrix
     cost: str | None = None
+    nominal: tuple[UncertainSystem, UncertainSystem] | None = None
 
     def __post_init__(self) -> None:
         for value in vars(self).values():  # also of those with more to them
@@ -120,7 +124,13 @@ class Estimator:
         return state_space(A, inputs, read_outs, {})
 
     def discretize(
-        self, dt: float, functions: Iterable[Callable[[Any], Any] | None] | None = None
+        self,
+        dt: float,
+        functions: Iterable[Callable[[Any], Any] | None] | None = None,
+        *,
+        delay: str | None = None,
+        mean: ArrayLike | None = None,
+        offset: ArrayLike | None = None,
     ) -> "DiscreteSmoother":
         """Return the estimator in discrete time, for a measured record.
 
@@ -131,6 +141,13 @@ class Estimator:
         functions : sequence of g callables, optional
             The nonlinearities' functions, instead of those of the plant; None keeps the plant's.
             One that numba has compiled for scalars is a hundred times as fast as others.
+        delay : {"exact", "model"}, optional
+            Whether the smoother of the nominal system in discrete time runs, which needs no delay
+            model, or the estimator's own equations. By default the former where there is a nominal
+            system, for the classical and the tuned designs, and a delay of at most 20,000 samples.
+        mean, offset : (n,) and (l,) arrays, optional
+            The mean of the system's state, which something that is not modelled keeps up, and
+            what is added to the measurements. Zero by default.
 
         Returns
         -------
@@ -154,7 +171,7 @@ class Estimator:
         """
         from robsmooth.estimators.discrete import DiscreteSmoother  # numba takes long to import
 
-        return DiscreteSmoother(self, dt, functions)
+        return DiscreteSmoother(self, dt, functions, delay, mean, offset)
 
     def in_coordinates(self, to: Matrix, back: Matrix) -> Self:
         """Return the same estimator with the states `to` times x_hat; `back` is the inverse."""

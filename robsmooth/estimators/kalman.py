@@ -89,17 +89,22 @@ def classical(plant: AugmentedSystem, copies: bool = False) -> Estimator:
     """Return the classical fixed-lag smoother of a plant's nominal system."""
     _, gain = kalman_gain(plant.system, plant.delay_model)
     A_c = plant.A_p - gain @ plant.C2_tilde[: plant.system.l]
-    return with_copies(plant, A_c, gain, plant.C_p0, copies)
+    return with_copies(plant, A_c, gain, (plant.system, plant.system), copies)
 
 
 def with_copies(
-    plant: AugmentedSystem, A_c: Matrix, gain: Matrix, C_w: Matrix, copies: bool = False
+    plant: AugmentedSystem,
+    A_c: Matrix,
+    gain: Matrix,
+    nominal: tuple[UncertainSystem, UncertainSystem],
+    copies: bool = False,
 ) -> Estimator:
-    """Return an estimator of w = C_w x that runs the nonlinearities at its estimate, or not."""
+    """Return an estimator of w that runs the nonlinearities at its estimate, or not."""
     B, D = plant.known
     _, C, _ = plant.system.stacked(plant.system.nonlinearities)
     into, arguments = B - gain @ D, np.pad(C, ((0, 0), (0, plant.n - plant.system.n)))
     if not copies:
         into, arguments = np.zeros_like(into), np.zeros_like(arguments)
-    B_c, C_c = np.hstack([gain, into]), np.vstack([C_w, arguments])
-    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_w)
+    B_c, C_c = np.hstack([gain, into]), np.vstack([plant.C_p0, arguments])
+    read = {"C_c": C_c, "C_a": plant.C_a, "C_f": plant.C_p0}
+    return Estimator(plant=plant, A_c=A_c, B_c=B_c, **read, nominal=nominal)

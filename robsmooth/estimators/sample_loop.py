@@ -102,11 +102,11 @@ def takes_numbers(function: Callable) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _compiled(functions: tuple[Callable, ...]) -> Callable:
+def compiled_copies(functions: tuple[Callable, ...]) -> Callable:
     """Return what writes the values of all functions: the same one for the same functions."""
     if not functions:
         return _no_copies
-    others, function, index = _compiled(functions[:-1]), functions[-1], len(functions) - 1
+    others, function, index = compiled_copies(functions[:-1]), functions[-1], len(functions) - 1
 
     @njit
     def copies(arguments, values):
@@ -124,8 +124,13 @@ def _no_copies(arguments, values):
 def sample_loop(functions: tuple[Callable[[Any], Any], ...], compiled: bool) -> Callable:
     """Return the loop over samples, a function of what follows `copies` in `_advance`."""
     if compiled:
-        return partial(_advance, _compiled(functions)) if functions else _advance_linear
-    return partial(_interpret, [f if takes_numbers(f) else partial(_value, f) for f in functions])
+        return partial(_advance, compiled_copies(functions)) if functions else _advance_linear
+    return partial(_interpret, of_numbers(functions))
+
+
+def of_numbers(functions: Iterable[Callable[[Any], Any]]) -> list[Callable[[Any], Any]]:
+    """Return functions of a number."""
+    return [f if takes_numbers(f) else partial(_value, f) for f in functions]
 
 
 def _value(function: Callable, argument: float) -> float:

@@ -7,6 +7,7 @@ that are one number. The slope of a nonlinearity counts for the gain only: its c
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
@@ -87,7 +88,9 @@ def tuned_fixed_lag_smoother(
     natural = Natural.of(plant, output)
     family = _Family(natural)
     search = _least_constant if against == "constant" else _least_certified
-    return Estimator(**natural.restored(family(search(family))))
+    found = family(search(family))
+    nominal = tuple(natural.units.back().system(each) for each in found.nominal)
+    return Estimator(**natural.restored(found), nominal=nominal)
 
 
 def _least_constant(family: "_Family") -> np.ndarray:
@@ -190,4 +193,5 @@ class _Family:
             ),
         )
         _, gain = kalman_gain(nominal, plant.delay_model)
-        return with_copies(plant, A - gain @ C2, gain, plant.C_p0, copies=system.g > 0)
+        run = replace(system, A=A[own, own], C2=C2[:, own])
+        return with_copies(plant, A - gain @ C2, gain, (run, nominal), copies=system.g > 0)

@@ -58,14 +58,18 @@ class Units:
             w=float(w) or 1.0,
         )
 
-    def plant(self, plant: AugmentedSystem) -> AugmentedSystem:
-        """Return a plant in these units; its nonlinearities are without functions."""
-        old, x, y, root = plant.system, self.x[:, None], self.y[:, None], np.sqrt(self.time)
+    def back(self) -> "Units":
+        """Return the units that lead back."""
+        return Units(1.0 / self.time, 1.0 / self.x, 1.0 / self.y, 1.0 / self.w)
+
+    def system(self, old: UncertainSystem) -> UncertainSystem:
+        """Return a system in these units; its nonlinearities are without functions."""
+        x, y, root = self.x[:, None], self.y[:, None], np.sqrt(self.time)
 
         def channel(c: Uncertainty | Nonlinearity) -> dict[str, Matrix]:
             return {"B": root * c.B / x, "C": root * c.C * self.x, "D": c.D / y}
 
-        system = UncertainSystem(
+        return UncertainSystem(
             A=self.time * old.A / x * self.x,
             B1=root * old.B1 / x,
             C0=old.C0 * self.x / self.w,
@@ -76,7 +80,11 @@ class Units:
                 Nonlinearity(**channel(c), lipschitz=c.lipschitz) for c in old.nonlinearities
             ],
         )
-        model = pade_delay(plant.delay / self.time, plant.order, old.m)
+
+    def plant(self, plant: AugmentedSystem) -> AugmentedSystem:
+        """Return a plant in these units."""
+        old, x, y, root = plant.system, self.x[:, None], self.y[:, None], np.sqrt(self.time)
+        system, model = self.system(old), pade_delay(plant.delay / self.time, plant.order, old.m)
         growth = frozen(plant.growth * self.x / self.w)
         taken_off = np.vstack([plant.taken_off[: old.n] * root / x, plant.taken_off[old.n :] / y])
         return AugmentedSystem(system, model, plant.J_21, growth, frozen(taken_off))

@@ -113,7 +113,7 @@ def smooth_record(
     record = _FORMATS[source.suffix.lower()][0](source, delimiter)
     writer = _FORMATS[target.suffix.lower()][1]
     record.choose(smoother, columns, reference, time)
-    before = smoother.state, smoother.samples
+    before = smoother._checkpoint()
     bar = progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress)
     try:
         with bar, atomic_path(target) as path, writer(path, smoother.m, delimiter) as write:
@@ -125,7 +125,7 @@ def smooth_record(
                 rows += len(values)
                 bar.update(size)
     except BaseException:
-        smoother.reset(*before)
+        smoother._restore(before)
         raise
     return rows
 

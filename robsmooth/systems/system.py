@@ -64,6 +64,10 @@ class UncertainSystem:
         The k channels :math:`(B_{1s}, C_{1,s}, D_{21,s})`.
     nonlinearities : sequence of `Nonlinearity`
         The g channels :math:`(\bar B_{1i}, \bar C_{1,i}, \bar D_{21,i}, \beta_i)`, centred.
+    B2, D22 : (n, p) and (l, p) arrays, optional
+        How known inputs u enter: :math:`B_2u` adds to the drift, :math:`D_{22}u` to the
+        measurement. An estimator that is told them has the same error as without, but for what
+        uncertainty makes of the states that they move: its outputs :math:`C_1x` are larger.
 
     Raises
     ------
@@ -90,8 +94,10 @@ class UncertainSystem:
     C0: Matrix
     C2: Matrix
     D21: Matrix
-    uncertainties: tuple[Uncertainty, ...] = ()
-    nonlinearities: tuple[Nonlinearity, ...] = ()
+    uncertainties: tuple[Uncertainty, ...]
+    nonlinearities: tuple[Nonlinearity, ...]
+    B2: Matrix
+    D22: Matrix
 
     def __init__(
         self,
@@ -102,6 +108,8 @@ class UncertainSystem:
         D21: ArrayLike,
         uncertainties: Iterable[Uncertainty] = (),
         nonlinearities: Iterable[Nonlinearity] = (),
+        B2: ArrayLike | None = None,
+        D22: ArrayLike | None = None,
     ) -> None:
         A = validation.matrix("A", A, (None, None))
         n = A.shape[0]
@@ -121,7 +129,12 @@ class UncertainSystem:
             kept.append(channel)
             if slope:
                 A, C2 = map(frozen, with_feedback(A, C2, channel, slope * channel.C))
-        vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21)
+        if B2 is None:
+            B2 = np.zeros((n, 0 if D22 is None else np.shape(D22)[-1]))
+        B2 = validation.matrix("B2", B2, (n, None))
+        D22 = np.zeros((len(C2), B2.shape[1])) if D22 is None else D22
+        D22 = validation.matrix("D22", D22, (len(C2), B2.shape[1]))
+        vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21, B2=B2, D22=D22)
         vars(self).update(uncertainties=uncertainties, nonlinearities=tuple(kept))
 
     @classmethod
@@ -249,6 +262,11 @@ class UncertainSystem:
     def q(self) -> int:
         """Number of noises."""
         return self.B1.shape[1]
+
+    @property
+    def p(self) -> int:
+        """Number of known inputs."""
+        return self.B2.shape[1]
 
     @property
     def k(self) -> int:

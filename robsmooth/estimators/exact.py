@@ -1,0 +1,217 @@
+r"""A Kalman filter and smoother of a record in discrete time, without a model of the delay.
+
+The nominal system of a classical design, classical or tuned, is sampled exactly, with the mean of
+:math:`dy/dt` over an interval as its measurement. The filter is the time-varying one: it begins
+with what is known at the start, and what is missing makes it uncertain. The smoothed estimate is
+that of fixed-lag smoothing of the innovations (`robsmooth.estimators.exact_loop`), exact for any
+delay: one that is no whole number of samples adds the state within a sample to the model. A robust
+design has no innovations of its own to smooth. It is a filter of the plant with its delay model,
+and runs as such (`robsmooth.estimators.discrete`).
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from robsmooth._numerics.lyapunov import covariances, noise_root
+from robsmooth._numerics.modes import hardly_decays, separations
+from robsmooth._numerics.steps import MULTIPLE_TOLERANCE, responses
+from robsmooth._support.blas import one_thread
+from robsmooth.estimators.exact_loop import Memory, Sampled, advance, read
+from robsmooth.estimators.kalman import kalman_gain
+from robsmooth.estimators.sample_loop import compiled_copies, of_numbers
+from robsmooth.systems.delay import pade_delay
+
+_DIFFUSE = 1e8  # times the filter's covariance: modes that do not decay begin as not known
+Floats = NDArray[np.float64]
+
+
+class ExactFilter:
+    """The classical filter and smoother of an estimator's nominal system, in steps of dt."""
+
+    def __init__(
+        self,
+        estimator: Any,
+        dt: float,
+        running: list[int],
+        functions: Sequence[Callable[[Any], Any]],
+        compiled: bool,
+        mean: Floats,
+    ) -> None:
+        self._system, self._running, self._mean = estimator.plant.system, running, mean
+        self._model, self._gain = estimator.nominal
+        ratio = estimator.plant.delay / dt
+        self.samples_back, self._part = round(ratio), 0.0
+        if abs(ratio - self.samples_back) > MULTIPLE_TOLERANCE:
+            self.samples_back = int(ratio)
+            self._part = dt * (1.0 - (ratio - self.samples_back))  # of a sample, from its beginning
+        self.states = self._model.n
+        self._sampled, self._inputs = self._in_samples(dt)
+        more = len(self._sampled.Phi) - self.states
+        now = np.pad(self._model.C0, ((0, 0), (0, more)))
+        self._outputs = {"filtered": now, "smoothed": np.roll(now, more, axis=1)}
+        self._copies = None
+        self._advance = advance if compiled else advance.py_func
+        if functions:
+            self._copies = compiled_copies(tuple(functions))
+            if not compiled:
+                self._copies = _Interpreted(functions)
+
+    @one_thread
+    def _in_samples(self, dt: float) -> tuple[Sampled, tuple[Floats, Floats]]:
+        """Return the system in samples, and what inputs held over one do to state and y."""
+        model, gain, system, part = self._model, self._gain, self._system, self._part
+        n, states = model.n, slice(model.n)
+        B, C_nu, D = (
+            each[:, self._running] if i != 1 else each[self._running]
+            for i, each in enumerate(system.stacked(system.nonlinearities))
+        )
+        driven = np.hstack([np.vstack([B, D]), np.vstack([system.B2, system.D22])])
+        whole = {
+            each: np.block([[each.A, np.zeros((n, model.l))], [each.C2, np.zeros((model.l,) * 2)]])
+            for each in (model, gain)
+        }
+        units = np.concatenate([np.ones(n), np.full(model.l, 1.0 / dt)])[:, None]
+        step, held, ramp = (units * each for each in responses(whole[model], driven, dt))
+        noise = np.vstack([gain.B1, gain.D21])
+        root = units * noise_root(whole[gain], noise, dt)
+        first = units * expm(dt * whole[gain])
+        Phi, H = first[states, states], first[n:, states]
+        of_model = step[states, states]
+        into, change = held[states], ramp[states]
+        root_x = root[states]
+        if part:  # the state within a sample, too
+            early = noise_root(whole[gain], noise, part)
+            late = expm((dt - part) * whole[gain]) @ early
+            rest = noise_root(whole[gain], noise, dt - part)
+            root = units * np.hstack([late, rest])
+            root_x = np.vstack([root[states], np.hstack([early[states], 0.0 * early[states]])])
+            zero = np.zeros((n, n))
+            Phi = np.block([[Phi, zero], [expm(part * gain.A), zero]])
+            H = np.hstack([H, np.zeros_like(H)])
+            within, held_within, ramp_within = responses(model.A, driven[:n], part)
+            of_model = np.block([[of_model, zero], [within, zero]])
+            into = np.vstack([into, held_within])
+            change = np.vstack([change, part / dt * ramp_within])
+        root_y, g, more = root[n:], len(self._running), len(Phi) - n
+        sampled = Sampled(
+            transition=of_model,
+            measurement=np.pad(step[n:, states], ((0, 0), (0, more))),
+            copies=np.array([into[:, :g], change[:, :g]]),
+            of_copies=np.array([held[n:, :g], ramp[n:, :g]]),
+            arguments=np.pad(C_nu, ((0, 0), (0, more))),
+            Phi=Phi,
+            H=H,
+            Q=root_x @ root_x.T,
+            S=root_x @ root_y.T,
+            R=root_y @ root_y.T,
+        )
+        inputs = into[:, g:], held[n:, g:]
+        return Sampled(*map(np.ascontiguousarray, sampled)), inputs
+
+    def start(self, state: Floats | None, covariance: Floats | None) -> None:
+        """Begin a record: with what is known of the state, or with nothing but its model."""
+        sampled, n, ring = self._sampled, len(self._sampled.Phi), self.samples_back
+        prior, stationary = self._prior()
+        P = np.zeros((n, n))
+        P[: self.states, : self.states] = prior if covariance is None else covariance
+        x = np.zeros(n)
+        x[: self.states] = self._mean if state is None else state
+        l, m = len(sampled.H), self._model.m  # noqa: E741 - the paper's letter
+        self.memory = Memory(
+            x=x,
+            P=P,
+            gain=np.zeros((n, l)),
+            weighted=np.zeros((n, l)),
+            closed=np.zeros((n, n)),
+            pattern=np.zeros(l, dtype=bool),
+            counts=np.array([0, 0, 0, 0, -1]),
+            states=np.zeros((ring, n)),
+            covariances=np.zeros((ring, n, n)),
+            errors=np.zeros((ring, n)),
+            informations=np.zeros((ring, n, n)),
+            transitions=np.zeros((ring, n, n)),
+            deviations=np.zeros((1, m)),
+            sums=np.zeros((ring, n)),
+            maps=np.zeros((ring, n, n)),
+            since=np.zeros(n),
+            since_map=np.eye(n),
+        )
+        if stationary and state is None and covariance is None:
+            # times before the record are estimated, too
+            nothing = np.full((ring, l), np.nan), np.zeros((ring, len(self._running))), None
+            self.take(*nothing, "filtered", [0], False)
+
+    def take(
+        self,
+        y: Floats,
+        reference: Floats,
+        inputs: Floats | None,
+        output: str,
+        lags: Sequence[int],
+        spread: bool,
+    ) -> tuple[Floats, Floats]:
+        """Take samples; return estimates and deviations, (rows, lags, m), the latter if wanted."""
+        readout = self._outputs[output]
+        known, drive = np.zeros_like(y), np.zeros((len(y), len(self._sampled.Phi)))
+        if self._mean.any():
+            mean = np.resize(self._mean, drive.shape[1])
+            drive += mean - self._sampled.transition[:, : self.states] @ self._mean
+        if inputs is not None:
+            drive += inputs @ self._inputs[0].T
+            known += inputs @ self._inputs[1].T
+        result = np.empty((len(y), len(lags), len(readout)))
+        deviations = np.empty_like(result) if spread else result[:0]
+        memory = Memory(*(each.copy() for each in self.memory))
+        if memory.deviations.shape != result.shape[1:]:
+            memory = memory._replace(deviations=np.zeros(result.shape[1:]))
+            memory.counts[2] = 0
+        given = y, known, drive, reference
+        self._advance(
+            self._copies, self._sampled, memory, readout, np.array(lags), *given, result, deviations
+        )
+        if not np.isfinite(memory.x).all():
+            raise ArithmeticError("the estimator's state left the range of floating-point numbers")
+        self.memory = memory
+        return result, deviations
+
+    @property
+    def state(self) -> Floats:
+        """The estimate of the system's state now."""
+        return self.memory.x[: self.states]
+
+    def estimate(self, output: str) -> Floats:
+        """Return an estimate now, as the last sample left it."""
+        lag = self.samples_back if output == "smoothed" else 0
+        result = np.empty((1, self._model.m))
+        read(self.memory, self._outputs[output], np.array([lag]), result)
+        return result[0]
+
+    def _prior(self) -> tuple[Floats, bool]:
+        """Return the covariance of the state before any measurement, and whether it stays."""
+        A, B = self._gain.A, self._gain.B1
+        if not hardly_decays(A):
+            return covariances(A, B).stationary, True
+        P, _ = kalman_gain(self._gain, pade_delay(0.0, 0, self._model.m))
+        V = W = np.eye(len(A))
+        rest = np.zeros_like(A)
+        for found in separations(A, B):
+            V, W, below = found.V, found.W, found.W_rest
+            inner = covariances(found.A_rest, below @ B).stationary
+            rest = found.V_rest @ inner @ found.V_rest.T
+        root = V @ W
+        return rest + _DIFFUSE * root @ P @ root.T, False
+
+
+class _Interpreted:
+    """Functions that are not compiled, called as compiled ones are."""
+
+    def __init__(self, functions: Iterable[Callable[[Any], Any]]) -> None:
+        self._functions = of_numbers(functions)
+
+    def __call__(self, arguments: Floats, values: Floats) -> None:
+        for i, function in enumerate(self._functions):
+            values[i] = function(arguments[i])
