@@ -17,9 +17,10 @@ from robsmooth.estimators import sample_loop
 from robsmooth.estimators.exact import ExactFilter
 from robsmooth.estimators.held import HeldEstimator
 
+Floats = NDArray[np.float64]
 OUTPUTS = ("smoothed", "filtered")
 DELAYS = ("exact", "model")
-LONGEST = 20_000  # samples in a delay, for which the exact smoother is the default
+LONGEST = 5_000  # samples in a delay, for which the exact smoother is the default
 
 
 class DiscreteSmoother:
@@ -105,21 +106,21 @@ class DiscreteSmoother:
         )
 
     @property
-    def state(self) -> NDArray[np.float64]:
+    def state(self) -> Floats:
         """The state now, a copy: an exact filter's estimate of the system's, or the estimator's."""
         return self._engine.state.copy()
 
     @property
-    def smoothed(self) -> NDArray[np.float64]:
+    def smoothed(self) -> Floats:
         """The smoothed estimate now, (m,): of w one delay back."""
         return self._engine.estimate("smoothed")
 
     @property
-    def filtered(self) -> NDArray[np.float64]:
+    def filtered(self) -> Floats:
         """The filtered estimate now, (m,): of w now."""
         return self._engine.estimate("filtered")
 
-    def times(self, rows: int, output: str = "smoothed") -> NDArray[np.float64]:
+    def times(self, rows: int, output: str = "smoothed") -> Floats:
         """Return the times to which the last `rows` estimates belong.
 
         Parameters
@@ -163,8 +164,7 @@ class DiscreteSmoother:
             if state.size != n:
                 raise ValueError(f"state must have {n} entries, got {state.size}")
         if covariance is not None:
-            if not self.exact:
-                raise ValueError("covariance is for an exact smoother, which knows its errors")
+            self._exact("covariance")
             covariance = validation.matrix("covariance", covariance, (n, n))
             if np.linalg.eigvalsh((covariance + covariance.T) / 2).min() < 0.0:
                 raise ValueError("covariance must be nonnegative definite")
@@ -177,7 +177,7 @@ class DiscreteSmoother:
         *,
         reference: ArrayLike | None = None,
         inputs: ArrayLike | None = None,
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Take one sample.
 
         Parameters
@@ -236,8 +236,8 @@ class DiscreteSmoother:
             Where the state leaves the range of floats.
         """
         lag = getattr(self._engine, "samples_back", 0) if output == "smoothed" else 0
-        if validation.boolean("return_std", return_std) and not self.exact:
-            raise ValueError("return_std is for an exact smoother, which knows its errors")
+        if validation.boolean("return_std", return_std):
+            self._exact("return_std")
         found, spread = self._take(y, reference, inputs, output, [lag], return_std)
         return (found[:, 0], spread[:, 0]) if return_std else found[:, 0]
 
@@ -248,13 +248,12 @@ class DiscreteSmoother:
         *,
         reference: ArrayLike | None = None,
         inputs: ArrayLike | None = None,
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Take samples, and return the estimates at many lags in one pass.
 
         Parameters
         ----------
-        y, reference, inputs
-            As in `run`.
+        y, reference, inputs : as in `run`
         lags : sequence of int
             In samples, ascending, at most the delay. A lag of d belongs to d intervals before the
             end of the row's.
@@ -263,32 +262,90 @@ class DiscreteSmoother:
         -------
         (N, len(lags), m) array
         """
-        if not self.exact:
-            raise ValueError("a bank is for an exact smoother, which has no delay model")
-        longest = self._engine.samples_back
+        longest = self._exact("bank").samples_back
         lags = [validation.integer("lags", lag, low=0) for lag in lags]
         if not lags or lags != sorted(set(lags)) or lags[-1] > longest:
             raise ValueError(f"lags must ascend, and be at most {longest}, got {lags}")
         return self._take(y, reference, inputs, "filtered", lags, False)[0]
 
+    def two_sided(
+        self,
+        y: ArrayLike,
+        *,
+        reference: ArrayLike | None = None,
+        inputs: ArrayLike | None = None,
+        return_std: bool = False,
+    ) -> Any:
+        """Return the estimates that use a whole record: fixed-interval smoothing.
+
+        The record begins as `reset` last said. The samples taken and the state stay as they are.
+
+        Parameters
+        ----------
+        y, reference, inputs, return_std : as in `run`
+
+        Returns
+        -------
+        (N, m) array
+            Estimates of w at the ends of the intervals.
+        (N, m) array, the standard deviations of their errors, with `return_std`
+        """
+        validation.boolean("return_std", return_std)
+        engine = self._exact("two_sided")
+        found, spread, _ = engine.whole(*self._given(y, reference, inputs), return_std)
+        return (found, spread) if return_std else found
+
+    def innovations(
+        self,
+        y: ArrayLike,
+        *,
+        reference: ArrayLike | None = None,
+        inputs: ArrayLike | None = None,
+    ) -> Floats:
+        """Return the normalised innovations of a record: white, of variance one, by the model.
+
+        An innovation is what a sample differs by from what the filter expects of it. Those of a
+        sample are made uncorrelated, and are divided by their standard deviations.
+
+        Parameters
+        ----------
+        y, reference, inputs : as in `two_sided`
+
+        Returns
+        -------
+        (N, l) array, with NaN where a measurement is missing
+
+        See Also
+        --------
+        robsmooth.check_record : tells whether they are what the model says.
+        """
+        return self._exact("innovations").whole(*self._given(y, reference, inputs), False)[2]
+
+    def _exact(self, name: str) -> ExactFilter:
+        if isinstance(self._engine, ExactFilter):
+            return self._engine
+        raise ValueError(f"{name} is for an exact smoother: this one runs a model of its delay")
+
     def _take(
         self, y: Any, reference: Any, inputs: Any, output: str, lags: Sequence[int], spread: bool
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[Floats, Floats]:
         validation.choice("output", output, OUTPUTS)
+        given = self._given(y, reference, inputs)
+        result = self._engine.take(*given, output, lags, spread)
+        self.samples += len(given[0])
+        return result
+
+    def _given(self, y: Any, reference: Any, inputs: Any) -> tuple[Floats, Floats, Floats | None]:
+        """Return samples, references of the copies that run, and inputs, after their check."""
         y = checked("y", y, self.l)
         refuse("y must be finite, or nan where it is missing", y, np.isinf(y))
         reference = self._beside("reference", reference, self.g, len(y))
         if inputs is not None:
             inputs = self._beside("inputs", inputs, self.p, len(y))
         y = y - self._offset if self._offset.any() else y
-        given = y, np.ascontiguousarray(reference[:, self._running]), inputs
-        result = self._engine.take(*given, output, lags, spread)
-        self.samples += len(y)
-        return result
+        return y, np.ascontiguousarray(reference[:, self._running]), inputs
 
-    def _beside(
-        self, name: str, given: ArrayLike | None, columns: int, rows: int
-    ) -> NDArray[np.float64]:
+    def _beside(self, name: str, given: ArrayLike | None, columns: int, rows: int) -> Floats:
         """Return what stands beside y, zero by default."""
         if given is None:
             return np.zeros((rows, columns))
@@ -306,14 +363,14 @@ class DiscreteSmoother:
         self._engine.memory, self.samples = checkpoint
 
 
-def _vector(name: str, given: ArrayLike | None, size: int) -> NDArray[np.float64]:
+def _vector(name: str, given: ArrayLike | None, size: int) -> Floats:
     result = validation.array(name, np.zeros(size) if given is None else given, ndim=1)
     if result.size != size:
         raise ValueError(f"{name} must have {size} entries, got {result.size}")
     return result
 
 
-def checked(name: str, given: ArrayLike, columns: int) -> NDArray[np.float64]:
+def checked(name: str, given: ArrayLike, columns: int) -> Floats:
     """Return `given` as an (N, columns) array of floats."""
     try:
         result = np.asarray(given)
@@ -327,7 +384,7 @@ def checked(name: str, given: ArrayLike, columns: int) -> NDArray[np.float64]:
     return np.require(result, dtype=float, requirements=["C", "W"])
 
 
-def refuse(rule: str, values: NDArray[np.float64], wrong: NDArray[np.bool_]) -> None:
+def refuse(rule: str, values: Floats, wrong: NDArray[np.bool_]) -> None:
     """Raise a ValueError that names the first entry that is wrong, if one is."""
     if wrong.any():
         row, column = divmod(int(wrong.argmax()), wrong.shape[1])

@@ -10,7 +10,7 @@ filter is the case where the copies' gains are zero.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -65,7 +65,8 @@ class Estimator:
     C_a: Matrix
     C_f: Matrix
     cost: str | None = None
-    nominal: tuple[UncertainSystem, UncertainSystem] | None = None
+    # Not an argument: an estimator with other matrices is not that of the nominal system any more.
+    nominal: tuple[UncertainSystem, UncertainSystem] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         for value in vars(self).values():  # also of those with more to them
@@ -172,6 +173,12 @@ class Estimator:
         from robsmooth.estimators.discrete import DiscreteSmoother  # numba takes long to import
 
         return DiscreteSmoother(self, dt, functions, delay, mean, offset)
+
+    def of_nominal(self, model: UncertainSystem, gain: UncertainSystem) -> Self:
+        """Return the same estimator as that of a nominal system, that of its model and its gain."""
+        result = replace(self)
+        vars(result).update(nominal=(model, gain))
+        return result
 
     def in_coordinates(self, to: Matrix, back: Matrix) -> Self:
         """Return the same estimator with the states `to` times x_hat; `back` is the inverse."""

@@ -20,7 +20,7 @@ from robsmooth._numerics.lyapunov import covariances, noise_root
 from robsmooth._numerics.modes import hardly_decays, separations
 from robsmooth._numerics.steps import MULTIPLE_TOLERANCE, responses
 from robsmooth._support.blas import one_thread
-from robsmooth.estimators.exact_loop import Memory, Sampled, advance, read
+from robsmooth.estimators.exact_loop import Memory, Sampled, advance, read, spread_of
 from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.sample_loop import compiled_copies, of_numbers
 from robsmooth.systems.delay import pade_delay
@@ -53,6 +53,7 @@ class ExactFilter:
         more = len(self._sampled.Phi) - self.states
         now = np.pad(self._model.C0, ((0, 0), (0, more)))
         self._outputs = {"filtered": now, "smoothed": np.roll(now, more, axis=1)}
+        self._prior, self._stationary = self._before()
         self._copies = None
         self._advance = advance if compiled else advance.py_func
         if functions:
@@ -114,36 +115,36 @@ class ExactFilter:
 
     def start(self, state: Floats | None, covariance: Floats | None) -> None:
         """Begin a record: with what is known of the state, or with nothing but its model."""
-        sampled, n, ring = self._sampled, len(self._sampled.Phi), self.samples_back
-        prior, stationary = self._prior()
-        P = np.zeros((n, n))
-        P[: self.states, : self.states] = prior if covariance is None else covariance
-        x = np.zeros(n)
+        self._begin = state, covariance
+        self.memory = self._fresh(self.samples_back)
+        if self._stationary and state is None and covariance is None:
+            # times before the record are estimated, too
+            ring, l = self.samples_back, self._model.l  # noqa: E741 - the paper's letter
+            nothing = np.full((ring, l), np.nan), np.zeros((ring, len(self._running))), None
+            self.take(*nothing, "filtered", [0], False)
+
+    def _fresh(self, ring: int) -> Memory:
+        state, covariance = self._begin
+        n, l = len(self._sampled.Phi), self._model.l  # noqa: E741
+        P, x = np.zeros((n, n)), np.zeros(n)
+        P[: self.states, : self.states] = self._prior if covariance is None else covariance
         x[: self.states] = self._mean if state is None else state
-        l, m = len(sampled.H), self._model.m  # noqa: E741 - the paper's letter
-        self.memory = Memory(
+        return Memory(
             x=x,
             P=P,
             gain=np.zeros((n, l)),
-            weighted=np.zeros((n, l)),
+            white=np.zeros((l, l)),
+            seen=np.zeros((l, n)),
             closed=np.zeros((n, n)),
             pattern=np.zeros(l, dtype=bool),
-            counts=np.array([0, 0, 0, 0, -1]),
+            counts=np.zeros(3, dtype=int),
             states=np.zeros((ring, n)),
             covariances=np.zeros((ring, n, n)),
             errors=np.zeros((ring, n)),
-            informations=np.zeros((ring, n, n)),
+            sights=np.zeros((ring, l, n)),
             transitions=np.zeros((ring, n, n)),
-            deviations=np.zeros((1, m)),
-            sums=np.zeros((ring, n)),
-            maps=np.zeros((ring, n, n)),
-            since=np.zeros(n),
-            since_map=np.eye(n),
+            deviations=np.zeros((1, self._model.m)),
         )
-        if stationary and state is None and covariance is None:
-            # times before the record are estimated, too
-            nothing = np.full((ring, l), np.nan), np.zeros((ring, len(self._running))), None
-            self.take(*nothing, "filtered", [0], False)
 
     def take(
         self,
@@ -156,27 +157,49 @@ class ExactFilter:
     ) -> tuple[Floats, Floats]:
         """Take samples; return estimates and deviations, (rows, lags, m), the latter if wanted."""
         readout = self._outputs[output]
-        known, drive = np.zeros_like(y), np.zeros((len(y), len(self._sampled.Phi)))
-        if self._mean.any():
-            mean = np.resize(self._mean, drive.shape[1])
-            drive += mean - self._sampled.transition[:, : self.states] @ self._mean
-        if inputs is not None:
-            drive += inputs @ self._inputs[0].T
-            known += inputs @ self._inputs[1].T
         result = np.empty((len(y), len(lags), len(readout)))
         deviations = np.empty_like(result) if spread else result[:0]
         memory = Memory(*(each.copy() for each in self.memory))
         if memory.deviations.shape != result.shape[1:]:
             memory = memory._replace(deviations=np.zeros(result.shape[1:]))
             memory.counts[2] = 0
-        given = y, known, drive, reference
-        self._advance(
-            self._copies, self._sampled, memory, readout, np.array(lags), *given, result, deviations
-        )
-        if not np.isfinite(memory.x).all():
-            raise ArithmeticError("the estimator's state left the range of floating-point numbers")
+        self._run(memory, readout, lags, (y, reference, inputs), result, deviations, y[:0])
         self.memory = memory
         return result, deviations
+
+    def whole(
+        self, y: Floats, reference: Floats, inputs: Floats | None, spread: bool
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return two-sided estimates, deviations and normalised innovations of a whole record."""
+        memory, readout, lags = self._fresh(len(y)), self._outputs["filtered"], np.arange(len(y))
+        result, normalised = np.empty((len(y), len(readout))), np.empty_like(y)
+        none, deviations = np.empty((len(y), 0, len(readout))), np.zeros_like(result)
+        self._run(memory, readout, [], (y, reference, inputs), none, none[:0], normalised)
+        read(memory, readout, lags, result)
+        if spread:
+            spread_of(memory, readout, lags, deviations)
+        return result[::-1], deviations[::-1], normalised
+
+    def _run(
+        self,
+        memory: Memory,
+        readout: Floats,
+        lags: Sequence[int],
+        samples: tuple[Floats, Floats, Floats | None],
+        *results: Floats,
+    ) -> None:
+        y, reference, inputs = samples
+        known, drive = np.zeros_like(y), np.zeros((len(y), len(memory.x)))
+        if self._mean.any():
+            mean = np.resize(self._mean, len(memory.x))
+            drive += mean - self._sampled.transition[:, : self.states] @ self._mean
+        if inputs is not None:
+            drive += inputs @ self._inputs[0].T
+            known += inputs @ self._inputs[1].T
+        given, lags = (y, known, drive, reference), np.array(lags, dtype=int)
+        self._advance(self._copies, self._sampled, memory, readout, lags, given, *results)
+        if not np.isfinite(memory.x).all():
+            raise ArithmeticError("the estimator's state left the range of floating-point numbers")
 
     @property
     def state(self) -> Floats:
@@ -190,7 +213,7 @@ class ExactFilter:
         read(self.memory, self._outputs[output], np.array([lag]), result)
         return result[0]
 
-    def _prior(self) -> tuple[Floats, bool]:
+    def _before(self) -> tuple[Floats, bool]:
         """Return the covariance of the state before any measurement, and whether it stays."""
         A, B = self._gain.A, self._gain.B1
         if not hardly_decays(A):

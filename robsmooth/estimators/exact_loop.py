@@ -23,7 +23,9 @@ J. Am. Stat. Assoc. 84(408), 1989):
 
     r \leftarrow H'\Sigma^{-1}e_i + \Psi_i'r, \qquad N \leftarrow H'\Sigma^{-1}H + \Psi_i'N\Psi_i .
 
-Rows of a missing measurement are left out of H. What a copy gives, :math:`\mu =
+With the Cholesky factor :math:`\Sigma = LL'`, the normalised innovations :math:`L^{-1}e_k` are
+white with the covariance I, where the record is one of the model. Rows of a missing measurement are
+left out of H. What a copy gives, :math:`\mu =
 \psi(C_\nu\hat x - r)`, is taken at the beginning of a sample and, predicted, at its end, and held
 to be linear in time.
 """
@@ -59,47 +61,43 @@ class Memory(NamedTuple):
     x: Floats  # (N,)
     P: Floats  # (N, N)
     gain: Floats  # (N, l), of the sample before
-    weighted: Floats  # (N, l) H' times the inverse of its innovation's covariance
-    closed: Floats  # (N, N)
+    white: Floats  # (l, l) the inverse of its L, with zeros for what is missing
+    seen: Floats  # (l, N) that times H
+    closed: Floats  # (N, N) Psi
     pattern: NDArray[np.bool_]  # (l,) which of its measurements were there
-    # samples taken, how many of the last had one covariance, whether the deviations are known, when
-    # the parts of r were last divided, and last brought up to date
+    # samples taken, how many of the last had one covariance, whether the deviations are known
     counts: NDArray[np.int64]
     states: Floats  # (ring, N)
     covariances: Floats  # (ring, N, N)
-    errors: Floats  # (ring, N) H' inverse e
-    informations: Floats  # (ring, N, N) H' inverse H
+    errors: Floats  # (ring, N) `seen`' times the normalised innovation
+    sights: Floats  # (ring, l, N) `seen`
     transitions: Floats  # (ring, N, N)
     deviations: Floats  # (lags, m), as long as nothing changes
-    # r of the longest lag in two parts: from each sample to the last of a time, and since that
-    sums: Floats  # (ring, N)
-    maps: Floats  # (ring, N, N) what the second part is multiplied by
-    since: Floats  # (N,)
-    since_map: Floats  # (N, N)
 
 
 @njit
 def _gains(sampled, P, present):
-    """Return gain, H' times the inverse of the innovation's covariance, Psi and the next P."""
+    """Return gain, the inverse of L, Psi and the next P."""
     H, l = sampled.H, len(sampled.H)  # noqa: E741
     rows = np.flatnonzero(present)
-    inverse = np.zeros((l, l))
+    white = np.zeros((l, l))
     if len(rows):
         covariance = H @ np.ascontiguousarray(P @ H.T) + sampled.R
         some = np.empty((len(rows), len(rows)))
         for i in range(len(rows)):
             for j in range(len(rows)):
                 some[i, j] = covariance[rows[i], rows[j]]
-        found = np.linalg.inv(some)
+        root = np.linalg.inv(np.linalg.cholesky(some))
         for i in range(len(rows)):
-            for j in range(len(rows)):
-                inverse[rows[i], rows[j]] = found[i, j]
+            for j in range(i + 1):
+                white[rows[i], rows[j]] = root[i, j]
+    inverse = np.ascontiguousarray(white.T) @ white
     gain = (sampled.Phi @ np.ascontiguousarray(P @ H.T) + sampled.S) @ inverse
     closed = sampled.Phi - gain @ H
     cross = sampled.S @ np.ascontiguousarray(gain.T)
     following = closed @ P @ np.ascontiguousarray(closed.T) + sampled.Q - cross - cross.T
     following += gain @ sampled.R @ np.ascontiguousarray(gain.T)
-    return gain, np.ascontiguousarray(H.T) @ inverse, closed, (following + following.T) / 2
+    return gain, white, closed, (following + following.T) / 2
 
 
 @njit
@@ -119,14 +117,17 @@ def _add(result, matrix, vector, sign):
 
 
 @njit
-def advance(copies, sampled, memory, readout, lags, y, known, drive, reference, result, spread):
-    """Take samples; write the estimates, (rows, lags, m), and where `spread` has rows, deviations.
+def advance(copies, sampled, memory, readout, lags, given, result, spread, normalised):
+    """Take samples; write the estimates, (rows, lags, m), deviations and normalised innovations.
 
-    Row k of `known` is taken off the measurement, `drive` goes to the state, NaN is missing.
+    The latter two are not wanted where they have no rows. Row k of `known` is taken off the
+    measurement, `drive` goes to the state, NaN is missing.
     """
+    y, known, drive, reference = given
     g, l, n, ring = len(sampled.arguments), y.shape[1], len(memory.x), len(memory.states)  # noqa: E741
     mu, change, arguments = np.zeros(g), np.zeros(g), np.zeros(g)
     error, following, present = np.zeros(l), np.zeros(n), np.zeros(l, dtype=np.bool_)
+    z = np.zeros(l)
     for k in range(len(y)):
         x = memory.x
         following[:] = drive[k]
@@ -156,65 +157,30 @@ def advance(copies, sampled, memory, readout, lags, y, known, drive, reference, 
         if ring:
             memory.states[slot], memory.covariances[slot] = x, memory.P
         if changed:
-            gain, weighted, closed, after = _gains(sampled, memory.P, present)
-            memory.gain[:], memory.weighted[:], memory.closed[:] = gain, weighted, closed
+            gain, white, closed, after = _gains(sampled, memory.P, present)
+            memory.gain[:], memory.white[:], memory.closed[:] = gain, white, closed
+            memory.seen[:] = white @ sampled.H
             memory.pattern[:] = present
             memory.counts[1] = 1 if _same(memory.P, after) else 0
             memory.P[:] = after
         else:
             memory.counts[1] += 1
         _add(following, memory.gain, error, 1.0)
-        memory.x[:] = following
+        memory.x[:], z[:] = following, 0.0
+        _add(z, memory.white, error, 1.0)
+        if len(normalised):
+            normalised[k] = np.where(present, z, np.nan)
         if ring:
             memory.transitions[slot], memory.errors[slot] = memory.closed, 0.0
-            _add(memory.errors[slot], memory.weighted, error, 1.0)
-            if len(spread):
-                memory.informations[slot] = memory.weighted @ sampled.H
+            _add(memory.errors[slot], memory.seen.T, z, 1.0)
+            memory.sights[slot] = memory.seen
         memory.counts[0] += 1
-        if len(lags) == 1 and lags[0] == ring and 0 < ring <= memory.counts[0]:
-            read_longest(memory, readout, result[k, 0])
-        else:
-            read(memory, readout, lags, result[k])
+        read(memory, readout, lags, result[k])
         if len(spread):
             if memory.counts[1] <= ring + 1 or memory.counts[2] == 0:
-                _spread(memory, readout, lags, memory.deviations)
+                spread_of(memory, readout, lags, memory.deviations)
             spread[k] = memory.deviations
         memory.counts[2] = len(spread) > 0
-
-
-@njit
-def read_longest(memory, readout, result):
-    """Write the estimate at the longest lag; the work does not grow with the lag.
-
-    The innovations' sum is that of two parts: the second grows with each sample, and becomes part
-    of the first when that is used up.
-    """
-    samples, ring, n = memory.counts[0], len(memory.states), len(memory.x)
-    oldest, newest = samples % ring, (samples - 1) % ring
-    if memory.counts[4] != samples - 1 or memory.counts[3] <= samples - ring:
-        memory.sums[newest], memory.maps[newest] = (
-            memory.errors[newest],
-            memory.transitions[newest].T,
-        )
-        for d in range(2, ring + 1):
-            slot, after = (samples - d) % ring, (samples - d + 1) % ring
-            memory.sums[slot], memory.maps[slot] = memory.errors[slot], 0.0
-            for i in range(n):
-                for j in range(n):
-                    moved = memory.transitions[slot, j, i]
-                    memory.sums[slot, i] += moved * memory.sums[after, j]
-                    for c in range(n):
-                        memory.maps[slot, i, c] += moved * memory.maps[after, j, c]
-        memory.since[:], memory.since_map[:], memory.counts[3] = 0.0, np.eye(n), samples
-    else:
-        _add(memory.since, memory.since_map, memory.errors[newest], 1.0)
-        memory.since_map[:] = memory.since_map @ np.ascontiguousarray(memory.transitions[newest].T)
-    memory.counts[4] = samples
-    r, state = memory.sums[oldest].copy(), memory.states[oldest].copy()
-    _add(r, memory.maps[oldest], memory.since, 1.0)
-    _add(state, memory.covariances[oldest], r, 1.0)
-    result[:] = 0.0
-    _add(result, readout, state, 1.0)
 
 
 @njit
@@ -245,7 +211,7 @@ def read(memory, readout, lags, result):
 
 
 @njit
-def _spread(memory, readout, lags, result):
+def spread_of(memory, readout, lags, result):
     """Write the standard deviations of the errors of these estimates."""
     samples, ring, n = memory.counts[0], len(memory.states), len(memory.x)
     information, done = np.zeros((n, n)), 0
@@ -257,7 +223,7 @@ def _spread(memory, readout, lags, result):
             slot = (samples - d) % ring
             closed = memory.transitions[slot]
             information = np.ascontiguousarray(closed.T) @ information @ closed
-            information += memory.informations[slot]
+            information += np.ascontiguousarray(memory.sights[slot].T) @ memory.sights[slot]
         done = lags[at]
         covariance = memory.P.copy()
         if done > 0:

@@ -89,16 +89,11 @@ def classical(plant: AugmentedSystem, copies: bool = False) -> Estimator:
     """Return the classical fixed-lag smoother of a plant's nominal system."""
     _, gain = kalman_gain(plant.system, plant.delay_model)
     A_c = plant.A_p - gain @ plant.C2_tilde[: plant.system.l]
-    return with_copies(plant, A_c, gain, (plant.system, plant.system), copies)
+    nominal = plant.system.nominal
+    return with_copies(plant, A_c, gain, copies).of_nominal(nominal, nominal)
 
 
-def with_copies(
-    plant: AugmentedSystem,
-    A_c: Matrix,
-    gain: Matrix,
-    nominal: tuple[UncertainSystem, UncertainSystem],
-    copies: bool = False,
-) -> Estimator:
+def with_copies(plant: AugmentedSystem, A_c: Matrix, gain: Matrix, copies: bool) -> Estimator:
     """Return an estimator of w that runs the nonlinearities at its estimate, or not."""
     B, D = plant.known
     _, C, _ = plant.system.stacked(plant.system.nonlinearities)
@@ -106,5 +101,4 @@ def with_copies(
     if not copies:
         into, arguments = np.zeros_like(into), np.zeros_like(arguments)
     B_c, C_c = np.hstack([gain, into]), np.vstack([plant.C_p0, arguments])
-    read = {"C_c": C_c, "C_a": plant.C_a, "C_f": plant.C_p0}
-    return Estimator(plant=plant, A_c=A_c, B_c=B_c, **read, nominal=nominal)
+    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=plant.C_p0)

@@ -89,8 +89,8 @@ def tuned_fixed_lag_smoother(
     family = _Family(natural)
     search = _least_constant if against == "constant" else _least_certified
     found = family(search(family))
-    nominal = tuple(natural.units.back().system(each) for each in found.nominal)
-    return Estimator(**natural.restored(found), nominal=nominal)
+    nominal = map(natural.units.back().system, found.nominal)
+    return Estimator(**natural.restored(found)).of_nominal(*nominal)
 
 
 def _least_constant(family: "_Family") -> np.ndarray:
@@ -193,5 +193,6 @@ class _Family:
             ),
         )
         _, gain = kalman_gain(nominal, plant.delay_model)
-        run = replace(system, A=A[own, own], C2=C2[:, own])
-        return with_copies(plant, A - gain @ C2, gain, (run, nominal), copies=system.g > 0)
+        run = replace(nominal, A=model[0], C2=model[1])
+        found = with_copies(plant, A - gain @ C2, gain, copies=system.g > 0)
+        return found.of_nominal(run, nominal)

@@ -199,7 +199,7 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
             return make(**fields)
 
     def of_field(name: str, value: object, path: str) -> Any:
-        if name in ("uncertainties", "nonlinearities"):
+        if name in ("uncertainties", "nonlinearities", "nominal"):
             if not isinstance(value, list):
                 raise ValueError(f"{path} must be a list of tables, got {reprlib.repr(value)}")
             return [of_table(name, table, f"{path}[{i}].") for i, table in enumerate(value)]
@@ -255,8 +255,11 @@ def _gains(plant: AugmentedSystem, **gains: Any) -> dict[str, Matrix]:
     }
 
 
-def _estimator(plant: AugmentedSystem, **gains: Any) -> Estimator:
-    return Estimator(plant=plant, **_gains(plant, **gains))
+def _estimator(plant: AugmentedSystem, nominal: list | None = None, **gains: Any) -> Estimator:
+    if nominal is not None and len(nominal) != 2:
+        raise ValueError(f"nominal must be two systems, of model and gain, got {len(nominal)}")
+    result = Estimator(plant=plant, **_gains(plant, **gains))
+    return result if nominal is None else result.of_nominal(*nominal)
 
 
 def _minimax_smoother(
@@ -291,13 +294,23 @@ _KINDS = {  # the classes by what files call them, the particular ones first
 _TABLES = {
     "robust smoother": (limiting_smoother, "tau multipliers cost plant"),
     "minimax smoother": (_minimax_smoother, f"{_GAINS} certified multipliers cost route plant"),
-    "estimator": (_estimator, f"{_GAINS} plant"),
+    "estimator": (_estimator, f"{_GAINS} nominal plant"),
     "plant": (augment, "system delay order J_21"),
-    "system": (UncertainSystem, "A B1 C0 C2 D21 uncertainties nonlinearities"),
+    "system": (UncertainSystem, "A B1 C0 C2 D21 B2 D22 uncertainties nonlinearities"),
+    "nominal": (UncertainSystem, "A B1 C0 C2 D21"),
     "uncertainties": (_uncertainty, "B C D"),
     "nonlinearities": (Nonlinearity, "B C D lipschitz function reference"),
 }
-_OPTIONAL = ("uncertainties", "nonlinearities", "function", "reference", "J_21")
+_OPTIONAL = (
+    "uncertainties",
+    "nonlinearities",
+    "function",
+    "reference",
+    "J_21",
+    "nominal",
+    "B2",
+    "D22",
+)
 
 
 def _fields(kind: str, value: Any) -> dict:
@@ -315,7 +328,7 @@ def _fields(kind: str, value: Any) -> dict:
             part = part and name_of(part)
         else:
             part = np.asarray(part).tolist()
-        if name not in _OPTIONAL or part not in (None, []):
+        if name not in _OPTIONAL or (part is not None and np.size(part)):
             fields[name] = part
     return fields
 
