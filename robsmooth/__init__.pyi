@@ -18,6 +18,8 @@ from robsmooth.analysis.lag import LagSweep as LagSweep
 from robsmooth.analysis.lag import best_lag as best_lag
 from robsmooth.analysis.lag import choose_lag as choose_lag
 from robsmooth.analysis.lag import lag_sweep as lag_sweep
+from robsmooth.analysis.record_check import RecordCheck as RecordCheck
+from robsmooth.analysis.record_check import check_record as check_record
 from robsmooth.analysis.worst_case import WorstCase as WorstCase
 from robsmooth.analysis.worst_case import worst_case as worst_case
 from robsmooth.estimators import baselines as baselines

@@ -272,7 +272,7 @@ def _warn_of_coarse_delay(classical: Candidate) -> None:
         warnings.warn(
             f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: the "
             f"delay's model of order {plant.order} is too coarse for this signal; a higher order "
-            "or a shorter delay helps",
+            "or a shorter delay helps, and in discrete time the classical smoother needs no model",
             CoarseDelayWarning,
             stacklevel=4,
         )

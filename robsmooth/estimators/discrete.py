@@ -86,14 +86,17 @@ class DiscreteSmoother:
         short = delay == "exact" or self.delay <= LONGEST * self.dt
         self.exact: bool = estimator.nominal is not None and delay != "model" and short
         self._mean = _vector("mean", mean, system.n)
-        self._offset = _vector("offset", offset, self.l)
+        self._offset = _vector("offset", offset, self.l) + system.C2 @ self._mean
+        self._w = system.C0 @ self._mean
         self._running = sample_loop.running_copies(estimator)
+        arguments = [c.C @ self._mean for c in system.nonlinearities]
+        self._shift = np.array(arguments).reshape(-1)[self._running]
         run = sample_loop.running_functions(system.nonlinearities, functions, self._running)
         self.compiled: bool = (
             all(map(sample_loop.takes_numbers, run)) and not numba.config.DISABLE_JIT
         )
         kind = ExactFilter if self.exact else HeldEstimator
-        self._engine = kind(estimator, self.dt, self._running, run, self.compiled, self._mean)
+        self._engine = kind(estimator, self.dt, self._running, run, self.compiled)
         self.reset()
 
     def __repr__(self) -> str:
@@ -108,17 +111,17 @@ class DiscreteSmoother:
     @property
     def state(self) -> Floats:
         """The state now, a copy: an exact filter's estimate of the system's, or the estimator's."""
-        return self._engine.state.copy()
+        return self._engine.state + (self._mean if self.exact else 0.0)
 
     @property
     def smoothed(self) -> Floats:
         """The smoothed estimate now, (m,): of w one delay back."""
-        return self._engine.estimate("smoothed")
+        return self._engine.estimate("smoothed") + self._w
 
     @property
     def filtered(self) -> Floats:
         """The filtered estimate now, (m,): of w now."""
-        return self._engine.estimate("filtered")
+        return self._engine.estimate("filtered") + self._w
 
     def times(self, rows: int, output: str = "smoothed") -> Floats:
         """Return the times to which the last `rows` estimates belong.
@@ -158,13 +161,15 @@ class DiscreteSmoother:
             that of the model, where modes that do not decay are not known at all.
         """
         samples = validation.integer("samples", samples, low=0)
+        if covariance is not None:
+            self._exact("covariance")
         n = self._engine.states
         if state is not None:
             state = validation.array("state", state, ndim=1)
             if state.size != n:
                 raise ValueError(f"state must have {n} entries, got {state.size}")
+            state = state - self._mean if self.exact else state
         if covariance is not None:
-            self._exact("covariance")
             covariance = validation.matrix("covariance", covariance, (n, n))
             if np.linalg.eigvalsh((covariance + covariance.T) / 2).min() < 0.0:
                 raise ValueError("covariance must be nonnegative definite")
@@ -188,10 +193,10 @@ class DiscreteSmoother:
         -------
         (m,) array, the smoothed estimate at the interval's end; `filtered` has the other
         """
-        y = np.asarray(y)
+        y = np.asanyarray(y)
         if y.ndim != 1:
             raise ValueError(f"y must have shape ({self.l},), got shape {y.shape}")
-        rows = (None if each is None else np.asarray(each)[None] for each in (reference, inputs))
+        rows = (None if each is None else np.asanyarray(each)[None] for each in (reference, inputs))
         reference, inputs = rows
         return self.run(y[None], reference=reference, inputs=inputs)[0]
 
@@ -209,7 +214,7 @@ class DiscreteSmoother:
         Parameters
         ----------
         y : (N, l) array
-            Row by row the mean of dy/dt over an interval; NaN where a measurement is missing.
+            Row by row the mean of dy/dt over an interval; NaN, or masked, where it is missing.
         reference : (N, g) array, optional
             What a detector takes off the nonlinearities' arguments, which act on :math:`\nu - r`,
             and the copies on :math:`\tilde\nu - r`, with `r` held over each interval. In homodyne
@@ -293,7 +298,7 @@ class DiscreteSmoother:
         validation.boolean("return_std", return_std)
         engine = self._exact("two_sided")
         found, spread, _ = engine.whole(*self._given(y, reference, inputs), return_std)
-        return (found, spread) if return_std else found
+        return (found + self._w, spread) if return_std else found + self._w
 
     def innovations(
         self,
@@ -331,9 +336,9 @@ class DiscreteSmoother:
     ) -> tuple[Floats, Floats]:
         validation.choice("output", output, OUTPUTS)
         given = self._given(y, reference, inputs)
-        result = self._engine.take(*given, output, lags, spread)
+        found, deviations = self._engine.take(*given, output, lags, spread)
         self.samples += len(given[0])
-        return result
+        return found + self._w if self._w.any() else found, deviations
 
     def _given(self, y: Any, reference: Any, inputs: Any) -> tuple[Floats, Floats, Floats | None]:
         """Return samples, references of the copies that run, and inputs, after their check."""
@@ -343,7 +348,7 @@ class DiscreteSmoother:
         if inputs is not None:
             inputs = self._beside("inputs", inputs, self.p, len(y))
         y = y - self._offset if self._offset.any() else y
-        return y, np.ascontiguousarray(reference[:, self._running]), inputs
+        return y, np.ascontiguousarray(reference[:, self._running] - self._shift), inputs
 
     def _beside(self, name: str, given: ArrayLike | None, columns: int, rows: int) -> Floats:
         """Return what stands beside y, zero by default."""
@@ -381,6 +386,8 @@ def checked(name: str, given: ArrayLike, columns: int) -> Floats:
     if result.ndim != 2 or result.shape[1] != columns:
         hint = f"; {name}[:, None] has it" if result.ndim == 1 and columns == 1 else ""
         raise ValueError(f"{name} must have shape (N, {columns}), got {result.shape}{hint}")
+    if np.ma.is_masked(given):
+        result = np.where(np.ma.getmaskarray(given), np.nan, result)
     return np.require(result, dtype=float, requirements=["C", "W"])
 
 

@@ -39,9 +39,8 @@ class ExactFilter:
         running: list[int],
         functions: Sequence[Callable[[Any], Any]],
         compiled: bool,
-        mean: Floats,
     ) -> None:
-        self._system, self._running, self._mean = estimator.plant.system, running, mean
+        self._system, self._running = estimator.plant.system, running
         self._model, self._gain = estimator.nominal
         ratio = estimator.plant.delay / dt
         self.samples_back, self._part = round(ratio), 0.0
@@ -119,8 +118,8 @@ class ExactFilter:
         self.memory = self._fresh(self.samples_back)
         if self._stationary and state is None and covariance is None:
             # times before the record are estimated, too
-            ring, l = self.samples_back, self._model.l  # noqa: E741 - the paper's letter
-            nothing = np.full((ring, l), np.nan), np.zeros((ring, len(self._running))), None
+            rows, l = self.samples_back + 1, self._model.l  # noqa: E741 - the paper's letter
+            nothing = np.full((rows, l), np.nan), np.zeros((rows, len(self._running))), None
             self.take(*nothing, "filtered", [0], False)
 
     def _fresh(self, ring: int) -> Memory:
@@ -128,7 +127,7 @@ class ExactFilter:
         n, l = len(self._sampled.Phi), self._model.l  # noqa: E741
         P, x = np.zeros((n, n)), np.zeros(n)
         P[: self.states, : self.states] = self._prior if covariance is None else covariance
-        x[: self.states] = self._mean if state is None else state
+        x[: self.states] = 0.0 if state is None else state
         return Memory(
             x=x,
             P=P,
@@ -164,8 +163,15 @@ class ExactFilter:
             memory = memory._replace(deviations=np.zeros(result.shape[1:]))
             memory.counts[2] = 0
         self._run(memory, readout, lags, (y, reference, inputs), result, deviations, y[:0])
+        unknown = self._unknown(output, self.memory)
+        result[:unknown], deviations[:unknown] = np.nan, np.nan
         self.memory = memory
         return result, deviations
+
+    def _unknown(self, output: str, memory: Memory) -> int:
+        """Return the number of rows to come that have an estimate within the sample before all."""
+        within = output == "smoothed" and self._part > 0.0
+        return max(self.samples_back - int(memory.counts[0]), 0) if within else 0
 
     def whole(
         self, y: Floats, reference: Floats, inputs: Floats | None, spread: bool
@@ -190,9 +196,6 @@ class ExactFilter:
     ) -> None:
         y, reference, inputs = samples
         known, drive = np.zeros_like(y), np.zeros((len(y), len(memory.x)))
-        if self._mean.any():
-            mean = np.resize(self._mean, len(memory.x))
-            drive += mean - self._sampled.transition[:, : self.states] @ self._mean
         if inputs is not None:
             drive += inputs @ self._inputs[0].T
             known += inputs @ self._inputs[1].T
@@ -211,7 +214,8 @@ class ExactFilter:
         lag = self.samples_back if output == "smoothed" else 0
         result = np.empty((1, self._model.m))
         read(self.memory, self._outputs[output], np.array([lag]), result)
-        return result[0]
+        before = self._part > 0.0 and lag > 0 and self.memory.counts[0] <= lag
+        return np.full_like(result[0], np.nan) if before else result[0]
 
     def _before(self) -> tuple[Floats, bool]:
         """Return the covariance of the state before any measurement, and whether it stays."""

@@ -50,12 +50,7 @@ class HeldEstimator:
         running: list[int],
         functions: Sequence[Callable[[Any], Any]],
         compiled: bool,
-        mean: Floats,
     ) -> None:
-        if mean.any() or estimator.plant.system.p:
-            raise ValueError(
-                "mean and known inputs are for an exact smoother: a classical or a tuned design"
-            )
         system, self.states = estimator.plant.system, len(estimator.A_c)
         self._estimator, self._dt, self._running = estimator, dt, running
         self._C_nu = np.ascontiguousarray(estimator.C_c[system.m :][running])
@@ -83,12 +78,14 @@ class HeldEstimator:
         self,
         y: Floats,
         reference: Floats,
-        inputs: None,
+        inputs: Floats | None,
         output: str,
         lags: Sequence[int],
         spread: bool,
     ) -> tuple[Floats, Floats]:
         """Take samples; return the estimates, (rows, 1, m), and no deviations."""
+        if inputs is not None:
+            raise ValueError("inputs is for an exact smoother: a classical or a tuned design")
         readout, record = self._outputs[output], self._record(y, reference)
         state, result = self.memory.copy(), np.empty((len(y), len(readout)))
         self._advance(self._sizes, self._steps, self._C_nu, readout, record, state, result)

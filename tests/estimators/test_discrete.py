@@ -485,8 +485,8 @@ def test_it_tells_what_it_is():
     discrete = held(design(), 0.2)
     discrete.step([1.0, 2.0])
     assert repr(discrete) == (
-        "DiscreteSmoother(dt=0.2 s, delay=0.5 s, delay model, 6 states, 2 measurements, 2 outputs, 2 copies, "
-        "compiled, 1 samples taken)"
+        "DiscreteSmoother(dt=0.2 s, delay=0.5 s, delay model, 6 states, 2 measurements, "
+        "2 outputs, 2 copies, compiled, 1 samples taken)"
     )
     assert "not compiled" in repr(held(design(), 0.2, functions=KINDS["plain"]))
 
