@@ -38,6 +38,15 @@ class RecordCheck:
         How probable a record of the model is to be as far off as this one, or further: in the
         innovations' mean, in their mean square, and in their correlations.
     dt : float, s
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import robsmooth as rs
+    >>> discrete = rs.baselines.kalman_bucy(rs.examples.random_walk()).discretize(dt=0.1)
+    >>> found = rs.check_record(discrete, np.zeros((100, 1)))
+    >>> found.innovations.shape, found.mean_square
+    ((100, 1), 0.0)
     """
 
     innovations: Floats
@@ -73,7 +82,7 @@ class RecordCheck:
 
     def plot(self) -> "Figure":
         """Draw the mean squares along the record and the correlations; matplotlib is needed."""
-        with extra("notebooks", "a plot"):
+        with extra("plot", "a plot"):
             from matplotlib.figure import Figure
         figure = Figure(figsize=(7.0, 3.0), layout="constrained")
         along, between = figure.subplots(1, 2)

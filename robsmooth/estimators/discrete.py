@@ -6,7 +6,7 @@ the equations in continuous time that they are (`robsmooth.estimators.held`).
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, Literal, overload
 
 import numba
 import numpy as np
@@ -18,6 +18,7 @@ from robsmooth.estimators.exact import ExactFilter
 from robsmooth.estimators.held import HeldEstimator
 
 Floats = NDArray[np.float64]
+Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
 DELAYS = ("exact", "model")
 LONGEST = 5_000  # samples in a delay, for which the exact smoother is the default
@@ -200,6 +201,18 @@ class DiscreteSmoother:
         reference, inputs = rows
         return self.run(y[None], reference=reference, inputs=inputs)[0]
 
+    @overload
+    def run(
+        self,
+        y: ArrayLike,
+        *,
+        reference: ArrayLike | None = None,
+        output: str = "smoothed",
+        inputs: ArrayLike | None = None,
+        return_std: Literal[False] = False,
+    ) -> Floats: ...
+    @overload
+    def run(self, y: ArrayLike, *, return_std: Literal[True], **of: Any) -> Pair: ...
     def run(
         self,
         y: ArrayLike,
@@ -208,7 +221,7 @@ class DiscreteSmoother:
         output: str = "smoothed",
         inputs: ArrayLike | None = None,
         return_std: bool = False,
-    ) -> Any:
+    ) -> Floats | Pair:
         r"""Take the samples of a record, or of a piece of it.
 
         Parameters
@@ -273,6 +286,17 @@ class DiscreteSmoother:
             raise ValueError(f"lags must ascend, and be at most {longest}, got {lags}")
         return self._take(y, reference, inputs, "filtered", lags, False)[0]
 
+    @overload
+    def two_sided(
+        self,
+        y: ArrayLike,
+        *,
+        reference: ArrayLike | None = None,
+        inputs: ArrayLike | None = None,
+        return_std: Literal[False] = False,
+    ) -> Floats: ...
+    @overload
+    def two_sided(self, y: ArrayLike, *, return_std: Literal[True], **of: Any) -> Pair: ...
     def two_sided(
         self,
         y: ArrayLike,
@@ -280,7 +304,7 @@ class DiscreteSmoother:
         reference: ArrayLike | None = None,
         inputs: ArrayLike | None = None,
         return_std: bool = False,
-    ) -> Any:
+    ) -> Floats | Pair:
         """Return the estimates that use a whole record: fixed-interval smoothing.
 
         The record begins as `reset` last said. The samples taken and the state stay as they are.

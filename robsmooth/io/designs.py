@@ -322,7 +322,7 @@ def _fields(kind: str, value: Any) -> dict:
             _check_names([c.function for c in part])
         if isinstance(part, tuple):
             part = [_fields(name, member) for member in part]
-        elif name in _TABLES:
+        elif name in _TABLES and part is not None:
             part = _fields(name, part)
         elif name == "function":
             part = part and name_of(part)

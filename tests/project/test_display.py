@@ -115,6 +115,12 @@ OBJECTS = {
         lambda: PAPER.uncertain_system().nonlinearities[0],
         ["C=[[929.6]]", "lipschitz=1", "function=channel"],
     ),
+    "RecordCheck": (
+        lambda: rs.check_record(
+            rs.baselines.kalman_bucy(PAPER.uncertain_system()).discretize(1e-7), np.zeros((30, 1))
+        ),
+        ["mean_square=0", "p_white="],
+    ),
     "RobustSmoother": (smoother, ["bound=0.12", "cost='filtered'", "delay=3.1e-06 s"]),
     "SamplePaths": (
         lambda: rs.sample_paths(linear_loop(), runs=2, duration=1e-5),
