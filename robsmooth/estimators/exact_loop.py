@@ -130,10 +130,11 @@ def advance(copies, sampled, memory, readout, lags, given, result, spread, norma
     z = np.zeros(l)
     for k in range(len(y)):
         x = memory.x
-        following[:] = drive[k]
+        for i in range(n):
+            following[i] = drive[k, i]
         _add(following, sampled.transition, x, 1.0)
-        error[:] = y[k]
-        error -= known[k]
+        for i in range(l):
+            error[i], z[i] = y[k, i] - known[k, i], 0.0
         _add(error, sampled.measurement, x, -1.0)
         if copies is not None:
             arguments[:] = -reference[k]
@@ -153,9 +154,12 @@ def advance(copies, sampled, memory, readout, lags, given, result, spread, norma
             changed = changed or present[i] != memory.pattern[i]
             if not present[i]:
                 error[i] = 0.0
-        slot = memory.counts[0] % max(ring, 1)
+        slot, known_in_ring = memory.counts[0] % max(ring, 1), memory.counts[1] > ring
         if ring:
-            memory.states[slot], memory.covariances[slot] = x, memory.P
+            for i in range(n):
+                memory.states[slot, i] = x[i]
+            if not known_in_ring:
+                memory.covariances[slot] = memory.P
         if changed:
             gain, white, closed, after = _gains(sampled, memory.P, present)
             memory.gain[:], memory.white[:], memory.closed[:] = gain, white, closed
@@ -166,14 +170,18 @@ def advance(copies, sampled, memory, readout, lags, given, result, spread, norma
         else:
             memory.counts[1] += 1
         _add(following, memory.gain, error, 1.0)
-        memory.x[:], z[:] = following, 0.0
+        for i in range(n):
+            x[i] = following[i]
         _add(z, memory.white, error, 1.0)
         if len(normalised):
             normalised[k] = np.where(present, z, np.nan)
         if ring:
-            memory.transitions[slot], memory.errors[slot] = memory.closed, 0.0
-            _add(memory.errors[slot], memory.seen.T, z, 1.0)
-            memory.sights[slot] = memory.seen
+            for i in range(n):
+                memory.errors[slot, i] = 0.0
+                for j in range(l):
+                    memory.errors[slot, i] += memory.seen[j, i] * z[j]
+            if changed or not known_in_ring:
+                memory.transitions[slot], memory.sights[slot] = memory.closed, memory.seen
         memory.counts[0] += 1
         read(memory, readout, lags, result[k])
         if len(spread):
@@ -187,27 +195,31 @@ def advance(copies, sampled, memory, readout, lags, given, result, spread, norma
 def read(memory, readout, lags, result):
     """Write the estimates at some lags, in samples, which ascend."""
     samples, ring, n = memory.counts[0], len(memory.states), len(memory.x)
-    r, before, done = np.zeros(n), np.zeros(n), 0
+    r, before, done, slot = np.zeros(n), np.zeros(n), 0, samples % max(ring, 1)
     for at in range(len(lags)):
         if lags[at] > samples:
             result[at] = np.nan
             continue
-        for d in range(done + 1, lags[at] + 1):
-            slot = (samples - d) % ring
-            before[:] = r
+        for _ in range(done, lags[at]):
+            slot = (slot if slot else ring) - 1
+            for i in range(n):
+                before[i] = r[i]
             for i in range(n):
                 r[i] = memory.errors[slot, i]
                 for j in range(n):
                     r[i] += memory.transitions[slot, j, i] * before[j]
         done = lags[at]
         if done == 0:
-            before[:] = memory.x
+            for i in range(n):
+                before[i] = memory.x[i]
         else:
-            slot = (samples - done) % ring
-            before[:] = memory.states[slot]
+            for i in range(n):
+                before[i] = memory.states[slot, i]
             _add(before, memory.covariances[slot], r, 1.0)
-        result[at] = 0.0
-        _add(result[at], readout, before, 1.0)
+        for i in range(len(readout)):
+            result[at, i] = 0.0
+            for j in range(n):
+                result[at, i] += readout[i, j] * before[j]
 
 
 @njit
