@@ -26,7 +26,6 @@ from scipy.optimize import minimize
 from robsmooth._numerics.modes import Modes, hardly_decays, is_stable, separations
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth._support.extras import convex_modelling
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
 from robsmooth.estimators.estimator import Estimator
@@ -261,7 +260,7 @@ def _by_programme(
 
     P is in the unit of the error, and theta relative to the given one, feasible for a fraction.
     """
-    cp = convex_modelling()
+    import cvxpy as cp  # it takes long to import
 
     unit, A, B, C = problem.at(theta, fraction).mean_square, problem.A, problem.B, problem.C
     root = np.linalg.inv(np.linalg.cholesky(np.tensordot(theta, problem.M, axes=1)))

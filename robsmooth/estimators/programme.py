@@ -49,7 +49,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robsmooth._support.extras import convex_modelling
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.problem import reaches
@@ -104,7 +103,7 @@ def least_certified(plant: AugmentedSystem, C_a: Matrix) -> tuple[Estimator, np.
     NoSolution
         Where the solver finds none.
     """
-    cp = convex_modelling()
+    import cvxpy as cp  # it takes long to import
 
     system, n, m = plant.system, plant.n, len(C_a)
     A, B_w, C_2, D_w = plant.A_p, plant.B_p1[:, : system.q], plant.C2_tilde[: system.l], system.D21
@@ -189,7 +188,7 @@ def _symmetric(matrix):
 
 
 def _block_diagonal(blocks):
-    cp = convex_modelling()
+    import cvxpy as cp  # it takes long to import
 
     sizes = [block.shape[0] for block in blocks]
     return cp.bmat(

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import wraps
 from inspect import signature
 from typing import Any
@@ -15,6 +16,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne import HomodyneParameters, fraction_inside
+from robsmooth.homodyne.loop import homodyne_loop, linearised
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.paper import predictions, published
 
@@ -147,13 +149,16 @@ def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParamete
     """Return how far one number of the loop must change for the printed errors to be predicted."""
     smoothed = published.printed("error covariance, smoother")
     filtered, runs = published.printed("error covariance, NGCF"), published.printed("runs")
+    changes = ("power of the shot noise", "power of the phase noise", "detector gain")
     cases = {"smoother": (smoother, "smoothed", smoothed), "NGCF": (ngcf, "filtered", filtered)}
 
     def excess(factor: float, change: str, design: Estimator, output: str, target: float) -> float:
-        return predictions.predicted(design, output, change, factor, values) - target
+        shot, phase, gain = (factor if change == each else 1.0 for each in changes)
+        loop = homodyne_loop(replace(values, kappa=phase * values.kappa), design, shot_noise=shot)
+        return getattr(linearised(replace(loop, gains=gain * loop.gains)), output) - target
 
     records = []
-    for change in predictions.CHANGES:
+    for change in changes:
         factors = {
             f"factor for the {name}": brentq(excess, 0.7, 2.0, (change, *case), xtol=1e-10)
             for name, case in cases.items()

@@ -123,7 +123,7 @@ def test_in_a_checkout_the_command_says_what_is_not_installed(run):
 @pytest.mark.parametrize(
     ("program", "said"),
     [
-        ("import robsmooth.explorer", "the explorer needs the package IPython: [notebooks]"),
+        ("import robsmooth.explorer", "the explorer needs the package ipywidgets: [notebooks]"),
         ("import robsmooth.paper.figures", "a figure needs the package matplotlib: [plot]"),
         (
             "import robsmooth as rs; rs.UncertainSystem.from_plant(None, 1.0, 1.0)",
