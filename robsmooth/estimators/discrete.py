@@ -253,7 +253,7 @@ class DiscreteSmoother:
         ArithmeticError
             Where the state leaves the range of floats.
         """
-        lag = getattr(self._engine, "samples_back", 0) if output == "smoothed" else 0
+        lag = self._engine.samples_back if output == "smoothed" else 0
         if validation.boolean("return_std", return_std):
             self._exact("return_std")
         found, spread = self._take(y, reference, inputs, output, [lag], return_std)
@@ -286,43 +286,28 @@ class DiscreteSmoother:
             raise ValueError(f"lags must ascend, and be at most {longest}, got {lags}")
         return self._take(y, reference, inputs, "filtered", lags, False)[0]
 
-    @overload
     def two_sided(
         self,
         y: ArrayLike,
         *,
         reference: ArrayLike | None = None,
         inputs: ArrayLike | None = None,
-        return_std: Literal[False] = False,
-    ) -> Floats: ...
-    @overload
-    def two_sided(self, y: ArrayLike, *, return_std: Literal[True], **of: Any) -> Pair: ...
-    def two_sided(
-        self,
-        y: ArrayLike,
-        *,
-        reference: ArrayLike | None = None,
-        inputs: ArrayLike | None = None,
-        return_std: bool = False,
-    ) -> Floats | Pair:
+    ) -> Pair:
         """Return the estimates that use a whole record: fixed-interval smoothing.
 
         The record begins as `reset` last said. The samples taken and the state stay as they are.
 
         Parameters
         ----------
-        y, reference, inputs, return_std : as in `run`
+        y, reference, inputs : as in `run`
 
         Returns
         -------
-        (N, m) array
-            Estimates of w at the ends of the intervals.
-        (N, m) array, the standard deviations of their errors, with `return_std`
+        (N, m) array, estimates of w at the ends of the intervals
+        (N, m) array, the standard deviations of their errors
         """
-        validation.boolean("return_std", return_std)
-        engine = self._exact("two_sided")
-        found, spread, _ = engine.whole(*self._given(y, reference, inputs), return_std)
-        return (found + self._w, spread) if return_std else found + self._w
+        found, spread, _ = self._exact("two_sided").whole(*self._given(y, reference, inputs))
+        return found + self._w, spread
 
     def innovations(
         self,
@@ -348,7 +333,7 @@ class DiscreteSmoother:
         --------
         robsmooth.check_record : tells whether they are what the model says.
         """
-        return self._exact("innovations").whole(*self._given(y, reference, inputs), False)[2]
+        return self._exact("innovations").whole(*self._given(y, reference, inputs))[2]
 
     def _exact(self, name: str) -> ExactFilter:
         if isinstance(self._engine, ExactFilter):

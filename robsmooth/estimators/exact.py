@@ -174,7 +174,7 @@ class ExactFilter:
         return max(self.samples_back - int(memory.counts[0]), 0) if within else 0
 
     def whole(
-        self, y: Floats, reference: Floats, inputs: Floats | None, spread: bool
+        self, y: Floats, reference: Floats, inputs: Floats | None
     ) -> tuple[Floats, Floats, Floats]:
         """Return two-sided estimates, deviations and normalised innovations of a whole record."""
         memory, readout, lags = self._fresh(len(y)), self._outputs["filtered"], np.arange(len(y))
@@ -182,8 +182,7 @@ class ExactFilter:
         none, deviations = np.empty((len(y), 0, len(readout))), np.zeros_like(result)
         self._run(memory, readout, [], (y, reference, inputs), none, none[:0], normalised)
         read(memory, readout, lags, result)
-        if spread:
-            spread_of(memory, readout, lags, deviations)
+        spread_of(memory, readout, lags, deviations)
         return result[::-1], deviations[::-1], normalised
 
     def _run(

@@ -43,6 +43,8 @@ Floats = NDArray[np.float64]
 class HeldEstimator:
     """The equations of an estimator in steps of dt."""
 
+    samples_back = 0  # its delay is a part of it
+
     def __init__(
         self,
         estimator: Any,
