@@ -243,7 +243,6 @@ RICH = {
     "SimulationResult": [r"\pm", "constraints used"],
     "StationaryErrors": ["rad²", "×10<sup>"],
     "LagSweep": ["nominal error", "×10<sup>-6</sup>"],
-    "LagChoice": ["chosen", "×10<sup>-6</sup>"],
     "Study": ["smoothed / filtered", "2 designs"],
     "HomodyneParameters": [r"\(\kappa\)", "rad²/s", "40000"],
     "Verdicts": ["relative difference", "A_p[0, 0]", "zeros"],

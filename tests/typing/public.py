@@ -131,7 +131,7 @@ assert_type(rs.best_lag(system, 1), tuple[float, float])
 choice = rs.choose_lag(system, fraction=0.5)
 assert_type(choice, rs.LagChoice)
 assert_type(choice.order, int)
-assert_type(choice.lags, dict[int, float])
+assert_type(choice.lag, float)
 
 # --- simulations ----------------------------------------------------------------------------------
 
