@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from robsmooth._support import notation, validation
+from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.analysis.covariance import error_covariance
 from robsmooth.analysis.worst_case import worst_case
@@ -75,19 +74,6 @@ class LagSweep:
             f"{self.nominal.min():.5g}, filtering={self.filtering:.5g}, "
             f"two_sided={self.two_sided:.5g})"
         )
-
-    def _repr_html_(self) -> str:
-        rows = []
-        for order, nominal, worst in zip(self.orders, self.nominal, self.worst, strict=True):
-            i, j = nominal.argmin(), worst.argmin()
-            rows.append((str(order), nominal[i], self.lags[i], worst[j], self.lags[j]))
-        columns = ("order", "nominal error", "at lag (s)", "worst error", "at lag (s)")
-        ends = [f"${notation.number(error)}$" for error in (self.filtering, self.two_sided)]
-        caption = (
-            f"Least smoothed errors over {len(self.lags)} lags, in the squared unit of $w$: "
-            f"filtering has {ends[0]}, two-sided smoothing {ends[1]}."
-        )
-        return Table(columns, rows, caption).html()
 
 
 _classical = partial(baselines.fixed_lag_smoother, copies=True)

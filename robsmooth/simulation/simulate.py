@@ -20,7 +20,6 @@ from robsmooth.simulation.statistics import (
     InadmissibleWarning,
     Moments,
     SamplePaths,
-    SimulatedError,
     SimulationResult,
 )
 from robsmooth.systems.augmented import AugmentedSystem
@@ -110,21 +109,23 @@ def simulate(
     duration = _default(joined, TIME_CONSTANTS) if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed)
     checks = np.zeros((3, len(run.plant.M_i)))
-    products = traces = Moments()
+    errors = Moments()
     path_steps = run.runs * (run.before + run.steps)
     with progress_bar(total=path_steps, unit="step", unit_scale=True, shown=progress) as bar:
         for first in range(0, run.runs, BLOCK):
             paths = range(first, min(first + BLOCK, run.runs))
             of_errors, of_checks = run.averages(paths, bar)
-            products += Moments.of(of_errors)
-            traces += Moments.of(np.einsum("eiip->ep", of_errors))
+            errors += Moments.of(of_errors)
             checks += of_checks.sum(axis=2) / run.runs
 
     used, allowed, violated = checks
     constraints = np.divide(used, allowed, out=0.0 * used, where=used > 0.0)
     result = SimulationResult(
-        *(_error(products, traces, which) for which in (1, 0)),
-        *map(frozen, (constraints, violated, joined.delta.copy())),
+        smoothed=errors.mean_square(1),
+        filtered=errors.mean_square(0),
+        constraints=frozen(constraints),
+        violated=frozen(violated),
+        equivalent_delta=frozen(joined.delta.copy()),
         runs=run.runs,
         path_steps=path_steps,
         wall_time=time.perf_counter() - started,
@@ -239,17 +240,16 @@ class _Run:
                 bar.update(len(records) * len(paths))
 
     def averages(self, paths: range, bar) -> tuple[NDArray, NDArray]:
-        """Return averages over time: of errors' products, (2, m, m, paths), and of checks."""
-        m, samples = self.plant.system.m, 0
-        products = np.zeros((2, m, m, len(paths)))
+        """Return averages over time: of squared errors, (2, paths), and of checks."""
+        squares, samples = np.zeros((2, len(paths))), 0
         checks = np.zeros((3, len(self.plant.M_i), len(paths)))
         for part in self.records(paths, bar):
             errors = part["w"] - part["filtered"], part["delayed"] - part["smoothed"]
-            products += [np.einsum("tip,tjp->ijp", error, error) for error in errors]
+            squares += [np.einsum("tip,tip->p", error, error) for error in errors]
             for k in range(0, len(part["time"]), CHECK_EVERY):
                 checks += self._constraints(*(part[n][k] for n in ("time", "zeta", "subtracted")))
                 samples += 1
-        return products / self.steps, checks / samples
+        return squares / self.steps, checks / samples
 
     def _constraints(self, time: float, zeta: NDArray, subtracted: NDArray) -> NDArray:
         """Return xi' M_i xi, zeta' N_i zeta, and whether the former is larger: (3, k + 3g, paths).
@@ -267,13 +267,6 @@ def _energies(forms: Sequence[Matrix], values: NDArray) -> NDArray[np.float64]:
     """Return quadratic forms of values, (., paths): (forms, paths)."""
     energies = [(values * (form @ values)).sum(axis=0) for form in forms]
     return np.reshape(energies, (len(forms), values.shape[1]))
-
-
-def _error(products: Moments, traces: Moments, which: int) -> SimulatedError:
-    trace = traces.mean_square(which)
-    covariance, error = map(frozen, (products.means[which], products.standard_errors[which]))
-    found = {"covariance": covariance, "covariance_error": error}
-    return SimulatedError(trace.mean_square, trace.standard_error, **found)
 
 
 def _warn(plant: AugmentedSystem, result: SimulationResult) -> None:

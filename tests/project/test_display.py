@@ -121,10 +121,6 @@ OBJECTS = {
         ["2 paths", "lag=3.1e-06 s", "1 outputs"],
     ),
     "Sector": (lambda: rs.sector(np.sin, 1.2), ["sin", "reach=1.2", "upper=1.0"]),
-    "SimulatedError": (
-        lambda: rs.simulate(linear_loop(), runs=16, duration=1e-5).smoothed,
-        [" +- ", "covariance=[[0.0"],
-    ),
     "SimulationResult": (
         lambda: rs.simulate(linear_loop(), runs=16, duration=1e-5),
         ["smoothed 0.0", "constraints used", "16 runs"],
@@ -235,14 +231,11 @@ RICH = {
     "Estimator": [r"\(\tilde B_c\)", "poles (1/s)"],
     "RobustSmoother": ["half the filtered error", "0.12", r"\lambda", r"\pm"],
     "AnalysisBound": ["largest mean square error", r"\theta"],
-    "WorstCase": [r"-1 &amp; 0 \\ 0 &amp; 0 &amp; -1\end{bmatrix}", "nominal"],
     "ConstantMinimaxSmoother": ["worst constant smoothed error", "0.083", r"\Delta\) 1"],
     "MinimaxSmoother": ["certified smoothed error", "0.0886", r"\theta"],
     "Choice": ["certified worst", "classical", "best"],
     "MonteCarloResult": ["rad²", r"\pm", "no slips"],
     "SimulationResult": [r"\pm", "constraints used"],
-    "StationaryErrors": ["rad²", "×10<sup>"],
-    "LagSweep": ["nominal error", "×10<sup>-6</sup>"],
     "Study": ["smoothed / filtered", "2 designs"],
     "HomodyneParameters": [r"\(\kappa\)", "rad²/s", "40000"],
     "Verdicts": ["relative difference", "A_p[0, 0]", "zeros"],
@@ -323,7 +316,7 @@ def test_systems_of_any_size_show_themselves(plant, seed):
 @given(designs())
 @settings(max_examples=10)
 def test_designs_of_any_size_show_themselves(design):
-    for shown in (design, design.certificates["Y"], rs.worst_case(design, starts=1)):
+    for shown in (design, design.certificates["Y"], rs.worst_case(design)):
         check_display(shown)
 
 
@@ -333,7 +326,7 @@ def test_a_loop_without_a_bound_shows_itself():
     bound, worst = rs.analysis_bound(estimator, "filtered"), rs.worst_case(estimator, "filtered")
     assert math.isinf(bound.mean_square) and math.isinf(worst.mean_square)
     assert "guarantee" not in check_display(bound)["html"]
-    assert "inf" in check_display(worst)["html"]
+    assert "inf" in check_display(worst)["text"]
 
 
 def test_a_single_path_shows_a_mean_without_an_error():
