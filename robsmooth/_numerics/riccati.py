@@ -14,7 +14,7 @@ units of :math:`1/(|A| + \sqrt{|Q||S|})` and `X` in those of :math:`|Q|/(a + \sq
 `a` is the decay rate of the slowest mode of `A`, or zero where `A` is not stable.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import LinAlgError, schur, solve_continuous_are
@@ -43,18 +43,11 @@ class RiccatiSolution:
     error of X to its norm, in the units of the states that balance the equation.
     """
 
-    X: Matrix
+    X: Matrix = field(repr=False)
     residual: float
     smallest_eigenvalue: float
     decay_rate: float  # of A - S X, 1/(unit of time)
     error: float  # the last step of Newton's method
-
-    def __repr__(self) -> str:
-        return (
-            f"RiccatiSolution({len(self.X)} states, residual={self.residual:.2g}, "
-            f"smallest_eigenvalue={self.smallest_eigenvalue:.2g}, "
-            f"decay_rate={self.decay_rate:.4g}, error={self.error:.2g})"
-        )
 
 
 @one_thread

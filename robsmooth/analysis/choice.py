@@ -75,10 +75,6 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     -------
     Judgement
 
-    See Also
-    --------
-    best_smoother, worst_case, analysis_bound : all candidates; the worst case, and the certificate.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -219,10 +215,6 @@ def best_smoother(
     -----
     CoarseDelayWarning
         Where the classical smoother's error is above its filter's, without uncertainty.
-
-    See Also
-    --------
-    judge : the three errors of one estimator.
 
     Examples
     --------

@@ -109,10 +109,6 @@ def lag_sweep(
     InfeasibleDesignError
         Where there is no design.
 
-    See Also
-    --------
-    best_lag, choose_lag : the lag with the least error, and one that meets a target.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -159,10 +155,6 @@ def best_lag(system: UncertainSystem, order: int) -> tuple[float, float]:
     ------
     InfeasibleDesignError
         Where there is no design, or smoothing gains nothing.
-
-    See Also
-    --------
-    lag_sweep, choose_lag : errors for many lags, and the shortest lag that meets a target.
 
     Examples
     --------
@@ -234,10 +226,6 @@ def choose_lag(
         As in `best_lag`, and where no order up to 8 meets the target.
     ValueError
         Where no smoother can.
-
-    See Also
-    --------
-    lag_sweep, best_lag : errors for many lags, and the lag with the least.
 
     Examples
     --------

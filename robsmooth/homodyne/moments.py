@@ -86,10 +86,6 @@ class StationaryErrors:
     degree, unknowns : int
         Total degree of the polynomials, and the moments that were solved for.
 
-    See Also
-    --------
-    stationary_errors, MonteCarloResult : what returns them; the same by simulation.
-
     Examples
     --------
     >>> import robsmooth as rs

@@ -42,7 +42,7 @@ QUANTITIES += ("filtered", "filtered_error", "smoothed", "smoothed_error", "slip
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What a parameter study found, an array for each quantity.
+    """What `parameter_study` found, an array for each quantity.
 
     Attributes
     ----------
@@ -55,10 +55,6 @@ class Study:
         "filtered_error", "smoothed_error" their standard errors; "slip_rate" (1/s). Not a number
         without a design or a path in lock.
     failures : dict of (gamma, noise) to str, why there is no design
-
-    See Also
-    --------
-    parameter_study : makes it.
 
     Examples
     --------
@@ -127,20 +123,11 @@ def parameter_study(
         Power of the shot noise relative to that of `parameters`: of the amplitude
         alpha / sqrt(noise).
     runs, seed, client, checkpoint, progress
-        As in `monte_carlo`, of the ergodic protocol.
+        As in `monte_carlo`, of the ergodic protocol, and what it raises, too.
 
     Returns
     -------
     Study
-
-    Raises
-    ------
-    TypeError, ValueError, ConnectionError
-        As `monte_carlo`.
-
-    See Also
-    --------
-    monte_carlo, best_lag : what is done for each point of the grid; the lag alone.
 
     Examples
     --------

@@ -159,10 +159,6 @@ def sample_paths(
     -------
     SamplePaths
 
-    See Also
-    --------
-    simulate, DiscreteSmoother.run : averages, and other estimates from the record y of a path.
-
     Examples
     --------
     >>> import robsmooth as rs

@@ -39,11 +39,7 @@ CHECKPOINT_EVERY = 2.0  # s
 
 
 class LossOfLockWarning(RuntimeWarning):
-    """Some of the paths slipped: their errors depend on the duration.
-
-    See Also
-    --------
-    MonteCarloResult.in_lock : the errors of the paths that did not.
+    """Some of the paths slipped: their errors, but not those `in_lock`, depend on the duration.
 
     Examples
     --------
@@ -55,7 +51,7 @@ class LossOfLockWarning(RuntimeWarning):
 
 @dataclass(frozen=True)
 class MonteCarloResult:
-    """Mean square errors of the filter and the smoother in the nonlinear loop.
+    """Mean square errors of the filter and the smoother in the nonlinear loop, by `monte_carlo`.
 
     Attributes
     ----------
@@ -71,10 +67,6 @@ class MonteCarloResult:
     duration, warm_up, step, wall_time : float
         What of a path is sampled, what is simulated before, a step, and the time it took, s.
     provenance : dict, everything else that the numbers depend on, in a JSON form
-
-    See Also
-    --------
-    monte_carlo, stationary_errors : makes it; the errors in lock without sampling.
 
     Examples
     --------
