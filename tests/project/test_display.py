@@ -234,7 +234,6 @@ RICH = {
     "ConstantMinimaxSmoother": ["worst constant smoothed error", "0.083", r"\Delta\) 1"],
     "MinimaxSmoother": ["certified smoothed error", "0.0886", r"\theta"],
     "Choice": ["certified worst", "classical", "best"],
-    "MonteCarloResult": ["rad²", r"\pm", "no slips"],
     "SimulationResult": [r"\pm", "constraints used"],
     "Study": ["smoothed / filtered", "2 designs"],
     "HomodyneParameters": [r"\(\kappa\)", "rad²/s", "40000"],
@@ -262,8 +261,8 @@ def test_a_loop_that_slips_shows_the_errors_of_paths_in_lock():
             replace(PAPER, kappa=1.5e6), rs.baselines.kalman_bucy(PAPER.uncertain_system()), runs=64
         )
     found = check_display(result)
-    assert f"{result.slips} slips in {result.slipped_paths} of 64 paths" in found["html"]
-    assert found["html"].count("paths in lock") == 2
+    assert f"{result.slips} slips in {result.slipped_paths} of 64 paths" in found["text"]
+    assert f"in lock {result.smoothed_in_lock} and {result.filtered_in_lock} rad^2" in found["text"]
 
 
 def test_a_system_is_shown_as_its_equations():

@@ -23,9 +23,8 @@ from robsmooth._numerics.steps import (
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.cluster import ALONE, worker_threads
-from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
-from robsmooth.homodyne.loop import Loop
+from robsmooth.homodyne.loop import Loop, decay_rate
 from robsmooth.homodyne.montecarlo import euler, splitting
 from robsmooth.homodyne.montecarlo.noise import BLOCK
 from robsmooth.simulation.statistics import control_weights
@@ -172,12 +171,7 @@ class ErgodicSimulation(Simulation):
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
         """Fill in numbers by the time constants of the linearised loop, which must be stable."""
         slopes = splitting.control_slopes(loop)
-        slowest = -np.linalg.eigvals(loop.linearised_drift(*slopes)[1:, 1:]).real.max()
-        if not slowest > 0:
-            raise UnstableLoopError(
-                "the ergodic protocol needs a stationary state, and the linearised estimator is "
-                f"not stable in the loop: its slowest mode has the decay rate {slowest:.3g} 1/s"
-            )
+        slowest = decay_rate(loop.linearised_drift(*slopes)[1:, 1:])
         duration = duration or max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
         longest = STEP_OF_TIME_CONSTANT * loop.response_time()
         default = dividing_step(loop.delay, longest, duration)

@@ -20,7 +20,6 @@ from robsmooth._support import cluster, validation
 from robsmooth._support.checkpoint import Journal, open_journal
 from robsmooth._support.kernels import check_compiler
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.tables import Table
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo.noise import BLOCK, GENERATOR
@@ -119,25 +118,15 @@ class MonteCarloResult:
         return result
 
     def __repr__(self) -> str:
-        errors = ", ".join(f"{name} {error} rad^2" for name, error in self._errors().items())
-        return f"MonteCarloResult({errors}; {self._setting()})"
-
-    def _repr_html_(self) -> str:
-        rows = [(name, error._repr_latex_()) for name, error in self._errors().items()]
-        caption = f"The nonlinear loop, {self._setting()}."
-        return Table(("estimate", "mean square error (rad²)"), rows, caption).html()
-
-    def _errors(self) -> dict[str, MeanSquare]:
-        errors = {"smoothed": self.smoothed, "filtered": self.filtered}
-        in_lock = {f"{name}, paths in lock": getattr(self, f"{name}_in_lock") for name in errors}
-        return errors | in_lock if self.slips else errors
-
-    def _setting(self) -> str:
-        paths = f"{self.slips} slips in {self.slipped_paths} of {self.runs} paths"
+        slips = "no slips"
+        if self.slips:
+            errors = f"in lock {self.smoothed_in_lock} and {self.filtered_in_lock} rad^2"
+            slips = f"{self.slips} slips in {self.slipped_paths} of {self.runs} paths, {errors}"
         return (
-            f"{paths if self.slips else 'no slips'}; {self.protocol}: {self.runs} runs of "
+            f"MonteCarloResult(smoothed {self.smoothed} rad^2, filtered {self.filtered} rad^2; "
+            f"{slips}; {self.protocol}: {self.runs} runs of "
             f"{self.duration:.4g} s, step {self.step:.4g} s, seed {self.seed}, {self.precision}; "
-            f"{self.path_steps:.3g} path-steps in {self.wall_time:.2g} s"
+            f"{self.path_steps:.3g} path-steps in {self.wall_time:.2g} s)"
         )
 
 
