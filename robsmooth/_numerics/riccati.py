@@ -63,12 +63,13 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     (A, Q, S), again = _rescaled(A, Q, S, decay * first[0])
     time, unit = first * again
 
-    starts, failure = (_pencil, _nothing), None
-    if np.sqrt(np.abs(Q).max()) * np.sqrt(np.abs(S).max()) <= _NEARLY_LINEAR * decay * time:
-        starts = (_nothing, _pencil)
-    for start in starts:
+    # Zero is the better start where the quadratic part is next to nothing. It may also lead to the
+    # solution where the pencil is too inaccurate, for time constants that lie far apart.
+    linear = np.sqrt(np.abs(Q).max()) * np.sqrt(np.abs(S).max()) <= _NEARLY_LINEAR * decay * time
+    failure = None
+    for from_zero in (linear, not linear):
         try:
-            X, error = _refine(A, Q, S, start(A, Q, S))
+            X, error = _refine(A, Q, S, np.zeros_like(A) if from_zero else _pencil(A, Q, S))
             residual, smallest, rate = _certify(A, Q, S, X, error)
         except (LinAlgError, ValueError, RiccatiError) as reason:
             failure = failure or " ".join(str(reason).split()).rstrip(".")
@@ -85,15 +86,6 @@ def _rescaled(A: Matrix, Q: Matrix, S: Matrix, decay: float) -> tuple[tuple, np.
     units = 1.0 / (np.abs(A).max() + speed or 1.0), size / rate if size and rate else 1.0
     time, unit = units = np.exp2(np.rint(np.log2(units)))
     return (A * time, Q * (time / unit), S * (time * unit)), units
-
-
-def _nothing(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return zero: the better start where the quadratic part is next to nothing.
-
-    It may also lead to the solution where the pencil is too inaccurate, for time constants that lie
-    far apart.
-    """
-    return np.zeros_like(A)
 
 
 def _pencil(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:

@@ -208,8 +208,6 @@ def best_smoother(
         Where no estimator has a finite error; for the certified one it says which fraction of the
         uncertainty has one. Where a measurement has no noise, no measurement sees a mode that does
         not decay, or an uncertainty does.
-    ValueError, TypeError
-        For an argument that is not as described.
 
     Warns
     -----

@@ -226,7 +226,8 @@ def monte_carlo(
     validation.boolean("progress", progress)
     inputs = {"parameters": dict(vars(parameters)), "delay": loop.delay, "oscillator": oscillator}
     inputs |= {"copy": bool(copy), "shot_noise": float(shot_noise)}
-    inputs["estimator_sha256"] = _estimator_digest(smoother)
+    matrices = [getattr(smoother, name).tolist() for name in ("A_c", "B_c", "C_c", "C_a", "C_f")]
+    inputs["estimator_sha256"] = hashlib.sha256(repr(matrices).encode()).hexdigest()
     names = ("runs", "seed", "precision", "step", "warm_up", "duration")
     settings = {"protocol": protocol, **{name: getattr(simulation, name) for name in names}}
     identity = {**settings, **inputs, "software": cluster.software()}
@@ -252,14 +253,6 @@ def monte_carlo(
         **settings,
         provenance={**inputs, "generator": GENERATOR, "versions": identity["software"]},
     )
-
-
-def _estimator_digest(smoother: Estimator) -> str:
-    digest = hashlib.sha256()
-    for name in ("A_c", "B_c", "C_c", "C_a", "C_f"):
-        matrix = np.ascontiguousarray(getattr(smoother, name), dtype=float)
-        digest.update(f"{name}{matrix.shape}".encode() + matrix.tobytes())
-    return digest.hexdigest()
 
 
 def _tally(
