@@ -106,7 +106,6 @@ def simulate(
     started = time.perf_counter()
     joined = nonlinear_loop(smoother, uncertainties)
     progress = validation.boolean("progress", progress)
-    duration = _default(joined, TIME_CONSTANTS) if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed)
     checks = np.zeros((3, len(run.plant.M_i)))
     errors = Moments()
@@ -167,19 +166,12 @@ def sample_paths(
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
     joined = nonlinear_loop(smoother, uncertainties)
-    duration = _default(joined, TIME_CONSTANTS / 5) if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed, measured=True)
     parts = list(run.records(range(run.runs)))
     names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
     times, *series = (np.concatenate([part[name] for part in parts]) for name in ("time", *names))
     by_path = (frozen(np.moveaxis(values, 2, 0)) for values in series)
     return SamplePaths(times, *by_path, run.step, smoother.plant.delay)
-
-
-def _default(loop: NonlinearLoop, time_constants: float) -> float:
-    """Return the default duration, s: less for a system that grows."""
-    duration = time_constants / loop.slowest_rate
-    return min(duration, MOST_GROWTH / 2 / loop.growth_rate) if loop.growth_rate else duration
 
 
 class _Run:
@@ -190,7 +182,7 @@ class _Run:
         plant: AugmentedSystem,
         loop: NonlinearLoop,
         runs: int,
-        duration: float,
+        duration: float | None,
         step: float | None,
         seed: int,
         measured: bool = False,
@@ -198,6 +190,10 @@ class _Run:
         self.plant, delay = plant, plant.delay
         self.runs = validation.integer("runs", runs, low=1)
         self.seed = validation.integer("seed", seed, low=0)
+        if duration is None:
+            duration = TIME_CONSTANTS / (5 if measured else 1) / loop.slowest_rate
+            if loop.growth_rate:
+                duration = min(duration, MOST_GROWTH / 2 / loop.growth_rate)
         duration = validation.positive("duration", duration)
         response_time = 1.0 / loop.argument_rate()
         default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
