@@ -1,20 +1,10 @@
 r"""The exact worst case of a given estimator under the paper's constraints.
 
-How large can the error of a *given* estimator become? The constraints (eqIQC1) to (eqIQC4) speak of
-mean energies of inputs :math:`\tilde\xi` that may depend on all that has happened. For multipliers
-:math:`\theta \ge 0` and the stabilising solution of
-
-.. math::
-
-    \mathbf A'P + P\mathbf A + C'C + C_\zeta' N(\theta) C_\zeta +
-    P B_\xi M(\theta)^{-1} B_\xi' P = 0, \qquad C = C_w - C_s,
-
-Ito's formula for :math:`X'PX` gives :math:`E|e|^2 \le \operatorname{tr}\mathbf B'P\mathbf B` for
-every admissible uncertainty. The right hand side is convex in :math:`\theta`. Its infimum is not
+How large can the error of a *given* estimator become? The bound of
+`robsmooth.estimators.certificate` holds for all multipliers :math:`\theta`. The least one is not
 only a bound: inputs may be mixed by a coin tossed at the start, so that the mean energies that can
-be reached form a convex set, and there is no duality gap. The worst input is the feedback
-:math:`\tilde\xi = M^{-1}B_\xi'PX`, which spends energy where and when it does most harm, and whose
-own energies are the gradient: at the minimum it meets the constraints.
+be reached form a convex set, and there is no duality gap. The worst input spends energy where and
+when it does most harm. Its own energies are the gradient: at the minimum it meets the constraints.
 
 A design's V is this bound with :math:`\theta = \tau\lambda` and more noise: :math:`2V =
 \operatorname{tr} B_\xi M(\lambda)^{-1}B_\xi'P`, where :math:`M(\lambda)^{-1} \ge JJ'` and

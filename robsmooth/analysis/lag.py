@@ -45,7 +45,6 @@ class LagSweep:
     nominal, worst : (O, L) arrays
         Without uncertainty; under the worst constant one, infinity where that is not stable.
     optimal : (L,) array, the exact optimum: no linear smoother's nominal error is lower
-    filtering, two_sided : float, the exact optimum for lag zero and for an infinite one
 
     Examples
     --------
@@ -60,15 +59,10 @@ class LagSweep:
     nominal: Matrix
     worst: Matrix
     optimal: Floats
-    filtering: float
-    two_sided: float
 
     def __repr__(self) -> str:
-        return (
-            f"LagSweep({len(self.orders)} orders x {len(self.lags)} lags, least nominal error "
-            f"{self.nominal.min():.5g}, filtering={self.filtering:.5g}, "
-            f"two_sided={self.two_sided:.5g})"
-        )
+        sizes = f"{len(self.orders)} orders x {len(self.lags)} lags"
+        return f"LagSweep({sizes}, least nominal error {self.nominal.min():.5g})"
 
 
 _classical = partial(baselines.fixed_lag_smoother, copies=True)
@@ -129,8 +123,7 @@ def lag_sweep(
     errors = np.array([(case.nominal, case.mean_square) for case in cases]).T
     errors = errors.reshape(2, len(orders), len(lags))
     optimal = np.array([_optimal_error(system, lag) for lag in lags])
-    ends = (_optimal_error(system, lag) for lag in (0.0, math.inf))
-    return LagSweep(*map(frozen, (lags, orders, *errors, optimal)), *ends)
+    return LagSweep(*map(frozen, (lags, orders, *errors, optimal)))
 
 
 @one_thread

@@ -203,6 +203,7 @@ def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[s
             result = monte_carlo(loop, smoother, runs=runs, seed=seed)
     except UnstableLoopError:
         return found
-    for name, error in zip(("filtered", "smoothed"), result.in_lock(), strict=True):
+    for name in ("filtered", "smoothed"):
+        error = getattr(result, f"{name}_in_lock" if result.slips else name)
         found |= {name: error.mean_square, f"{name}_error": error.standard_error}
     return found | {"slip_rate": result.slip_rate}

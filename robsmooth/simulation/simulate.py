@@ -1,7 +1,6 @@
 """Simulated errors, sample paths, and whether the loop stays where the theory holds."""
 
 import math
-import time
 import warnings
 from collections.abc import Iterator, Sequence
 
@@ -103,7 +102,6 @@ def simulate(
     >>> bool(abs(result.smoothed.mean_square - exact) < 4 * result.smoothed.standard_error)
     True
     """
-    started = time.perf_counter()
     joined = nonlinear_loop(smoother, uncertainties)
     progress = validation.boolean("progress", progress)
     run = _Run(smoother.plant, joined, runs, duration, step, seed)
@@ -127,7 +125,6 @@ def simulate(
         equivalent_delta=frozen(joined.delta.copy()),
         runs=run.runs,
         path_steps=path_steps,
-        wall_time=time.perf_counter() - started,
         duration=run.steps * run.step,
         warm_up=run.before * run.step,
         step=run.step,

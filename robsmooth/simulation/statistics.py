@@ -89,8 +89,8 @@ class SimulationResult:
         it, and the same reference, `error_covariance` predicts the errors.
     runs, path_steps, seed : int
         Independent paths, and the steps of all of them, the warm-up included.
-    duration, warm_up, step, wall_time : float
-        What of a path is averaged, what is simulated before, a step, and the time it took, s.
+    duration, warm_up, step : float
+        What of a path is averaged, what is simulated before, and a step, s.
 
     Examples
     --------
@@ -108,7 +108,6 @@ class SimulationResult:
     equivalent_delta: Matrix
     runs: int
     path_steps: int
-    wall_time: float
     duration: float
     warm_up: float
     step: float
@@ -131,7 +130,7 @@ class SimulationResult:
             f"constraints used to {self.constraints.max(initial=0.0):.3g}, violated for "
             f"{self.violated.max(initial=0.0):.2%} of the time; {self.runs} runs of "
             f"{self.duration:.4g} s, step {self.step:.4g} s, seed {self.seed}; "
-            f"{self.path_steps:.3g} path-steps in {self.wall_time:.2g} s"
+            f"{self.path_steps:.3g} path-steps"
         )
 
 

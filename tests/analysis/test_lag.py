@@ -53,23 +53,27 @@ def test_sweep_has_the_errors_of_the_designs():
             assert_allclose(sweep.worst[i, j], error, rtol=1e-9)
     optimal = [optimal_fixed_lag_error(EXAMPLE, delay)[0, 0] for delay in delays]
     assert_allclose(sweep.optimal, optimal)
-    assert_allclose((sweep.filtering, sweep.two_sided), (FILTERING, TWO_SIDED))
     assert_allclose(sweep.nominal[:, 0], FILTERING, rtol=1e-9)
     least = f"{sweep.nominal[1, 2]:.5g}"
-    assert repr(sweep).startswith(f"LagSweep(2 orders x 3 lags, least nominal error {least}, ")
+    assert repr(sweep) == f"LagSweep(2 orders x 3 lags, least nominal error {least})"
 
 
 @settings(max_examples=3)
 @given(seeds)
-def test_no_design_beats_the_exact_optimum_and_a_high_order_reaches_it(seed):
+def test_no_design_beats_the_exact_optimum_and_high_orders_come_near_it(seed):
     system = random_system(np.random.default_rng(seed), n=2, m=2, measurements=2, g=1)
     delay = 1.0 / np.abs(baselines.kalman_bucy(system).poles).max()
-    sweep = lag_sweep(system, [delay], [1, 2, 6])
+    sweep = lag_sweep(system, [delay], [1, 2])
     assert (sweep.nominal >= sweep.optimal * (1 - 1e-9)).all()
     assert (sweep.worst >= sweep.nominal).all()
-    assert_allclose(sweep.nominal[2], sweep.optimal, rtol=0.05)
-    assert (np.diff(np.abs(sweep.nominal[:, 0] - sweep.optimal[0])) < 0).all()
-    assert sweep.two_sided < sweep.optimal[0] < sweep.filtering
+    (optimal,) = sweep.optimal
+    # of a rough signal, the rest is in inverse proportion to the order
+    rest = [classical_error(system, delay, order) - optimal for order in (6, 12, 24)]
+    assert rest[0] < 0.15 * optimal
+    assert rest[1] < 0.6 * rest[0] + 1e-9 * optimal
+    assert rest[2] < 0.6 * rest[1] + 1e-9 * optimal
+    ends = optimal_two_sided_error(system), optimal_fixed_lag_error(system, 0.0)
+    assert np.trace(ends[0]) < optimal < np.trace(ends[1])
 
 
 def test_a_lag_that_is_too_long_for_its_order_is_worse_than_none():

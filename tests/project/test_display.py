@@ -97,7 +97,7 @@ OBJECTS = {
     ),
     "LagSweep": (
         lambda: rs.lag_sweep(PAPER.uncertain_system(), [1e-6, 2e-6], [1, 2]),
-        ["2 orders x 2 lags", "filtering=0.08", "two_sided=0.04"],
+        ["2 orders x 2 lags", "error 0.0496"],
     ),
     "CoarseDelayWarning": (lambda: rs.CoarseDelayWarning("coarse"), ["coarse"]),
     "LongStepWarning": (lambda: rs.LongStepWarning("long"), ["long"]),

@@ -38,7 +38,7 @@ CHECKPOINT_EVERY = 2.0  # s
 
 
 class LossOfLockWarning(RuntimeWarning):
-    """Some of the paths slipped: their errors, but not those `in_lock`, depend on the duration.
+    """Some of the paths slipped: their errors, but not those in lock, depend on the duration.
 
     Examples
     --------
@@ -93,15 +93,6 @@ class MonteCarloResult:
     seed: int
     precision: str
     provenance: dict[str, Any] = field(repr=False)
-
-    def in_lock(self) -> tuple[MeanSquare, MeanSquare]:
-        """Return the filtered and the smoothed error of the paths that never slipped.
-
-        Where none slipped, these are the errors over all paths, with control variates.
-        """
-        if self.slips:
-            return self.filtered_in_lock, self.smoothed_in_lock
-        return self.filtered, self.smoothed
 
     @property
     def slip_rate(self) -> float:
