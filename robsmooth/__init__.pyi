@@ -54,7 +54,6 @@ from robsmooth.simulation.simulate import sample_paths as sample_paths
 from robsmooth.simulation.simulate import simulate as simulate
 from robsmooth.simulation.statistics import InadmissibleWarning as InadmissibleWarning
 from robsmooth.simulation.statistics import SamplePaths as SamplePaths
-from robsmooth.simulation.statistics import SimulatedError as SimulatedError
 from robsmooth.simulation.statistics import SimulationResult as SimulationResult
 from robsmooth.systems import examples as examples
 from robsmooth.systems.augmented import AugmentedSystem as AugmentedSystem

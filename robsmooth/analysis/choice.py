@@ -75,10 +75,6 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     -------
     Judgement
 
-    See Also
-    --------
-    best_smoother, worst_case, analysis_bound : all candidates; the worst case, and the certificate.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -212,17 +208,11 @@ def best_smoother(
         Where no estimator has a finite error; for the certified one it says which fraction of the
         uncertainty has one. Where a measurement has no noise, no measurement sees a mode that does
         not decay, or an uncertainty does.
-    ValueError, TypeError
-        For an argument that is not as described.
 
     Warns
     -----
     CoarseDelayWarning
         Where the classical smoother's error is above its filter's, without uncertainty.
-
-    See Also
-    --------
-    judge : the three errors of one estimator.
 
     Examples
     --------

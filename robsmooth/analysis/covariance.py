@@ -198,10 +198,6 @@ def delta_sweep(
     -------
     (N, m, m) array
 
-    See Also
-    --------
-    error_covariance, worst_case : one uncertainty, and the worst of all.
-
     Examples
     --------
     >>> import robsmooth as rs

@@ -52,7 +52,6 @@ from scipy.sparse.linalg import expm_multiply, splu
 from robsmooth._numerics.hermite import HermiteBasis, multiplication_matrix
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import ILL_CONDITIONED, Loop, homodyne_loop
@@ -87,10 +86,6 @@ class StationaryErrors:
     degree, unknowns : int
         Total degree of the polynomials, and the moments that were solved for.
 
-    See Also
-    --------
-    stationary_errors, MonteCarloResult : what returns them; the same by simulation.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -114,20 +109,11 @@ class StationaryErrors:
         larger = max(smoothed, self.filtered_truncation / self.filtered)
         return math.inf if math.isnan(larger) else larger
 
-    def _rows(self) -> list[tuple[str, str, float]]:
-        return [
-            ("smoothed", f"{self.smoothed:.10g}", self.smoothed_truncation),
-            ("filtered", f"{self.filtered:.10g}", self.filtered_truncation),
-        ]
-
     def __repr__(self) -> str:
-        errors = ", ".join(f"{name} {e} +- {error:.1g} rad^2" for name, e, error in self._rows())
-        return f"StationaryErrors({errors}; degree {self.degree}, {self.unknowns} unknowns)"
-
-    def _repr_html_(self) -> str:
-        columns = ("estimate", "mean square error (rad²)", "truncation (rad²)")
-        caption = f"The loop in lock: degree {self.degree}, {self.unknowns} unknowns."
-        return Table(columns, self._rows(), caption, digits=1).html()
+        smoothed = f"smoothed {self.smoothed:.10g} +- {self.smoothed_truncation:.1g} rad^2"
+        filtered = f"filtered {self.filtered:.10g} +- {self.filtered_truncation:.1g} rad^2"
+        found = f"degree {self.degree}, {self.unknowns} unknowns"
+        return f"StationaryErrors({smoothed}, {filtered}; {found})"
 
 
 @dataclass(frozen=True, eq=False)

@@ -70,38 +70,13 @@ class InadmissibleWarning(RuntimeWarning):
     """
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SimulatedError(MeanSquare):
-    """An error's covariance over the paths of `simulate`; its trace is the mean square.
-
-    Attributes
-    ----------
-    covariance, covariance_error : (m, m) arrays
-        Of the error, about zero, and the standard error of each entry, in the squared unit of w.
-
-    Examples
-    --------
-    >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.1]])
-    >>> result = rs.simulate(rs.baselines.kalman_bucy(system), runs=8, duration=5.0)
-    >>> result.filtered.covariance.shape, result.filtered.covariance_error.shape
-    ((1, 1), (1, 1))
-    """
-
-    covariance: Matrix
-    covariance_error: Matrix
-
-    def __repr__(self) -> str:
-        return f"SimulatedError({self}, covariance={notation.array(self.covariance)})"
-
-
 @dataclass(frozen=True, eq=False)
 class SimulationResult:
     """Errors of an estimator in the nonlinear loop, as `simulate` measures them.
 
     Attributes
     ----------
-    smoothed, filtered : SimulatedError
+    smoothed, filtered : MeanSquare
         Of the estimates of w one lag back, and of w now, in the squared unit of w.
     constraints : (k + 3g,) array
         E[xi' M_i xi] / E[zeta' N_i zeta], with whole arguments in zeta, in the order of the
@@ -114,8 +89,8 @@ class SimulationResult:
         it, and the same reference, `error_covariance` predicts the errors.
     runs, path_steps, seed : int
         Independent paths, and the steps of all of them, the warm-up included.
-    duration, warm_up, step, wall_time : float
-        What of a path is averaged, what is simulated before, a step, and the time it took, s.
+    duration, warm_up, step : float
+        What of a path is averaged, what is simulated before, and a step, s.
 
     Examples
     --------
@@ -126,14 +101,13 @@ class SimulationResult:
     (True, 8)
     """
 
-    smoothed: SimulatedError
-    filtered: SimulatedError
+    smoothed: MeanSquare
+    filtered: MeanSquare
     constraints: Floats
     violated: Floats
     equivalent_delta: Matrix
     runs: int
     path_steps: int
-    wall_time: float
     duration: float
     warm_up: float
     step: float
@@ -145,11 +119,8 @@ class SimulationResult:
         )
 
     def _repr_html_(self) -> str:
-        rows = [
-            (name, error._repr_latex_(), f"${notation.matrix(error.covariance)}$")
-            for name, error in (("smoothed", self.smoothed), ("filtered", self.filtered))
-        ]
-        columns = ("estimate", "mean square error", "covariance")
+        rows = [(name, getattr(self, name)._repr_latex_()) for name in ("smoothed", "filtered")]
+        columns = ("estimate", "mean square error")
         caption = f"The nonlinear loop, in the squared unit of $w$; {self._setting}."
         return Table(columns, rows, caption).html()
 
@@ -159,7 +130,7 @@ class SimulationResult:
             f"constraints used to {self.constraints.max(initial=0.0):.3g}, violated for "
             f"{self.violated.max(initial=0.0):.2%} of the time; {self.runs} runs of "
             f"{self.duration:.4g} s, step {self.step:.4g} s, seed {self.seed}; "
-            f"{self.path_steps:.3g} path-steps in {self.wall_time:.2g} s"
+            f"{self.path_steps:.3g} path-steps"
         )
 
 
