@@ -15,7 +15,6 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.estimators.certificate import model_loop
@@ -63,12 +62,6 @@ class ConstantMinimaxSmoother(Estimator):
 
     def __repr__(self) -> str:
         return self._summary(f"worst_constant={self.worst_constant:.5g}")
-
-    def _repr_html_(self) -> str:
-        rows = [(f"worst constant {self.cost} error, (unit of $w$)²", self.worst_constant)]
-        for i, Delta in enumerate(self.Deltas[1:], start=1):
-            rows.append((rf"$\Delta$ {i} of those it is for", f"${notation.matrix(Delta)}$"))
-        return self._sheet("Minimax smoother against constant uncertainty", rows)
 
 
 @one_thread

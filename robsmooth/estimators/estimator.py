@@ -9,15 +9,14 @@ with the copies :math:`\tilde\mu_i = \psi_i(\tilde\nu_i)` closing the loop aroun
 filter is the case where the copies' gains are zero.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robsmooth._support import notation, validation
-from robsmooth._support.tables import table_of_values
+from robsmooth._support import validation
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.statespace import state_space
@@ -198,21 +197,3 @@ class Estimator:
             f"Estimator({len(self.A_c)} states, delay={plant.delay:g} s, order={plant.order}, "
             f"{plant.system.l} measurements, {plant.system.m} outputs, {plant.system.g} copies)"
         )
-
-    def _repr_html_(self) -> str:
-        return self._sheet("Estimator", ())
-
-    def _sheet(self, what: str, rows: Sequence[tuple]) -> str:
-        """Return a table of what is particular to a design, then of what all have."""
-        plant = self.plant
-        shared = [
-            ("poles (1/s)", f"${notation.poles(self.poles)}$"),
-            ("$A_c$ (1/s)", f"${notation.matrix(self.A_c)}$"),
-            (r"$\tilde B_c$", f"${notation.matrix(self.B_c)}$"),
-            (r"$\tilde C_c$", f"${notation.matrix(self.C_c)}$"),
-            ("$C_a$", f"${notation.matrix(self.C_a)}$"),
-        ]
-        caption = (
-            f"{what}: delay ${notation.number(plant.delay)}$ s, delay model of order {plant.order}."
-        )
-        return table_of_values([*rows, *shared], caption, digits=6).html()

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
 from robsmooth._numerics.riccati import RiccatiError
-from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.estimators.bound import minimize_bound
@@ -81,14 +80,6 @@ class MinimaxSmoother(Estimator):
 
     def __repr__(self) -> str:
         return self._summary(f"certified={self.certified:.5g}")
-
-    def _repr_html_(self) -> str:
-        rows = [
-            (f"certified {self.cost} error, (unit of $w$)²", self.certified),
-            (r"multipliers $\theta$, s (unit of $w$)²", f"${notation.vector(self.multipliers)}$"),
-            ("found by", self.route),
-        ]
-        return self._sheet("Minimax smoother", rows)
 
 
 @one_thread

@@ -69,16 +69,6 @@ class RobustSmoother(Estimator):
             f"order={self.plant.order}, spectral_radius/tau={self.spectral_radius / self.tau:.3g})"
         )
 
-    def _repr_html_(self) -> str:
-        rows = [
-            (f"bound $V$ on half the {self.cost} error, (unit of $w$)²", self.bound),
-            ("its infimum, which no design attains", self.bound_infimum),
-            (r"$\tau$, s (unit of $w$)²", self.tau),
-            (r"multipliers $\lambda$", f"${notation.vector(self.multipliers)}$"),
-            (r"$\rho(YX)/\tau$, below 1", self.spectral_radius / self.tau),
-        ]
-        return self._sheet("Robust smoother", rows)
-
 
 def design_smoother(
     plant: AugmentedSystem, tau: float, multipliers: ArrayLike, cost: str = "filtered"
