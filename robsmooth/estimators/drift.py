@@ -19,13 +19,12 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag, null_space
 
-from robsmooth._numerics.modes import Modes, modes, natural_units
+from robsmooth._numerics.modes import Modes, modes, natural_units, reaches
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.loop import drifting_output
-from robsmooth.estimators.problem import reaches
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.delay import pade_delay

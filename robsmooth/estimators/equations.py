@@ -69,17 +69,52 @@ this is the *nonlinear observer*, which takes the copy's output for the nonlinea
 robust against their difference alone.
 """
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from robsmooth._numerics.lyapunov import square_root
-from robsmooth._numerics.riccati import RiccatiSolution, solve_riccati
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.estimators.problem import DesignProblem
+from robsmooth.systems.augmented import AugmentedSystem
 
 Equation = tuple[Matrix, Matrix, Matrix]  # the A, Q and S of A'Z + ZA + Q - ZSZ = 0
+
+
+@dataclass(frozen=True, eq=False)
+class DesignProblem:
+    """What the equations are made of, whatever tau and lambda."""
+
+    A: Matrix  # (n, n) the plant's drift
+    C: Matrix  # (m, n) the output that the cost is on
+    C2: Matrix  # (l, n) the measurement
+    B: Matrix  # (n, r + g) the channels' inputs into the state
+    D: Matrix  # (l, r + g) and into the measurement
+    C1: Matrix  # (h + g, n) their outputs, the nonlinearities' times their Lipschitz constants
+    channels: np.ndarray  # (r + g,) to which of the k + g channels an input belongs ...
+    rows: np.ndarray  # (h + g,) ... and an output
+    lipschitz: np.ndarray  # (g,)
+
+    @classmethod
+    def of(cls, plant: AugmentedSystem, cost: str) -> "DesignProblem":
+        """Return the problem of a plant and a cost."""
+        system, k, g = plant.system, plant.system.k, plant.system.g
+        channels, rows = (
+            np.repeat(np.arange(k + g), sizes[: k + g])
+            for sizes in (plant.input_sizes, plant.output_sizes)
+        )
+        B, D = plant.B1_tilde[:, : len(channels)], plant.D21_tilde[: system.l, : len(channels)]
+        lipschitz = np.array([c.lipschitz for c in system.nonlinearities])
+        scales = np.concatenate([np.ones(len(rows) - g), lipschitz])
+        C1 = scales[:, None] * plant.C1_tilde[: len(rows)]
+        C, C2 = plant.C_p0 if cost == "filtered" else plant.C_a, plant.C2_tilde[: system.l]
+        return cls(plant.A_p, C, C2, B, D, C1, channels, rows, lipschitz)
+
+    @property
+    def k(self) -> int:
+        """Number of uncertainties; what is left of the channels is the nonlinearities'."""
+        return int(self.channels[-1]) + 1 - len(self.lipschitz)
 
 
 class DesignEquations:
@@ -119,14 +154,6 @@ class DesignEquations:
     def equation_X(self, quadratic_sign: float = 1.0) -> Equation:
         """Return the second Riccati equation of Assumption 3; the theory has `quadratic_sign` 1."""
         return self.problem.A, self.Q_X, -quadratic_sign / self.tau * self.worst_noise
-
-    def solve_Y(self) -> RiccatiSolution:
-        """Return the solution of the first Riccati equation."""
-        return solve_riccati(*self.equation_Y)
-
-    def solve_X(self, quadratic_sign: float = 1.0) -> RiccatiSolution:
-        """Return the solution of the second one."""
-        return solve_riccati(*self.equation_X(quadratic_sign))
 
     def solution(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, Matrix, float, float]:
         """Return K, U, T, V and rho(YX), which must be below tau."""

@@ -49,10 +49,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robsmooth._numerics.modes import reaches
 from robsmooth._support.extras import convex_modelling
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.problem import reaches
 from robsmooth.systems.augmented import AugmentedSystem
 
 

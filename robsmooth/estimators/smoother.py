@@ -9,9 +9,8 @@ from robsmooth._numerics.riccati import RiccatiSolution
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators import conditions
-from robsmooth.estimators.equations import DesignEquations
+from robsmooth.estimators.equations import DesignEquations, DesignProblem
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.problem import DesignProblem
 from robsmooth.systems.augmented import AugmentedSystem
 
 
@@ -174,8 +173,8 @@ def design_equations(
 def _solved(plant: AugmentedSystem, equations: DesignEquations, cost: str) -> RobustSmoother:
     """Solve the equations of a design, after checking Assumption 3."""
     conditions.check_stable(plant)
-    Y = conditions.certified_solution(conditions.ASSUMPTION_Y, equations.solve_Y)
-    X = conditions.certified_solution(conditions.ASSUMPTION_X, equations.solve_X)
+    Y = conditions.certified_solution(conditions.ASSUMPTION_Y, equations.equation_Y)
+    X = conditions.certified_solution(conditions.ASSUMPTION_X, equations.equation_X())
     A_c, B_c, C_c, bound, radius = equations.gains(X.X, Y.X)
     C_f = C_c[: plant.system.m] if cost == "filtered" else plant.C_p0
     matrices = {"A_c": A_c, "B_c": B_c, "C_c": C_c, "C_a": plant.C_a, "C_f": C_f}
