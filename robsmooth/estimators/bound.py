@@ -276,20 +276,17 @@ def log_bound(problem: DesignProblem, theta: np.ndarray) -> float:
 
     Raises InfeasibleDesignError where there is no design, or numbers leave the range of floats.
     """
-    equations = DesignEquations(problem, 1.0, theta)
-    try:
-        Y = _stabilising(conditions.ASSUMPTION_Y, *equations.equation_Y)
+    of_Y = conditions.ASSUMPTION_Y
+    with suppress(LinAlgError):
+        equations = DesignEquations(problem, 1.0, theta)
+        Y = _stabilising(of_Y, *equations.equation_Y)
         spectrum = np.linalg.eigvalsh(Y)
-        conditions.check_nonnegative(
-            conditions.ASSUMPTION_Y, spectrum[0] / (np.abs(spectrum).max() or 1.0)
-        )
+        conditions.check_nonnegative(of_Y, spectrum[0] / (np.abs(spectrum).max() or 1.0))
         X = _stabilising(conditions.ASSUMPTION_X, *equations.equation_X())
         *_, v, _ = equations.solution(X, Y)
-    except LinAlgError as error:
-        raise conditions.refusal(conditions.ASSUMPTION_Y, str(error)) from None
-    if not np.isfinite(v):
-        raise conditions.refusal(conditions.ASSUMPTION_Y, "numbers leave the range of floats")
-    return float(np.log(max(v, np.finfo(float).tiny)))
+        if np.isfinite(v):
+            return float(np.log(max(v, np.finfo(float).tiny)))
+    raise conditions.refusal(of_Y, "numbers leave the range of floats")
 
 
 def _stabilising(condition: str, A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
@@ -299,14 +296,11 @@ def _stabilising(condition: str, A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
     unit = np.sqrt(size_Q / size_S) if size_Q > 0.0 < size_S else 1.0 / (size_S or 1.0)
     hamiltonian = np.block([[A, -unit * S], [-Q / unit, -A.T]])
     size = np.linalg.norm(hamiltonian)
-    if not size < _LARGEST:
-        raise conditions.refusal(condition, "its coefficients leave the range of floats")
-    try:
-        form, basis, stable = schur(hamiltonian, sort="lhp")
-        X = np.linalg.solve(basis[:n, :n].T, basis[n:, :n].T) * unit
-    except (LinAlgError, ValueError) as error:
-        raise conditions.refusal(condition, str(error)) from None
-    rate = -form.diagonal()[:n].max()
-    if stable != n or not rate > _STABILITY_MARGIN * size or not np.linalg.norm(X) < _LARGEST:
-        raise conditions.refusal(condition, "there is no stabilising solution")
-    return (X + X.T) / 2
+    if size < _LARGEST:
+        with suppress(LinAlgError):
+            form, basis, stable = schur(hamiltonian, sort="lhp")
+            X = np.linalg.solve(basis[:n, :n].T, basis[n:, :n].T) * unit
+            decays = stable == n and -form.diagonal()[:n].max() > _STABILITY_MARGIN * size
+            if decays and np.linalg.norm(X) < _LARGEST:
+                return (X + X.T) / 2
+    raise conditions.refusal(condition, "there is no stabilising solution")

@@ -34,7 +34,7 @@ _CLOSED = 1e-4  # relative: the worst Delta is in the set where no other is wors
 _STARTS = 16  # of the search for the worst Delta
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ConstantMinimaxSmoother(Estimator):
     """An estimator with the least largest error over constant uncertainties.
 
@@ -60,8 +60,9 @@ class ConstantMinimaxSmoother(Estimator):
     Deltas: NDArray[np.float64]
     cost: str
 
-    def __repr__(self) -> str:
-        return self._summary(f"worst_constant={self.worst_constant:.5g}")
+    @property
+    def _figures(self) -> str:
+        return f"worst_constant={self.worst_constant:.5g}, cost={self.cost!r}"
 
 
 @one_thread
@@ -87,8 +88,6 @@ def constant_minimax_smoother(
     InfeasibleDesignError
         Where every candidate's error has no limit for some constant uncertainty, and else as in
         `minimax_smoother`.
-    ValueError, TypeError
-        For an argument that is not as described.
 
     See Also
     --------
@@ -117,12 +116,7 @@ def constant_minimax_smoother(
     value *= natural.units.w**2
     if drifts:
         value, _ = worst_constant(Estimator(**fields), output, _STARTS)
-    return ConstantMinimaxSmoother(
-        **fields,
-        worst_constant=value,
-        Deltas=Deltas,
-        cost=output,
-    )
+    return ConstantMinimaxSmoother(**fields, worst_constant=value, Deltas=Deltas, cost=output)
 
 
 def _candidates(plant: AugmentedSystem) -> list[Estimator]:

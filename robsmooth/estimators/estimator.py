@@ -54,7 +54,7 @@ class Estimator:
     --------
     >>> import robsmooth as rs
     >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
-    Estimator(3 states, delay=3.1e-06 s, order=2, 1 measurements, 1 outputs, 1 copies)
+    Estimator(3 states, 1 measurements, 1 outputs, 1 copies, delay=3.1e-06 s, order=2)
     """
 
     plant: AugmentedSystem
@@ -184,16 +184,12 @@ class Estimator:
         reads = {name: getattr(self, name) @ back for name in ("C_c", "C_a", "C_f")}
         return replace(self, A_c=to @ self.A_c @ back, B_c=to @ self.B_c, **reads)
 
-    def _summary(self, error: str) -> str:
-        """Return a repr with the one error that a design is about."""
-        return (
-            f"{type(self).__name__}({error}, cost={self.cost!r}, delay={self.plant.delay:g} s, "
-            f"order={self.plant.order})"
-        )
+    @property
+    def _figures(self) -> str:
+        """What the repr says of it, beside its delay."""
+        l, m, g = self.plant.system.l, self.plant.system.m, self.plant.system.g  # noqa: E741
+        return f"{len(self.A_c)} states, {l} measurements, {m} outputs, {g} copies"
 
     def __repr__(self) -> str:
-        plant = self.plant
-        return (
-            f"Estimator({len(self.A_c)} states, delay={plant.delay:g} s, order={plant.order}, "
-            f"{plant.system.l} measurements, {plant.system.m} outputs, {plant.system.g} copies)"
-        )
+        model = f"delay={self.plant.delay:g} s, order={self.plant.order}"
+        return f"{type(self).__name__}({self._figures}, {model})"

@@ -39,7 +39,7 @@ _LOST = 1e-5  # relative
 _ROUNDS = 3  # of descent, each from coordinates balanced anew
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MinimaxSmoother(Estimator):
     """An estimator with the least certified error.
 
@@ -78,8 +78,9 @@ class MinimaxSmoother(Estimator):
         """The guarantee: `certified`, by the name that it has for a `RobustSmoother`."""
         return self.certified
 
-    def __repr__(self) -> str:
-        return self._summary(f"certified={self.certified:.5g}")
+    @property
+    def _figures(self) -> str:
+        return f"certified={self.certified:.5g}, cost={self.cost!r}"
 
 
 @one_thread
@@ -128,7 +129,7 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     route, found = ROUTES[0], None
     if is_convex(natural.plant):
         with suppress(NoSolution, RiccatiError, LinAlgError):
-            estimator, theta = least_certified(natural.plant, natural.plant.C_a)
+            estimator, theta = least_certified(natural.plant)
             positive = theta > 0.0
             found = problem_of(estimator, positive).at(theta[positive]).mean_square
             if found > (1.0 + _LOST) * _classical_error(natural):
@@ -171,10 +172,7 @@ def certified_error(smoother: MinimaxSmoother) -> float:
 def _by_descent(natural: Natural) -> tuple[Estimator, np.ndarray, float]:
     """Return a local minimum, with theta and its certified error, from the best candidate.
 
-    Raises
-    ------
-    InfeasibleDesignError
-        Where no candidate has a guarantee for all of the uncertainty.
+    An InfeasibleDesignError says that none has a guarantee for all of the uncertainty.
     """
     fraction, least, best = 0.0, math.inf, None
     kept = natural.drift.kept
@@ -195,8 +193,8 @@ def _by_descent(natural: Natural) -> tuple[Estimator, np.ndarray, float]:
         )
     estimator, theta = best
     for _ in range(_ROUNDS):
-        objective = partial(_objective, kept)
-        estimator, logarithms, found = descend(estimator, objective, np.log(theta))
+        start = np.log(theta)
+        estimator, logarithms, found = descend(estimator, partial(_objective, kept), start)
         theta = np.exp(logarithms)
     return estimator, np.where(kept, theta, 0.0), math.exp(found)
 

@@ -14,7 +14,7 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.systems.augmented import AugmentedSystem
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class RobustSmoother(Estimator):
     """A robust fixed-lag smoother with its guarantee; `design_smoother` says what it is made of.
 
@@ -61,12 +61,11 @@ class RobustSmoother(Estimator):
         """The guarantee, 2V: no admissible uncertainty makes the mean square error larger."""
         return 2.0 * self.bound
 
-    def __repr__(self) -> str:
-        return (
-            f"RobustSmoother(bound={self.bound:.4g}, cost={self.cost!r}, tau={self.tau:.4g}, "
-            f"multipliers={notation.array(self.multipliers)}, delay={self.plant.delay:g} s, "
-            f"order={self.plant.order}, spectral_radius/tau={self.spectral_radius / self.tau:.3g})"
-        )
+    @property
+    def _figures(self) -> str:
+        multipliers, radius = notation.array(self.multipliers), self.spectral_radius / self.tau
+        given = f"cost={self.cost!r}, tau={self.tau:.4g}, multipliers={multipliers}"
+        return f"bound={self.bound:.4g}, {given}, spectral_radius/tau={radius:.3g}"
 
 
 def design_smoother(

@@ -166,6 +166,11 @@ class AugmentedSystem:
             )
         return frozen(J)
 
+    @property
+    def real_noise(self) -> Matrix:
+        """(l + g, q + g) array, D21_bar without the noise of the copies, which is fictitious."""
+        return np.pad(self.system.D21, (0, self.system.g))
+
     @cached_property
     def known(self) -> tuple[Matrix, Matrix]:
         """(n, g) and (l, g) arrays, what the copies' outputs are known to do to state and y."""
