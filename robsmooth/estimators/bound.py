@@ -264,10 +264,10 @@ class _Search:
         except InfeasibleDesignError as error:
             condition = error.condition
         detail = (
-            "no design was found; with smaller uncertainty outputs or Lipschitz constants there "
-            "may be one, and minimax_smoother needs less"
+            "where the search ended, and no design was found; with smaller uncertainty outputs or "
+            "Lipschitz constants there may be one, and minimax_smoother needs less"
         )
-        return InfeasibleDesignError(condition, detail, verb="failed where the search ended")
+        return InfeasibleDesignError(condition, detail)
 
 
 @np.errstate(all="ignore")

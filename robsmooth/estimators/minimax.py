@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
-from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.estimators.bound import minimize_bound
@@ -26,13 +25,12 @@ from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.kalman import classical
 from robsmooth.estimators.loop import open_loop
-from robsmooth.estimators.programme import NoSolution, copies_are_known, least_certified
+from robsmooth.estimators.programme import copies_are_known, least_certified
 from robsmooth.estimators.tuned import tuned_fixed_lag_smoother
 from robsmooth.estimators.units import Natural, in_plant_states
 from robsmooth.systems.augmented import AugmentedSystem
 
 LARGEST = 20  # states of a plant for the programme: it takes about 10 s there, and 0.1 s for 6
-CONDITION = "A finite guarantee"
 ROUTES = ("semidefinite programme", "descent")
 _STIFF = 1e3  # between a plant's rates
 _LOST = 1e-5  # relative
@@ -128,7 +126,7 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     natural = Natural.of(plant, output)
     route, found = ROUTES[0], None
     if is_convex(natural.plant):
-        with suppress(NoSolution, RiccatiError, LinAlgError):
+        with suppress(ArithmeticError, LinAlgError):
             estimator, theta = least_certified(natural.plant)
             positive = theta > 0.0
             found = problem_of(estimator, positive).at(theta[positive]).mean_square
@@ -186,7 +184,7 @@ def _by_descent(natural: Natural) -> tuple[Estimator, np.ndarray, float]:
             least, best = found, (candidate, multipliers)
     if best is None:
         raise InfeasibleDesignError(
-            CONDITION,
+            "A finite guarantee",
             "an uncertainty of this size, varying in time, could destabilise the plant, so that no "
             f"estimator has one; {fraction:.3g} of the uncertainty has one (scale its outputs C or "
             "the Lipschitz constants down)",

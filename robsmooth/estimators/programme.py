@@ -45,6 +45,7 @@ Automatica 44(7), 2008.
 """
 
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,10 +55,6 @@ from robsmooth._support.extras import convex_modelling
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.systems.augmented import AugmentedSystem
-
-
-class NoSolution(ArithmeticError):
-    """The solver found no solution of the programme."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +94,8 @@ def copies_are_known(plant: AugmentedSystem) -> bool:
 def least_certified(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray]:
     """Return the estimator of C_a x with the least certified error, and theta, (k + 3g,).
 
-    The plant is in natural units, and its copies are known. `NoSolution` says that the solver finds
-    none.
+    The plant is in natural units, and its copies are known. An ArithmeticError says that the solver
+    finds none.
     """
     cp = convex_modelling()
 
@@ -133,14 +130,11 @@ def least_certified(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray]:
     energy = cp.bmat([[W, in_Z.T, in_X.T], [in_Z, Z, Z], [in_X, Z, X]])
     conditions = [_symmetric(decay) << 0, _symmetric(energy) >> 0]
     problem = cp.Problem(cp.Minimize(cp.trace(W)), conditions)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), suppress(cp.SolverError):
         warnings.simplefilter("ignore")  # of accuracy, which the certificate shows
-        try:
-            problem.solve(solver=cp.CLARABEL)
-        except cp.SolverError as error:
-            raise NoSolution(str(error)) from None
+        problem.solve(solver=cp.CLARABEL)
     if Z.value is None:
-        raise NoSolution(problem.status)
+        raise ArithmeticError(f"the solver found no estimator: {problem.status}")
 
     multipliers, rows = np.zeros(len(plant.M_i)), np.zeros((system.g, n))
     for weight, c in zip(theta, channels, strict=True):
