@@ -12,13 +12,14 @@ class InfeasibleDesignError(ValueError):
         The condition that fails, as the paper names it, e.g. ``"Assumption 3.2"``.
     """
 
-    def __init__(self, condition: str, detail: str) -> None:
-        super().__init__(f"{condition} fails: {detail}")
+    def __init__(self, condition: str, detail: str, verb: str = "fails") -> None:
+        super().__init__(f"{condition} {verb}: {detail}")
         self.condition = condition
         self.detail = detail
+        self.verb = verb
 
-    def __reduce__(self) -> tuple[type[Self], tuple[str, str]]:
-        return type(self), (self.condition, self.detail)
+    def __reduce__(self) -> tuple[type[Self], tuple[str, str, str]]:
+        return type(self), (self.condition, self.detail, self.verb)
 
 
 class UnstableLoopError(ValueError):

@@ -264,10 +264,10 @@ class _Search:
         except InfeasibleDesignError as error:
             condition = error.condition
         detail = (
-            "where the search ended, and no design was found; with smaller uncertainty outputs or "
-            "Lipschitz constants there may be one, and minimax_smoother needs less"
+            "no design was found; with smaller uncertainty outputs or Lipschitz constants there "
+            "may be one, and minimax_smoother needs less"
         )
-        return InfeasibleDesignError(condition, detail)
+        return InfeasibleDesignError(condition, detail, verb="failed where the search ended")
 
 
 @np.errstate(all="ignore")
