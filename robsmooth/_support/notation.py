@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 LIMIT = 6  # of more rows, columns or entries than these, the middle ones are left out
 _DIGITS = 4
 _NO_ENTRY = 1e-16  # is zero in print, over the mean of its row's and column's largest
-_NO_IMAGINARY_PART = 1e-12  # over the size of a pole
 
 
 def number(value: float, digits: int = _DIGITS) -> str:
@@ -79,17 +78,6 @@ def total(terms: Iterable[str]) -> str:
     """Return the sum of terms, of which the empty ones are zero, as LaTeX."""
     terms = [term for term in terms if term]
     return " + ".join(terms).replace("+ -", "- ") or "0"
-
-
-def poles(values: Iterable[complex]) -> str:
-    r"""Return eigenvalues of a real matrix as LaTeX, each conjugate pair once."""
-    texts = []
-    for pole in values:
-        if abs(pole.imag) <= _NO_IMAGINARY_PART * abs(pole):
-            texts.append(number(pole.real))
-        elif pole.imag > 0.0:
-            texts.append(rf"{number(pole.real)} \pm {number(pole.imag)}\,i")
-    return r",\ ".join(_elided(texts, r"\dots"))
 
 
 def array(value: ArrayLike) -> str:

@@ -137,12 +137,8 @@ class ConstraintProblem:
 def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np.ndarray, Matrix]:
     """Return the loop without modes that hardly decay, where it can be.
 
-    Also which constraints see these modes, and what the states are of the whole loop's, (., N).
-
-    Raises
-    ------
-    UnstableLoopError
-        Where a mode does not decay, and the output of an uncertainty holds it.
+    Also which constraints see these modes, and what the states are of the whole loop's, (., N). An
+    UnstableLoopError says that a mode does not decay, and the output of an uncertainty holds it.
     """
     k, g = plant.system.k, plant.system.g
     whole, seeing = (loop, np.zeros(k + 3 * g, dtype=bool), np.eye(len(loop.A))), None

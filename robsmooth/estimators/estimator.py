@@ -9,15 +9,14 @@ with the copies :math:`\tilde\mu_i = \psi_i(\tilde\nu_i)` closing the loop aroun
 filter is the case where the copies' gains are zero.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robsmooth._support import notation, validation
-from robsmooth._support.tables import table_of_values
+from robsmooth._support import validation
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.statespace import state_space
@@ -55,7 +54,7 @@ class Estimator:
     --------
     >>> import robsmooth as rs
     >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
-    Estimator(3 states, delay=3.1e-06 s, order=2, 1 measurements, 1 outputs, 1 copies)
+    Estimator(3 states, 1 measurements, 1 outputs, 1 copies, delay=3.1e-06 s, order=2)
     """
 
     plant: AugmentedSystem
@@ -185,34 +184,12 @@ class Estimator:
         reads = {name: getattr(self, name) @ back for name in ("C_c", "C_a", "C_f")}
         return replace(self, A_c=to @ self.A_c @ back, B_c=to @ self.B_c, **reads)
 
-    def _summary(self, error: str) -> str:
-        """Return a repr with the one error that a design is about."""
-        return (
-            f"{type(self).__name__}({error}, cost={self.cost!r}, delay={self.plant.delay:g} s, "
-            f"order={self.plant.order})"
-        )
+    @property
+    def _figures(self) -> str:
+        """What the repr says of it, beside its delay."""
+        l, m, g = self.plant.system.l, self.plant.system.m, self.plant.system.g  # noqa: E741
+        return f"{len(self.A_c)} states, {l} measurements, {m} outputs, {g} copies"
 
     def __repr__(self) -> str:
-        plant = self.plant
-        return (
-            f"Estimator({len(self.A_c)} states, delay={plant.delay:g} s, order={plant.order}, "
-            f"{plant.system.l} measurements, {plant.system.m} outputs, {plant.system.g} copies)"
-        )
-
-    def _repr_html_(self) -> str:
-        return self._sheet("Estimator", ())
-
-    def _sheet(self, what: str, rows: Sequence[tuple]) -> str:
-        """Return a table of what is particular to a design, then of what all have."""
-        plant = self.plant
-        shared = [
-            ("poles (1/s)", f"${notation.poles(self.poles)}$"),
-            ("$A_c$ (1/s)", f"${notation.matrix(self.A_c)}$"),
-            (r"$\tilde B_c$", f"${notation.matrix(self.B_c)}$"),
-            (r"$\tilde C_c$", f"${notation.matrix(self.C_c)}$"),
-            ("$C_a$", f"${notation.matrix(self.C_a)}$"),
-        ]
-        caption = (
-            f"{what}: delay ${notation.number(plant.delay)}$ s, delay model of order {plant.order}."
-        )
-        return table_of_values([*rows, *shared], caption, digits=6).html()
+        model = f"delay={self.plant.delay:g} s, order={self.plant.order}"
+        return f"{type(self).__name__}({self._figures}, {model})"

@@ -1,8 +1,7 @@
 r"""The classical smoother, tuned for the worst case: the strongest opponent of a robust design.
 
-The nominal system that it is made for is tuned, as an engineer would: the intensities of the
-measurement's noises, noise that enters as each uncertainty does, and the nominal values of those
-that are one number. The slope of a nonlinearity counts for the gain only: its copy is run as it is.
+The nominal system that it is made for is tuned, as an engineer would. The slope of a nonlinearity
+counts for the gain only: its copy is run as it is.
 """
 
 import math
@@ -70,8 +69,6 @@ def tuned_fixed_lag_smoother(
     ------
     InfeasibleDesignError
         As in `minimax_smoother`, but for a guarantee.
-    ValueError, TypeError
-        For an argument that is not as described.
 
     See Also
     --------
@@ -180,18 +177,13 @@ class _Family:
         A[own, own], C2[:, own] = model
         levels = [np.exp(log / 2) * size for log, size in zip(noises, self.sizes, strict=True)]
         channels = list(zip(levels, self.uncertain, strict=True))
-        A_designed, C2_designed = designed
+        measured = np.exp(factors / 2)[:, None] * system.D21
         nominal = UncertainSystem(
-            A=A_designed,
+            A=designed[0],
             B1=np.hstack([system.B1, *(level * u.B for level, u in channels)]),
             C0=system.C0,
-            C2=C2_designed,
-            D21=np.hstack(
-                [
-                    np.exp(factors / 2)[:, None] * system.D21,
-                    *(level * u.D for level, u in channels),
-                ]
-            ),
+            C2=designed[1],
+            D21=np.hstack([measured, *(level * u.D for level, u in channels)]),
         )
         _, gain = kalman_gain(nominal, plant.delay_model)
         run = replace(nominal, A=model[0], C2=model[1])

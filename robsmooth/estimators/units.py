@@ -51,12 +51,7 @@ class Units:
             noise = np.hstack([system.B1, *(np.sqrt(time) * B for B in driven)])
         x = deviations(covariance)
         w = np.linalg.norm(system.C0 * x)
-        return cls(
-            time=time,
-            x=x,
-            y=np.linalg.norm(system.D21, axis=1),
-            w=float(w) or 1.0,
-        )
+        return cls(time, x, np.linalg.norm(system.D21, axis=1), float(w) or 1.0)
 
     def back(self) -> "Units":
         """Return the units that lead back."""
@@ -165,17 +160,11 @@ def _seen_by(output: str, plant: AugmentedSystem) -> AugmentedSystem:
 
 
 def in_plant_states(estimator: Estimator) -> Estimator:
-    """Return the same estimator with states of which the first n estimate those of the plant."""
-    to_plant = _to_plant_states(estimator)
-    return estimator.in_coordinates(to_plant, np.linalg.inv(to_plant))
+    """Return the same estimator with states of which the first n estimate those of the plant.
 
-
-def _to_plant_states(estimator: Estimator) -> Matrix:
-    """Return coordinates in which C_2 and C_p0 times the first n states are nominal estimates.
-
-    They are those of the measurement to come and of w. The other directions are of no account, and
-    make the coordinates as well conditioned as can be. What the copies' outputs do to the plant's
-    state, in the states behind the first n, is a part of them.
+    Then C_2 and C_p0 times these are nominal estimates of the measurement to come and of w. The
+    other directions are of no account, and make the coordinates as well conditioned as can be. A
+    part of them is what the copies' outputs do to the plant's state, in the states behind these.
     """
     plant, n = estimator.plant, estimator.plant.n
     A, B, _, _ = matrices(estimator, "real")
@@ -187,4 +176,5 @@ def _to_plant_states(estimator: Estimator) -> Matrix:
     known = U * np.maximum(sizes, _LEAST_SEEN * size) @ V
     to_plant = rows.T @ known + size * null_space(rows) @ null_space(known).T
     more = len(A) - 2 * n
-    return np.block([[to_plant, np.eye(n, more)], [np.zeros((more, n)), np.eye(more)]])
+    to_plant = np.block([[to_plant, np.eye(n, more)], [np.zeros((more, n)), np.eye(more)]])
+    return estimator.in_coordinates(to_plant, np.linalg.inv(to_plant))

@@ -20,6 +20,7 @@ from types import MappingProxyType
 import numpy as np
 
 from robsmooth import homodyne
+from robsmooth._numerics.riccati import solve_riccati
 from robsmooth._support import files
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators import baselines
@@ -119,7 +120,8 @@ def signed_design(tau: float, multipliers: Matrix, sign: float = -1.0) -> tuple[
     """Return estimator and V with this sign of the X equation's quadratic term: -1 flips it."""
     plant = paper_plant()
     equations = design_equations(plant, tau, multipliers)
-    X, Y = equations.solve_X(quadratic_sign=sign), equations.solve_Y()
+    X = solve_riccati(*equations.equation_X(quadratic_sign=sign))
+    Y = solve_riccati(*equations.equation_Y)
     A_c, B_c, C_c, bound, _ = equations.gains(X.X, Y.X)
     # the paper prints no C_a: that of the plant reads out the smoothed estimate
     return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_c[:1]), bound

@@ -48,12 +48,7 @@ class Sector:
     remainder: Function = field(repr=False)
 
     def nonlinearity(
-        self,
-        B: ArrayLike,
-        C: ArrayLike,
-        D: ArrayLike,
-        noise: float = 1.0,
-        reference: str | None = None,
+        self, B: ArrayLike, C: ArrayLike, D: ArrayLike, noise: float = 1.0
     ) -> Nonlinearity:
         """Return f(C x), which drives the state through B and y through D, as a `Nonlinearity`.
 
@@ -68,7 +63,6 @@ class Sector:
             C=given.C / argument,
             D=noise * given.D,
             function=compiled(Combination(self.function, argument, value=1.0 / noise)),
-            reference=reference,
             sector=(self.lower / self.half_width, self.upper / self.half_width),
         )
 

@@ -33,12 +33,11 @@ def state_space(
         [feedthrough.get((y, u), np.zeros((len(C), B.shape[1]))) for u, B in inputs.items()]
         for y, C in outputs.items()
     ]
-    no_output = np.zeros((0, sum(B.shape[1] for B in inputs.values())))
     return control.StateSpace(
         A.copy(),
         np.hstack(list(inputs.values())),
-        np.vstack([np.zeros((0, len(A))), *outputs.values()]),
-        np.vstack([no_output, *map(np.hstack, D)]),
+        np.vstack(list(outputs.values())),
+        np.block(D),
         0,
         inputs=[f"{u}[{i}]" for u, B in inputs.items() for i in range(B.shape[1])],
         outputs=[f"{y}[{i}]" for y, C in outputs.items() for i in range(len(C))],

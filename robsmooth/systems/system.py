@@ -147,8 +147,6 @@ class UncertainSystem:
         outputs: ArrayLike | None = None,
         process_uncertainty: ArrayLike | None = None,
         measurement_uncertainty: ArrayLike | None = None,
-        uncertainties: Iterable[Uncertainty] = (),
-        nonlinearities: Iterable[Nonlinearity] = (),
     ) -> "UncertainSystem":
         r"""Make the system of a python-control plant and its noises, as ``control.lqe`` has them.
 
@@ -170,11 +168,11 @@ class UncertainSystem:
         process_uncertainty, measurement_uncertainty : (h, n) arrays, optional
             :math:`C_{1,0}` and :math:`C_{1,1}`: :math:`\xi_0` and :math:`\xi_1` are no larger than
             these times x. Default: zero, no uncertainty.
-        uncertainties, nonlinearities : sequences, further channels
 
         Returns
         -------
         UncertainSystem
+            `dataclasses.replace` puts further channels in.
 
         Raises
         ------
@@ -197,15 +195,13 @@ class UncertainSystem:
         no_B, none = np.zeros((n, l)), np.zeros((1, n))
         C_0 = none if process_uncertainty is None else process_uncertainty
         C_1 = none if measurement_uncertainty is None else measurement_uncertainty
-        channels = (Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement))
         return cls(
             A=plant.A,
             B1=np.hstack([B, no_B]),
             C0=plant.C if outputs is None else outputs,
             C2=plant.C,
             D21=np.hstack([D, measurement]),
-            uncertainties=channels + fitting("uncertainties", uncertainties, Uncertainty, n, l),
-            nonlinearities=nonlinearities,
+            uncertainties=[Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement)],
         )
 
     def to_statespace(self) -> "control.StateSpace":

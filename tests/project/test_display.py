@@ -233,12 +233,7 @@ def test_an_object_says_what_it_is(name):
 
 
 RICH = {
-    "AugmentedSystem": [r"\(A_p\)", r"\begin{bmatrix}1 &amp; 0 &amp; 3.464\end{bmatrix}"],
-    "Estimator": [r"\(\tilde B_c\)", "poles (1/s)"],
-    "RobustSmoother": ["half the filtered error", "0.12", r"\lambda", r"\pm"],
     "AnalysisBound": ["largest mean square error", r"\theta"],
-    "ConstantMinimaxSmoother": ["worst constant smoothed error", "0.083", r"\Delta\) 1"],
-    "MinimaxSmoother": ["certified smoothed error", "0.0886", r"\theta"],
     "Choice": ["certified worst", "classical", "best"],
     "SimulationResult": [r"\pm", "constraints used"],
     "Study": ["smoothed / filtered", "2 designs"],
@@ -252,13 +247,6 @@ def test_a_notebook_shows_key_figures(name):
     text = example(name)._repr_html_()
     for part in RICH[name]:
         assert part in text
-
-
-def test_a_design_shows_the_infimum_that_no_design_attains():
-    limit = rs.limiting_smoother(smoother().plant, 1.1e-6, [1.0, 0.5, 0.0, 0.0])
-    text = replace(smoother(), limit=limit, bound_infimum=limit.bound)._repr_html_()
-    assert "infimum" in text and f"{limit.bound:.6g}" in text
-    assert "infimum" not in smoother()._repr_html_()
 
 
 def test_a_loop_that_slips_shows_the_errors_of_paths_in_lock():
@@ -296,11 +284,10 @@ def test_a_large_system_stays_short():
     estimator = rs.baselines.kalman_bucy(replace(system, nonlinearities=()))
     channel = system.uncertainties[0]
     for shown in (system, plant, estimator):
-        found = check_display(shown)
-        rich = found.get("html") or found["latex"]
-        assert r"\ddots" in rich or r"\cdots" in rich
-        assert len(rich) < 6000
+        check_display(shown)
     text = system._repr_latex_()
+    assert r"\ddots" in text and r"\cdots" in text
+    assert len(text) < 6000
     assert text.count(r"\psi_") == text.count(r"\zeta_") // 2 == 4  # of nine
     assert repr(channel) == "Uncertainty(B=<100 x 1>, C=<1 x 100>, D=[[0]])"
 
@@ -437,13 +424,6 @@ def test_sums_leave_out_what_is_zero():
     products = [notation.product(factor, "x") for factor in ([[0.0]], [[2.0]], [[-3.0]], [[1.0]])]
     assert notation.total(products) == r"2\,x - 3\,x + x"
     assert notation.total(["", ""]) == "0"
-
-
-def test_poles_are_shown_once_a_pair():
-    pair, double = np.array([-1 + 2j, -1 - 2j]), np.array([-3 + 1e-14j, -3 - 1e-14j])
-    assert notation.poles(pair) == r"-1 \pm 2\,i"
-    assert notation.poles(double) == r"-3,\ -3"
-    assert notation.poles(-np.arange(1.0, 10.0)) == r"-1,\ -2,\ -3,\ -4,\ \dots,\ -9"
 
 
 def test_vectors_and_arrays_are_elided():

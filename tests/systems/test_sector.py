@@ -174,8 +174,6 @@ def test_what_a_made_nonlinearity_is_made_of_is_checked():
         found.nonlinearity(**CHANNEL, noise=0.0)
     with raises(ValueError, "Nonlinearity B must have 2 dimension"):
         found.nonlinearity(**{**CHANNEL, "B": [1.0, 2.0]})
-    with raises(ValueError, "reference must be one of"):
-        found.nonlinearity(**CHANNEL, reference="w")
 
 
 def test_functions_made_of_a_compiled_one_are_compiled():
