@@ -15,8 +15,9 @@ from robsmooth.estimators.discrete import DiscreteSmoother
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LEVEL = 0.01  # of each of the three tests: how often it is wrong about a record of the model
+_LEVEL = 0.01  # how often one of the three tests is wrong about a record of the model
 _LAGS = 20
+_PAIRS = 50  # for each measurement: at a lag with fewer, correlations are not looked at
 Floats = NDArray[np.float64]
 
 
@@ -33,10 +34,12 @@ class RecordCheck:
         record has more noise, or moves more, than the model says.
     correlations : (lags, l, l) array
         Entry (d, i, j) is that of measurement i with measurement j, d + 1 samples before, in its
-        own standard deviations: by the model normal, of mean zero and variance one.
+        own standard deviations: by the model normal, of mean zero and variance one. NaN at a lag
+        with too few pairs of samples.
     p_mean, p_mean_square, p_white : float
         How probable a record of the model is to be as far off as this one, or further: in the
-        innovations' mean, in their mean square, and in their correlations.
+        innovations' mean, in their mean square, and in their correlations; NaN where the record is
+        too short to tell.
     dt : float, s
 
     Examples
@@ -59,16 +62,16 @@ class RecordCheck:
 
     @property
     def sentence(self) -> str:
-        """What the record says of the model."""
+        """What the record says of the model; it is wrong about one in a hundred that agree."""
         found = []
-        if self.p_mean < _LEVEL:
+        if self.p_mean < _LEVEL / 3.0:
             found.append("their mean is not zero (an offset, or a known input that is left out)")
-        if self.p_mean_square < _LEVEL:
+        if self.p_mean_square < _LEVEL / 3.0:
             more = "larger" if self.mean_square > 1.0 else "smaller"
             found.append(
                 f"they are {more} than it says, by {math.sqrt(self.mean_square):.3g} times"
             )
-        if self.p_white < _LEVEL:
+        if self.p_white < _LEVEL / 3.0:
             found.append("they are correlated in time (a rate, a gain or a state is wrong)")
         if not found:
             return "The record agrees with the model."
@@ -121,7 +124,8 @@ def check_record(
     Parameters
     ----------
     smoother : DiscreteSmoother
-        Of a classical or a tuned design, made by ``estimator.discretize(dt)``. Its state stays.
+        Of a classical or a tuned design, made by ``estimator.discretize(dt)``. Its state stays. A
+        tuned design has a model of its own, whose noises are other than the plant's.
     y, reference, inputs
         The record, as in `DiscreteSmoother.run`.
     lags : int, for how many lags, in samples, correlations are looked at
@@ -164,14 +168,14 @@ def check_record(
     values, count = np.where(seen, z, 0.0), seen.sum(axis=0)
     total = (values**2).sum()
     correlations = np.array([_correlations(values, seen, d) for d in range(1, lags + 1)])
-    squared = np.nansum(correlations**2)
+    squared, known = np.nansum(correlations**2), np.isfinite(correlations).sum()
     return RecordCheck(
         innovations=z,
         mean_square=float(total / count.sum()),
         correlations=correlations,
         p_mean=float(stats.chi2.sf((values.sum(axis=0) ** 2 / count).sum(), z.shape[1])),
         p_mean_square=float(2.0 * min(f(total, count.sum()) for f in _TAILS)),
-        p_white=float(stats.chi2.sf(squared, np.isfinite(correlations).sum())),
+        p_white=float(stats.chi2.sf(squared, known)) if known else math.nan,
         dt=smoother.dt,
     )
 
@@ -180,8 +184,10 @@ _TAILS = stats.chi2.cdf, stats.chi2.sf
 
 
 def _correlations(values: Floats, seen: NDArray[np.bool_], lag: int) -> Any:
-    """Return those at a lag, whatever the innovations' size; NaN where no pair is there."""
+    """Return those at a lag, whatever the innovations' size; NaN where too few pairs are there."""
     pairs = seen[lag:].T.astype(float) @ seen[:-lag]
     size = np.sqrt((values**2).sum(axis=0) / seen.sum(axis=0))
+    few = (pairs < _PAIRS * values.shape[1]) | (5 * lag > len(values))
+    enough = np.where(few, np.nan, pairs)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return values[lag:].T @ values[:-lag] / np.outer(size, size) / np.sqrt(pairs)
+        return values[lag:].T @ values[:-lag] / np.outer(size, size) / np.sqrt(enough)

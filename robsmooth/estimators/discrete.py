@@ -16,12 +16,12 @@ from robsmooth._support import validation
 from robsmooth.estimators import sample_loop
 from robsmooth.estimators.exact import ExactFilter
 from robsmooth.estimators.held import HeldEstimator
+from robsmooth.systems.system import covariance_root
 
 Floats = NDArray[np.float64]
 Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
 DELAYS = ("exact", "model")
-LONGEST = 5_000  # samples in a delay, for which the exact smoother is the default
 
 
 class DiscreteSmoother:
@@ -84,8 +84,7 @@ class DiscreteSmoother:
                 "a nominal system; this one is a filter of the plant with its delay model, and "
                 "runs as delay='model'"
             )
-        short = delay == "exact" or self.delay <= LONGEST * self.dt
-        self.exact: bool = estimator.nominal is not None and delay != "model" and short
+        self.exact: bool = estimator.nominal is not None and delay != "model"
         self._mean = _vector("mean", mean, system.n)
         self._offset = _vector("offset", offset, self.l) + system.C2 @ self._mean
         self._w = system.C0 @ self._mean
@@ -159,7 +158,9 @@ class DiscreteSmoother:
         samples : int, those before, where a record is gone on with
         covariance : (n, n) array, optional
             Of the system's state, for an exact smoother: how well the mean is known. By default
-            that of the model, where modes that do not decay are not known at all.
+            that of the model, where modes that do not decay are not known at all: estimates are NaN
+            until the samples tell enough of them. Where copies run, a filter in lock knows them as
+            well as it ever will.
         """
         samples = validation.integer("samples", samples, low=0)
         if covariance is not None:
@@ -171,9 +172,8 @@ class DiscreteSmoother:
                 raise ValueError(f"state must have {n} entries, got {state.size}")
             state = state - self._mean if self.exact else state
         if covariance is not None:
-            covariance = validation.matrix("covariance", covariance, (n, n))
-            if np.linalg.eigvalsh((covariance + covariance.T) / 2).min() < 0.0:
-                raise ValueError("covariance must be nonnegative definite")
+            root = covariance_root("covariance", covariance, n)
+            covariance = root @ root.T
         self._engine.start(state, covariance)
         self.samples: int = samples
 
@@ -244,8 +244,9 @@ class DiscreteSmoother:
         -------
         (N, m) array
             Estimates at the ends of the intervals; `times` has the times that they belong to. An
-            exact smoother has NaN for times before the record's start where its model says nothing
-            of them: where the system drifts, or the state at the start is given.
+            exact smoother has NaN where the model and the samples do not tell enough: before the
+            start of a record of a system that drifts, or whose state at the start is given, and
+            where an unstable mode has grown through a long gap.
         (N, m) array, their standard deviations, with `return_std`
 
         Raises
@@ -281,6 +282,8 @@ class DiscreteSmoother:
         (N, len(lags), m) array
         """
         longest = self._exact("bank").samples_back
+        if not isinstance(lags, Iterable):
+            raise TypeError(f"lags must be a sequence of integers, got {lags!r}")
         lags = [validation.integer("lags", lag, low=0) for lag in lags]
         if not lags or lags != sorted(set(lags)) or lags[-1] > longest:
             raise ValueError(f"lags must ascend, and be at most {longest}, got {lags}")
@@ -338,7 +341,10 @@ class DiscreteSmoother:
     def _exact(self, name: str) -> ExactFilter:
         if isinstance(self._engine, ExactFilter):
             return self._engine
-        raise ValueError(f"{name} is for an exact smoother: this one runs a model of its delay")
+        raise ValueError(
+            f"{name} is for an exact smoother, of a classical or a tuned design without "
+            "delay='model': this one runs a model of its delay"
+        )
 
     def _take(
         self, y: Any, reference: Any, inputs: Any, output: str, lags: Sequence[int], spread: bool
@@ -392,6 +398,8 @@ def checked(name: str, given: ArrayLike, columns: int) -> Floats:
         raise ValueError(f"{name} must be a rectangular array of numbers") from None
     if result.dtype.kind not in "iuf" and result.size:
         raise TypeError(f"{name} must be an array of real numbers, got entries of {result.dtype}")
+    if result.size == 0 and result.ndim == 1:
+        result = result.reshape(0, columns)
     if result.ndim != 2 or result.shape[1] != columns:
         hint = f"; {name}[:, None] has it" if result.ndim == 1 and columns == 1 else ""
         raise ValueError(f"{name} must have shape (N, {columns}), got {result.shape}{hint}")

@@ -143,8 +143,8 @@ class Estimator:
             One that numba has compiled for scalars is a hundred times as fast as others.
         delay : {"exact", "model"}, optional
             Whether the smoother of the nominal system in discrete time runs, which needs no delay
-            model, or the estimator's own equations. By default the former where there is a nominal
-            system, for the classical and the tuned designs, and a delay of at most 20,000 samples.
+            model, or the estimator's own equations, which are faster. By default the former where
+            there is a nominal system, for the classical and the tuned designs.
         mean, offset : (n,) and (l,) arrays, optional
             The mean of the system's state, which something that is not modelled keeps up, and
             what is added to the measurements. Zero by default.

@@ -10,6 +10,7 @@ and runs as such (`robsmooth.estimators.discrete`).
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,15 +18,24 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from robsmooth._numerics.lyapunov import covariances, noise_root
-from robsmooth._numerics.modes import hardly_decays, separations
+from robsmooth._numerics.modes import rates, separations
 from robsmooth._numerics.steps import MULTIPLE_TOLERANCE, responses
 from robsmooth._support.blas import one_thread
-from robsmooth.estimators.exact_loop import Memory, Sampled, advance, read, spread_of
+from robsmooth.estimators.exact_loop import (
+    Memory,
+    Sampled,
+    advance,
+    advance_linear,
+    read,
+    spread_of,
+)
 from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.sample_loop import compiled_copies, of_numbers
 from robsmooth.systems.delay import pade_delay
 
-_DIFFUSE = 1e8  # times the filter's covariance: modes that do not decay begin as not known
+_STANDING = 1e-13  # of the fastest mode's rate: a mode that decays by less does not
+_APART = 1e-7  # of that rate: what decays by more is apart from those that do not
+_MOST_NUMBERS = 2e8  # in the ring of a delay
 Floats = NDArray[np.float64]
 
 
@@ -52,9 +62,13 @@ class ExactFilter:
         more = len(self._sampled.Phi) - self.states
         now = np.pad(self._model.C0, ((0, 0), (0, more)))
         self._outputs = {"filtered": now, "smoothed": np.roll(now, more, axis=1)}
-        self._prior, self._stationary = self._before()
-        self._copies = None
-        self._advance = advance if compiled else advance.py_func
+        if self.samples_back * self._sampled.Phi.size > _MOST_NUMBERS:
+            raise ValueError(
+                f"dt makes {self.samples_back} samples of the delay, too many to keep: take "
+                "delay='model', or a longer dt"
+            )
+        self._prior, self._unknown, self._stationary = self._before(in_lock=bool(functions))
+        self._copies, self._compiled = None, compiled
         if functions:
             self._copies = compiled_copies(tuple(functions))
             if not compiled:
@@ -128,6 +142,8 @@ class ExactFilter:
         P, x = np.zeros((n, n)), np.zeros(n)
         P[: self.states, : self.states] = self._prior if covariance is None else covariance
         x[: self.states] = 0.0 if state is None else state
+        unknown = self._unknown if covariance is None else self._unknown[:, :0]
+        d = unknown.shape[1]
         return Memory(
             x=x,
             P=P,
@@ -136,13 +152,16 @@ class ExactFilter:
             seen=np.zeros((l, n)),
             closed=np.zeros((n, n)),
             pattern=np.zeros(l, dtype=bool),
-            counts=np.zeros(3, dtype=int),
+            counts=np.array([0, 0, -1 if d else 0]),
+            unknown=np.vstack([unknown, np.zeros((n - self.states, d))]),
+            information=np.zeros((d, d)),
+            score=np.zeros(d),
             states=np.zeros((ring, n)),
             covariances=np.zeros((ring, n, n)),
             errors=np.zeros((ring, n)),
             sights=np.zeros((ring, l, n)),
             transitions=np.zeros((ring, n, n)),
-            deviations=np.zeros((1, self._model.m)),
+            lost=np.zeros(ring, dtype=bool),
         )
 
     def take(
@@ -155,23 +174,12 @@ class ExactFilter:
         spread: bool,
     ) -> tuple[Floats, Floats]:
         """Take samples; return estimates and deviations, (rows, lags, m), the latter if wanted."""
-        readout = self._outputs[output]
-        result = np.empty((len(y), len(lags), len(readout)))
+        result = np.empty((len(y), len(lags), self._model.m))
         deviations = np.empty_like(result) if spread else result[:0]
         memory = Memory(*(each.copy() for each in self.memory))
-        if memory.deviations.shape != result.shape[1:]:
-            memory = memory._replace(deviations=np.zeros(result.shape[1:]))
-            memory.counts[2] = 0
-        self._run(memory, readout, lags, (y, reference, inputs), result, deviations, y[:0])
-        unknown = self._unknown(output, self.memory)
-        result[:unknown], deviations[:unknown] = np.nan, np.nan
+        self._run(memory, output, lags, (y, reference, inputs), result, deviations, y[:0])
         self.memory = memory
         return result, deviations
-
-    def _unknown(self, output: str, memory: Memory) -> int:
-        """Return the number of rows to come that have an estimate within the sample before all."""
-        within = output == "smoothed" and self._part > 0.0
-        return max(self.samples_back - int(memory.counts[0]), 0) if within else 0
 
     def whole(
         self, y: Floats, reference: Floats, inputs: Floats | None
@@ -180,15 +188,15 @@ class ExactFilter:
         memory, readout, lags = self._fresh(len(y)), self._outputs["filtered"], np.arange(len(y))
         result, normalised = np.empty((len(y), len(readout))), np.empty_like(y)
         none, deviations = np.empty((len(y), 0, len(readout))), np.zeros_like(result)
-        self._run(memory, readout, [], (y, reference, inputs), none, none[:0], normalised)
-        read(memory, readout, lags, result)
-        spread_of(memory, readout, lags, deviations)
+        self._run(memory, "filtered", [], (y, reference, inputs), none, none[:0], normalised)
+        read(memory, readout, lags, 0, result)
+        spread_of(memory, readout, lags, 0, deviations)
         return result[::-1], deviations[::-1], normalised
 
     def _run(
         self,
         memory: Memory,
-        readout: Floats,
+        output: str,
         lags: Sequence[int],
         samples: tuple[Floats, Floats, Floats | None],
         *results: Floats,
@@ -198,10 +206,26 @@ class ExactFilter:
         if inputs is not None:
             drive += inputs @ self._inputs[0].T
             known += inputs @ self._inputs[1].T
-        given, lags = (y, known, drive, reference), np.array(lags, dtype=int)
-        self._advance(self._copies, self._sampled, memory, readout, lags, given, *results)
+        how = self._outputs[output], np.array(lags, dtype=int), self._within(output)
+        run = advance_linear
+        if self._copies is not None:
+            run = partial(
+                advance if self._compiled else getattr(advance, "py_func", advance), self._copies
+            )
+        try:
+            run(self._sampled, memory, *how, (y, known, drive, reference), *results)
+        except np.linalg.LinAlgError:
+            memory.P[:] = np.inf
         if not np.isfinite(memory.x).all():
             raise ArithmeticError("the estimator's state left the range of floating-point numbers")
+        if not np.isfinite(memory.P).all():
+            raise ArithmeticError(
+                "the covariance of the error left the range of floating-point numbers: with too "
+                "few samples, what is known of a mode that grows is lost"
+            )
+
+    def _within(self, output: str) -> int:
+        return int(output == "smoothed" and self._part > 0.0)
 
     @property
     def state(self) -> Floats:
@@ -212,24 +236,32 @@ class ExactFilter:
         """Return an estimate now, as the last sample left it."""
         lag = self.samples_back if output == "smoothed" else 0
         result = np.empty((1, self._model.m))
-        read(self.memory, self._outputs[output], np.array([lag]), result)
-        before = self._part > 0.0 and lag > 0 and self.memory.counts[0] <= lag
-        return np.full_like(result[0], np.nan) if before else result[0]
+        read(self.memory, self._outputs[output], np.array([lag]), self._within(output), result)
+        return result[0]
 
-    def _before(self) -> tuple[Floats, bool]:
-        """Return the covariance of the state before any measurement, and whether it stays."""
+    def _before(self, in_lock: bool) -> tuple[Floats, Floats, bool]:
+        """Return what is known before any sample.
+
+        That is the covariance of the state, the modes that are not known at all, in units of the
+        filter's deviations, and whether the covariance is stationary. A filter that runs copies is
+        in lock: it begins with its own covariance, for what copies do depends on the estimate.
+        """
         A, B = self._gain.A, self._gain.B1
-        if not hardly_decays(A):
-            return covariances(A, B).stationary, True
-        P, _ = kalman_gain(self._gain, pade_delay(0.0, 0, self._model.m))
+        slowest, fastest = rates(A)
+        if slowest > _STANDING * fastest:
+            return covariances(A, B).stationary, np.zeros((len(A), 0)), True
         V = W = np.eye(len(A))
         rest = np.zeros_like(A)
         for found in separations(A, B):
-            V, W, below = found.V, found.W, found.W_rest
-            inner = covariances(found.A_rest, below @ B).stationary
-            rest = found.V_rest @ inner @ found.V_rest.T
-        root = V @ W
-        return rest + _DIFFUSE * root @ P @ root.T, False
+            if rates(found.A_rest)[0] > _APART * fastest:
+                V, W, below = found.V, found.W, found.W_rest
+                inner = covariances(found.A_rest, below @ B).stationary
+                rest = found.V_rest @ inner @ found.V_rest.T
+        P, _ = kalman_gain(self._gain, pade_delay(0.0, 0, self._model.m))
+        unknown = V * np.sqrt(np.diag(W @ P @ W.T))
+        if in_lock:
+            return rest + unknown @ unknown.T, unknown[:, :0], False
+        return rest, unknown, False
 
 
 class _Interpreted:

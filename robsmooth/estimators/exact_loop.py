@@ -25,7 +25,15 @@ J. Am. Stat. Assoc. 84(408), 1989):
 
 With the Cholesky factor :math:`\Sigma = LL'`, the normalised innovations :math:`L^{-1}e_k` are
 white with the covariance I, where the record is one of the model. Rows of a missing measurement are
-left out of H. What a copy gives, :math:`\mu =
+left out of H.
+
+Where modes V of the state are not known at the start, :math:`x_0 = \hat x_0 + V\delta`, the filter
+runs with :math:`\delta = 0` until the innovations determine it (the same author, "The diffuse
+Kalman filter", Ann. Stat. 19(2), 1991). With :math:`V \leftarrow \Psi V`, they are
+:math:`e_k - HV\delta`, and :math:`\delta` and its covariance, added to estimate and covariance, are
+those of least squares.
+
+What a copy gives, :math:`\mu =
 \psi(C_\nu\hat x - r)`, is taken at the beginning of a sample and, predicted, at its end, and held
 to be linear in time.
 """
@@ -36,8 +44,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from robsmooth._support.kernels import kept
+
 Floats = NDArray[np.float64]
 _STEADY = 1e-15  # of the variances: a covariance that changes by less stays as it is
+_KNOWN = 1e-6  # delta is determined where its variance, in its own units, is below one over this
+# Times the noise of a sample: where more than this is not known of a state, its smoothed estimate
+# would be the difference of numbers that are too large.
+_MOST = 1e10
 
 
 class Sampled(NamedTuple):
@@ -65,24 +79,29 @@ class Memory(NamedTuple):
     seen: Floats  # (l, N) that times H
     closed: Floats  # (N, N) Psi
     pattern: NDArray[np.bool_]  # (l,) which of its measurements were there
-    # samples taken, how many of the last had one covariance, whether the deviations are known
+    # samples taken, how many of the last had one covariance, from which on the state is known or -1
     counts: NDArray[np.int64]
+    unknown: Floats  # (N, d) V, of what is not known until then
+    information: Floats  # (d, d) the inverse of delta's covariance
+    score: Floats  # (d,) that times delta
     states: Floats  # (ring, N)
     covariances: Floats  # (ring, N, N)
     errors: Floats  # (ring, N) `seen`' times the normalised innovation
     sights: Floats  # (ring, l, N) `seen`
     transitions: Floats  # (ring, N, N)
-    deviations: Floats  # (lags, m), as long as nothing changes
+    lost: NDArray[np.bool_]  # (ring,) of which too little is known
 
 
-@njit
+@kept()
 def _gains(sampled, P, present):
-    """Return gain, the inverse of L, Psi and the next P."""
+    """Return gain, the inverse of L, Psi, the next P, and whether P is too large to smooth."""
     H, l = sampled.H, len(sampled.H)  # noqa: E741
     rows = np.flatnonzero(present)
-    white = np.zeros((l, l))
+    white, lost = np.zeros((l, l)), False
+    covariance = H @ np.ascontiguousarray(P @ H.T) + sampled.R
+    for i in range(l):
+        lost = lost or covariance[i, i] > _MOST * sampled.R[i, i]
     if len(rows):
-        covariance = H @ np.ascontiguousarray(P @ H.T) + sampled.R
         some = np.empty((len(rows), len(rows)))
         for i in range(len(rows)):
             for j in range(len(rows)):
@@ -97,19 +116,19 @@ def _gains(sampled, P, present):
     cross = sampled.S @ np.ascontiguousarray(gain.T)
     following = closed @ P @ np.ascontiguousarray(closed.T) + sampled.Q - cross - cross.T
     following += gain @ sampled.R @ np.ascontiguousarray(gain.T)
-    return gain, white, closed, (following + following.T) / 2
+    return gain, white, closed, (following + following.T) / 2, lost
 
 
-@njit
+@kept()
 def _same(P, following):
     for i in range(len(P)):
         for j in range(len(P)):
-            if abs(following[i, j] - P[i, j]) > _STEADY * np.sqrt(P[i, i] * P[j, j]):
+            if not abs(following[i, j] - P[i, j]) <= _STEADY * np.sqrt(P[i, i] * P[j, j]):
                 return False
     return True
 
 
-@njit
+@kept()
 def _add(result, matrix, vector, sign):
     for i in range(len(result)):
         for j in range(len(vector)):
@@ -117,17 +136,18 @@ def _add(result, matrix, vector, sign):
 
 
 @njit
-def advance(copies, sampled, memory, readout, lags, given, result, spread, normalised):
+def advance(copies, sampled, memory, readout, lags, within, given, result, spread, normalised):
     """Take samples; write the estimates, (rows, lags, m), deviations and normalised innovations.
 
     The latter two are not wanted where they have no rows. Row k of `known` is taken off the
-    measurement, `drive` goes to the state, NaN is missing.
+    measurement, `drive` goes to the state, NaN is missing. `within` is one where the estimates are
+    of a time within the sample before, else zero.
     """
     y, known, drive, reference = given
     g, l, n, ring = len(sampled.arguments), y.shape[1], len(memory.x), len(memory.states)  # noqa: E741
     mu, change, arguments = np.zeros(g), np.zeros(g), np.zeros(g)
     error, following, present = np.zeros(l), np.zeros(n), np.zeros(l, dtype=np.bool_)
-    z = np.zeros(l)
+    z, deviations = np.zeros(l), np.zeros((len(lags), len(readout)))
     for k in range(len(y)):
         x = memory.x
         for i in range(n):
@@ -161,7 +181,9 @@ def advance(copies, sampled, memory, readout, lags, given, result, spread, norma
             if not known_in_ring:
                 memory.covariances[slot] = memory.P
         if changed:
-            gain, white, closed, after = _gains(sampled, memory.P, present)
+            gain, white, closed, after, lost = _gains(sampled, memory.P, present)
+            if ring:
+                memory.lost[slot] = lost
             memory.gain[:], memory.white[:], memory.closed[:] = gain, white, closed
             memory.seen[:] = white @ sampled.H
             memory.pattern[:] = present
@@ -183,21 +205,50 @@ def advance(copies, sampled, memory, readout, lags, given, result, spread, norma
             if changed or not known_in_ring:
                 memory.transitions[slot], memory.sights[slot] = memory.closed, memory.seen
         memory.counts[0] += 1
-        read(memory, readout, lags, result[k])
+        if memory.counts[2] < 0:
+            _determine(memory, z)
+            normalised[k : k + 1] = np.nan
+        read(memory, readout, lags, within, result[k])
         if len(spread):
-            if memory.counts[1] <= ring + 1 or memory.counts[2] == 0:
-                spread_of(memory, readout, lags, memory.deviations)
-            spread[k] = memory.deviations
-        memory.counts[2] = len(spread) > 0
+            if k == 0 or memory.counts[1] <= ring + 1:
+                spread_of(memory, readout, lags, within, deviations)
+            spread[k] = deviations
 
 
-@njit
-def read(memory, readout, lags, result):
+@kept()
+def advance_linear(sampled, memory, readout, lags, within, given, result, spread, normalised):
+    """Do as `advance` without copies; it need not be compiled anew."""
+    advance(None, sampled, memory, readout, lags, within, given, result, spread, normalised)
+
+
+@kept()
+def _determine(memory, z):
+    """Add what a sample tells of delta; where that is enough, add delta to the estimate."""
+    seen = memory.seen @ memory.unknown
+    memory.information[:] += seen.T @ seen
+    _add(memory.score, seen.T, z, 1.0)
+    memory.unknown[:] = memory.closed @ memory.unknown
+    if np.linalg.eigvalsh(memory.information)[0] > _KNOWN:
+        inverse = np.linalg.inv(memory.information)
+        _add(memory.x, memory.unknown @ inverse, memory.score, 1.0)
+        memory.P[:] += memory.unknown @ inverse @ memory.unknown.T
+        memory.counts[1], memory.counts[2] = 0, memory.counts[0]
+
+
+@kept()
+def _known(memory):
+    """Return for how many samples the state has been known."""
+    return memory.counts[0] - memory.counts[2] if memory.counts[2] >= 0 else -1
+
+
+@kept()
+def read(memory, readout, lags, within, result):
     """Write the estimates at some lags, in samples, which ascend."""
     samples, ring, n = memory.counts[0], len(memory.states), len(memory.x)
+    known = _known(memory)
     r, before, done, slot = np.zeros(n), np.zeros(n), 0, samples % max(ring, 1)
     for at in range(len(lags)):
-        if lags[at] > samples:
+        if lags[at] + within > known:
             result[at] = np.nan
             continue
         for _ in range(done, lags[at]):
@@ -220,15 +271,17 @@ def read(memory, readout, lags, result):
             result[at, i] = 0.0
             for j in range(n):
                 result[at, i] += readout[i, j] * before[j]
+            if done > 0 and memory.lost[slot]:
+                result[at, i] = np.nan
 
 
-@njit
-def spread_of(memory, readout, lags, result):
+@kept()
+def spread_of(memory, readout, lags, within, result):
     """Write the standard deviations of the errors of these estimates."""
     samples, ring, n = memory.counts[0], len(memory.states), len(memory.x)
     information, done = np.zeros((n, n)), 0
     for at in range(len(lags)):
-        if lags[at] > samples:
+        if lags[at] + within > _known(memory):
             result[at] = np.nan
             continue
         for d in range(done + 1, lags[at] + 1):
@@ -241,5 +294,7 @@ def spread_of(memory, readout, lags, result):
         if done > 0:
             P = memory.covariances[(samples - done) % ring]
             covariance = P - P @ information @ P
+        lost = done > 0 and memory.lost[(samples - done) % ring]
         for i in range(len(readout)):
-            result[at, i] = np.sqrt(max(readout[i] @ covariance @ readout[i], 0.0))
+            variance = max(readout[i] @ covariance @ readout[i], 0.0)
+            result[at, i] = np.nan if lost else np.sqrt(variance)

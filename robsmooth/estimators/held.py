@@ -87,7 +87,10 @@ class HeldEstimator:
     ) -> tuple[Floats, Floats]:
         """Take samples; return the estimates, (rows, 1, m), and no deviations."""
         if inputs is not None:
-            raise ValueError("inputs is for an exact smoother: a classical or a tuned design")
+            raise ValueError(
+                "inputs is for an exact smoother, of a classical or a tuned design without "
+                "delay='model': this one runs a model of its delay"
+            )
         readout, record = self._outputs[output], self._record(y, reference)
         state, result = self.memory.copy(), np.empty((len(y), len(readout)))
         self._advance(self._sizes, self._steps, self._C_nu, readout, record, state, result)

@@ -129,11 +129,17 @@ class UncertainSystem:
             kept.append(channel)
             if slope:
                 A, C2 = map(frozen, with_feedback(A, C2, channel, slope * channel.C))
-        if B2 is None:
-            B2 = np.zeros((n, 0 if D22 is None else np.shape(D22)[-1]))
-        B2 = validation.matrix("B2", B2, (n, None))
-        D22 = np.zeros((len(C2), B2.shape[1])) if D22 is None else D22
-        D22 = validation.matrix("D22", D22, (len(C2), B2.shape[1]))
+        given = {"B2": (B2, n), "D22": (D22, len(C2))}
+        inputs = {
+            name: validation.matrix(name, value, (rows, None))
+            for name, (value, rows) in given.items()
+            if value is not None
+        }
+        p = next((value.shape[1] for value in inputs.values()), 0)
+        B2, D22 = (
+            validation.matrix(name, inputs.get(name, np.zeros((rows, p))), (rows, p))
+            for name, (_, rows) in given.items()
+        )
         vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21, B2=B2, D22=D22)
         vars(self).update(uncertainties=uncertainties, nonlinearities=tuple(kept))
 
@@ -189,8 +195,8 @@ class UncertainSystem:
         """
         statespace.check_continuous("plant", plant)
         n, l = plant.nstates, plant.noutputs  # noqa: E741 - the paper's letter
-        process = _noise_factor("process_noise", process_noise, plant.ninputs)
-        measurement = _noise_factor("measurement_noise", measurement_noise, l)
+        process = covariance_root("process_noise", process_noise, plant.ninputs)
+        measurement = covariance_root("measurement_noise", measurement_noise, l)
         B, D = plant.B @ process, plant.D @ process
         no_B, none = np.zeros((n, l)), np.zeros((1, n))
         C_0 = none if process_uncertainty is None else process_uncertainty
@@ -321,8 +327,8 @@ class UncertainSystem:
         return "$$\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}$$"
 
 
-def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
-    """Return the symmetric square root of a noise's intensity."""
+def covariance_root(name: str, intensity: ArrayLike, size: int) -> Matrix:
+    """Return the symmetric square root of a covariance, or of a noise's intensity."""
     if np.ndim(intensity) == 0:
         return np.sqrt(validation.real(name, intensity, low=0.0)) * np.eye(size)
     intensity = validation.matrix(name, intensity, (size, size))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
@@ -16,7 +16,6 @@ from scipy.linalg import block_diag, expm
 import robsmooth as rs
 from robsmooth._numerics.lyapunov import covariances
 from robsmooth.estimators import baselines
-from robsmooth.estimators.discrete import LONGEST
 from tests.helpers.records import conditioned, in_samples, rauch_tung_striebel, simulated
 from tests.helpers.strategies import seeds
 from tests.helpers.systems import in_other_units
@@ -104,13 +103,85 @@ def test_a_record_of_a_stable_system_begins_with_its_stationary_covariance():
     assert np.isfinite(w[:2]).all()
 
 
-@pytest.mark.parametrize("start", [5.0, -1e6])
-def test_a_drift_begins_where_the_record_does(start):
-    y = start + np.random.default_rng(2).standard_normal((200, 1))
-    w = exact(WALK, 0.2).run(y)
-    assert np.isnan(w[0]).all()  # a time before the record, of which nothing is known
-    assert abs(w[1, 0] - start) < 10.0
-    assert_allclose(w[1:] - start, exact(WALK, 0.2).run(y - start)[1:], atol=1e-6 * abs(start))
+@pytest.mark.parametrize("start", [5.0, -1e9])
+@pytest.mark.parametrize("system", [WALK, rs.examples.clock()])
+def test_a_drift_begins_where_the_record_does(system, start):
+    y = np.random.default_rng(2).standard_normal((200, 1))
+    plain, deviations = exact(system, 0.2).run(y, return_std=True)
+    w, again = exact(system, 0.2).run(y + start, return_std=True)
+    unknown = 2 if system is WALK else 3  # rows: one sample tells a phase, two a frequency
+    assert (np.isnan(w[:, 0]) == (np.arange(200) < unknown)).all()
+    assert_allclose(w - start, plain, atol=1e-7 * deviations[-1, 0] * max(1.0, abs(start) / 1e8))
+    assert_array_equal(again, deviations)
+
+
+@settings(max_examples=20)
+@given(seeds)
+def test_what_is_not_known_at_the_start_is_least_squares(seed):
+    system, rng = random_plant(seed)
+    assume(np.linalg.eigvals(system.A).real.min() > -1e-6)  # nothing is known of any mode
+    y, offset = rng.standard_normal((25, system.l)), 1e3 * rng.standard_normal(system.n)
+    through, _ = in_samples(system, DT)
+    x, path, responses = offset, [], []
+    for _ in y:
+        end = through @ x
+        x = end[: system.n]
+        path.append(system.C0 @ x)
+        responses.append(end[system.n :] / DT)
+    discrete = exact(system, 0.0)
+    found, deviations = discrete.two_sided(y)
+    expected = conditioned(system, DT, y, 0.0, None, whole=True)
+    known = np.isfinite(found[:, 0])
+    assert known[-15:].all()
+    assert_allclose(deviations[known], expected[1, known], rtol=1e-6)
+    assert_allclose(found[known], expected[0, known], atol=1e-6 * np.nanmax(deviations))
+    moved, _ = discrete.two_sided(y + np.array(responses))
+    assert_allclose((moved - found - path)[known] / np.abs(path).max(), 0.0, atol=1e-7)
+
+
+def test_error_bars_of_one_output_are_not_those_of_the_other():
+    y = np.random.default_rng(17).standard_normal((300, 1))
+    discrete = exact(WALK, 2.0)
+    discrete.run(y, return_std=True)
+    found = discrete.run(y, output="filtered", return_std=True)[1]
+    assert_allclose(found[-1], exact(WALK, 2.0).run(y, output="filtered", return_std=True)[1][-1])
+
+
+def test_what_a_long_gap_of_an_unstable_system_loses_is_not_given():
+    growing = rs.UncertainSystem([[1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 1.0]])
+    y = np.random.default_rng(18).standard_normal((300, 1))
+    y[20:220] = np.nan
+    discrete = exact(growing, 0.5)
+    discrete.reset([0.0], covariance=[[1.0]])
+    w, deviations = discrete.two_sided(y)
+    assert_allclose(
+        deviations[:20], discrete.two_sided(np.delete(y, np.s_[60:200], 0))[1][:20], rtol=1e-5
+    )
+    lost = np.isnan(deviations[:, 0])
+    assert_array_equal(lost, np.isnan(w[:, 0]))
+    assert lost[160:219].all() and not lost[:120].any() and not lost[221:].any()
+    assert (deviations[~lost] > 0.0).all()
+
+
+def test_a_stiff_stable_system_is_stationary():
+    rate = 1e9
+    stiff = rs.UncertainSystem(
+        np.diag([-rate, -1.0]),
+        [[(2 * rate) ** 0.5, 0, 0], [0, 2**0.5, 0]],
+        [[0, 1]],
+        [[1, 1]],
+        [[0, 0, 0.1]],
+    )
+    deviations = exact(stiff, 0.02, 0.01).run(np.full((5, 1), np.nan), return_std=True)[1]
+    assert_allclose(deviations, 1.0, rtol=1e-6)
+
+
+def test_a_loop_begins_in_lock():
+    loop = replace(rs.homodyne.PAPER, lam=0.0).uncertain_system()
+    discrete = baselines.kalman_bucy(loop, copies=True).discretize(2e-8)
+    w, deviations = discrete.run(np.zeros((50, 1)), output="filtered", return_std=True)
+    assert_allclose(w, 0.0, atol=1e-12)
+    assert_allclose(deviations, deviations[0, 0], rtol=0.05)
 
 
 def test_a_known_start_is_used():
@@ -276,11 +347,11 @@ def test_a_robust_design_runs_with_its_delay_model():
             call()
 
 
-def test_very_many_samples_in_a_delay_are_left_to_a_model_unless_asked_for():
-    estimator = baselines.fixed_lag_smoother(WALK, 1.0, 2)
-    assert estimator.discretize(1.0 / LONGEST).exact
-    assert not estimator.discretize(0.9 / LONGEST).exact
-    assert estimator.discretize(0.9 / LONGEST, delay="exact").exact
+def test_more_samples_in_a_delay_than_can_be_kept_are_refused():
+    estimator = baselines.fixed_lag_smoother(PAIR, 1.0, 2)
+    with pytest.raises(ValueError, match="samples of the delay, too many to keep: take delay='mod"):
+        estimator.discretize(1e-9)
+    assert not estimator.discretize(1e-9, delay="model").exact
 
 
 # --- records -------------------------------------------------------------------------------------

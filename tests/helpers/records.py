@@ -30,13 +30,13 @@ def conditioned(system, dt, y, delay, covariance, parts=1, whole=False):
 
     All noises of the record are one Gaussian vector; each estimate is its mean given the samples.
     A sample has so many parts, of which a whole number is in the delay. The state at the start
-    has the mean zero.
+    has the mean zero; without a covariance nothing is known of it, and it is that of least squares.
     """
     through, root = in_samples(system, dt / parts)
     n, width = system.n, root.shape[1]
     total = n + len(y) * parts * width
     states, seen = [np.zeros((n, total))], []
-    states[0][:, :n] = np.linalg.cholesky(covariance)
+    states[0][:, :n] = np.eye(n) if covariance is None else np.linalg.cholesky(covariance)
     integral = np.zeros((system.l, total))
     for i in range(len(y) * parts):
         end = through @ states[-1]
@@ -55,9 +55,20 @@ def conditioned(system, dt, y, delay, covariance, parts=1, whole=False):
         rows, values = np.vstack(seen[:last]), y[:last].ravel()
         there = np.isfinite(values)
         rows, values, w = rows[there], values[there], system.C0 @ states[at]
+        X, W, free = rows[:, :n], w[:, :n], n if covariance is None else 0
+        rows, w = rows[:, free:], w[:, free:]
         gain = np.linalg.solve(rows @ rows.T, rows @ w.T).T
-        found[0, k] = gain @ values
-        found[1, k] = np.sqrt(np.diag(w @ w.T - gain @ rows @ w.T))
+        variance = w @ w.T - gain @ rows @ w.T
+        estimate = gain @ values
+        if covariance is None:
+            weighted = np.linalg.solve(rows @ rows.T, X).T
+            start = np.linalg.inv(weighted @ X)
+            W = W - gain @ X
+            estimate, variance = (
+                estimate + W @ start @ weighted @ values,
+                variance + W @ start @ W.T,
+            )
+        found[0, k], found[1, k] = estimate, np.sqrt(np.diag(variance))
     return found
 
 
