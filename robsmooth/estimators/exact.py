@@ -9,7 +9,7 @@ design has no innovations of its own to smooth. It is a filter of the plant with
 and runs as such (`robsmooth.estimators.discrete`).
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -30,7 +30,7 @@ from robsmooth.estimators.exact_loop import (
     spread_of,
 )
 from robsmooth.estimators.kalman import kalman_gain
-from robsmooth.estimators.sample_loop import compiled_copies, of_numbers
+from robsmooth.estimators.sample_loop import Interpreted, compiled_copies
 from robsmooth.systems.delay import pade_delay
 
 _STANDING = 1e-13  # of the fastest mode's rate: a mode that decays by less does not
@@ -72,7 +72,7 @@ class ExactFilter:
         if functions:
             self._copies = compiled_copies(tuple(functions))
             if not compiled:
-                self._copies = _Interpreted(functions)
+                self._copies = Interpreted(functions)
 
     @one_thread
     def _in_samples(self, dt: float) -> tuple[Sampled, tuple[Floats, Floats]]:
@@ -262,14 +262,3 @@ class ExactFilter:
         if in_lock:
             return rest + unknown @ unknown.T, unknown[:, :0], False
         return rest, unknown, False
-
-
-class _Interpreted:
-    """Functions that are not compiled, called as compiled ones are."""
-
-    def __init__(self, functions: Iterable[Callable[[Any], Any]]) -> None:
-        self._functions = of_numbers(functions)
-
-    def __call__(self, arguments: Floats, values: Floats) -> None:
-        for i, function in enumerate(self._functions):
-            values[i] = function(arguments[i])

@@ -125,12 +125,18 @@ def sample_loop(functions: tuple[Callable[[Any], Any], ...], compiled: bool) -> 
     """Return the loop over samples, a function of what follows `copies` in `_advance`."""
     if compiled:
         return partial(_advance, compiled_copies(functions)) if functions else _advance_linear
-    return partial(_interpret, of_numbers(functions))
+    return partial(getattr(_advance, "py_func", _advance), Interpreted(functions))
 
 
-def of_numbers(functions: Iterable[Callable[[Any], Any]]) -> list[Callable[[Any], Any]]:
-    """Return functions of a number."""
-    return [f if takes_numbers(f) else partial(_value, f) for f in functions]
+class Interpreted:
+    """Functions that are not compiled, called as compiled ones are."""
+
+    def __init__(self, functions: Iterable[Callable[[Any], Any]]) -> None:
+        self._functions = [f if takes_numbers(f) else partial(_value, f) for f in functions]
+
+    def __call__(self, arguments: Any, values: Any) -> None:  # noqa: D102
+        for i, function in enumerate(self._functions):
+            values[i] = function(arguments[i])
 
 
 def _value(function: Callable, argument: float) -> float:
@@ -196,19 +202,3 @@ def _subtract(C_nu, x, row, reference, k, arguments):
 def _advance_linear(sizes, steps, C_nu, readout, record, state, result):
     """Do as `_advance` for an estimator without copies; it need not be compiled anew."""
     _advance(None, sizes, steps, C_nu, readout, record, state, result)
-
-
-def _interpret(functions, sizes, steps, C_nu, readout, record, state, result):
-    """Do as `_advance` with functions that are not compiled."""
-
-    def copies(x, k):
-        arguments = C_nu @ x - record.reference[k]
-        return np.array([f(v) for f, v in zip(functions, arguments, strict=True)])
-
-    for segment, p in enumerate(record.patterns):
-        transition, measurement, gain, correction = (matrices[p].T for matrices in steps)
-        for k in range(record.starts[segment], record.starts[segment + 1]):
-            mu = copies(state, k)
-            end = transition @ state + measurement @ record.y[k] + gain @ mu
-            state[:] = end + correction @ (copies(end, k) - mu)
-            result[k] = readout @ state
