@@ -150,7 +150,7 @@ def test_without_a_terminal_or_jupyter_nothing_of_them_is_asked_for(run):
     program = """
 import robsmooth as rs
 sweep = rs.lag_sweep(rs.homodyne.PAPER.uncertain_system(), [1e-6], [2], progress=True)
-print(sweep._repr_html_()[:6])
+print(rs.homodyne.PAPER._repr_html_()[:6])
 """
     ended = run("python", "-c", program)
     assert ended.stderr == ""
