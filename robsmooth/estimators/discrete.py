@@ -235,7 +235,7 @@ class DiscreteSmoother:
             `SamplePaths` has it beside y. Zero by default, whatever `simulate` takes by this name.
         output : {"smoothed", "filtered"}, which estimates to return
         inputs : (N, p) array, optional
-            The means of the known inputs over the intervals. Zero by default.
+            The means of the known inputs over the intervals, where the system has any.
         return_std : bool
             Whether to return the standard deviations of the errors, too. An exact smoother knows
             them for its nominal system: they grow in a gap, and at both ends of a record.
@@ -360,8 +360,9 @@ class DiscreteSmoother:
         y = checked("y", y, self.l)
         refuse("y must be finite, or nan where it is missing", y, np.isinf(y))
         reference = self._beside("reference", reference, self.g, len(y))
-        if inputs is not None:
-            inputs = self._beside("inputs", inputs, self.p, len(y))
+        if inputs is None and self.p:
+            raise ValueError(f"inputs must be given: the system has {self.p}; zeros where none act")
+        inputs = self._beside("inputs", inputs, self.p, len(y)) if inputs is not None else None
         y = y - self._offset if self._offset.any() else y
         return y, np.ascontiguousarray(reference[:, self._running] - self._shift), inputs
 

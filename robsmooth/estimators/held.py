@@ -54,6 +54,12 @@ class HeldEstimator:
         compiled: bool,
     ) -> None:
         system, self.states = estimator.plant.system, len(estimator.A_c)
+        if system.p:
+            raise ValueError(
+                "a system with known inputs is for an exact smoother, of a classical or a tuned "
+                "design without delay='model': this one runs a model of its delay; a design of "
+                "the system without B2 and D22 takes no inputs"
+            )
         self._estimator, self._dt, self._running = estimator, dt, running
         self._C_nu = np.ascontiguousarray(estimator.C_c[system.m :][running])
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
@@ -80,17 +86,12 @@ class HeldEstimator:
         self,
         y: Floats,
         reference: Floats,
-        inputs: Floats | None,
+        _inputs: None,
         output: str,
         lags: Sequence[int],
         spread: bool,
     ) -> tuple[Floats, Floats]:
         """Take samples; return the estimates, (rows, 1, m), and no deviations."""
-        if inputs is not None:
-            raise ValueError(
-                "inputs is for an exact smoother, of a classical or a tuned design without "
-                "delay='model': this one runs a model of its delay"
-            )
         readout, record = self._outputs[output], self._record(y, reference)
         state, result = self.memory.copy(), np.empty((len(y), len(readout)))
         self._advance(self._sizes, self._steps, self._C_nu, readout, record, state, result)

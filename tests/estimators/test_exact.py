@@ -261,8 +261,12 @@ def test_known_inputs_move_the_estimates_as_they_move_the_system(delay):
     at = np.arange(1, 51) * fine - round(delay / DT * fine)
     response = np.where(at[:, None] >= 0, np.array(moved)[np.maximum(at, 0)] @ driven.C0.T, 0.0)
     found = exact(driven, delay).run(y + added, inputs=u)
-    assert_allclose(found, exact(driven, delay).run(y) + response, atol=2e-3)
-    assert exact(driven, delay).run(y).shape == (50, 2)  # zero by default
+    assert_allclose(found, exact(PAIR, delay).run(y) + response, atol=2e-3)
+    assert_allclose(exact(driven, delay).run(y, inputs=0.0 * u), exact(PAIR, delay).run(y))
+    with pytest.raises(ValueError, match="inputs must be given: the system has 2"):
+        exact(driven, delay).run(y)
+    with pytest.raises(ValueError, match="a system with known inputs is for an exact smoother"):
+        baselines.kalman_bucy(driven).discretize(DT, delay="model")
 
 
 def test_a_mean_and_an_offset_are_taken_off_and_put_back():
@@ -341,7 +345,6 @@ def test_a_robust_design_runs_with_its_delay_model():
         lambda: discrete.two_sided([[0.0]]),
         lambda: discrete.innovations([[0.0]]),
         lambda: discrete.reset([0.0], covariance=[[1.0]]),
-        lambda: discrete.run([[0.0]], inputs=np.zeros((1, 0))),
     ):
         with pytest.raises(ValueError, match="is for an exact smoother"):
             call()
