@@ -41,11 +41,6 @@ def estimate(mean: float, error: float) -> str:
     return rf"{number(mean, min(max(size - least + 2, 1), 15))} \pm {number(error, 2)}"
 
 
-def vector(values: Iterable[float]) -> str:
-    r"""Return numbers as LaTeX, in parentheses."""
-    return "(" + ", ".join(_elided(map(number, values), r"\dots")) + ")"
-
-
 def matrix(value: ArrayLike) -> str:
     r"""Return a matrix as LaTeX, a single entry as a number."""
     value = np.asarray(value)

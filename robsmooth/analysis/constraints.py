@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.tables import table_of_values
+from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.certificate import (
     ConstraintProblem,
@@ -82,10 +82,11 @@ class AnalysisBound:
             ("share of it that no input was shown to reach", self.gap),
             ("share of the uncertainty for which there is a bound", self.fraction),
             ("guarantee, $2V$", self.guarantee),
-            (r"multipliers $\theta$, s (unit of $w$)²", f"${notation.vector(self.multipliers)}$"),
+            (r"multipliers $\theta$, s (unit of $w$)²", f"${notation.matrix([self.multipliers])}$"),
         ]
         caption = "The worst that the constraints on the uncertainty allow."
-        return table_of_values(rows, caption, digits=5).html()
+        known = [row for row in rows if row[1] is not None]
+        return Table(("", "value"), known, caption, digits=5).html()
 
 
 @one_thread

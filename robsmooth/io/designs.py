@@ -68,10 +68,6 @@ def save(
     OSError
         Where the file cannot be written.
 
-    See Also
-    --------
-    load : reads the file.
-
     Examples
     --------
     >>> import tempfile
@@ -124,10 +120,6 @@ def load(
         For functions that are not a mapping of names to callables.
     OSError
         Where the file cannot be read.
-
-    See Also
-    --------
-    save : writes the file.
 
     Examples
     --------
@@ -192,7 +184,7 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
             if field not in known:
                 raise ValueError(f"{path}{field} is not a field: these are {', '.join(known)}")
         for field in known:
-            if field not in table and field not in _OPTIONAL:
+            if field not in table and field not in _OPTIONAL.split():
                 raise ValueError(f"{path}{field} is missing")
         fields = {field: of_field(field, part, f"{path}{field}") for field, part in table.items()}
         with _within(path[:-1]), np.errstate(over="raise", invalid="raise", divide="raise"):
@@ -301,16 +293,7 @@ _TABLES = {
     "uncertainties": (_uncertainty, "B C D"),
     "nonlinearities": (Nonlinearity, "B C D lipschitz function reference"),
 }
-_OPTIONAL = (
-    "uncertainties",
-    "nonlinearities",
-    "function",
-    "reference",
-    "J_21",
-    "nominal",
-    "B2",
-    "D22",
-)
+_OPTIONAL = "uncertainties nonlinearities function reference J_21 nominal B2 D22"
 
 
 def _fields(kind: str, value: Any) -> dict:
@@ -328,7 +311,7 @@ def _fields(kind: str, value: Any) -> dict:
             part = part and name_of(part)
         else:
             part = np.asarray(part).tolist()
-        if name not in _OPTIONAL or (part is not None and np.size(part)):
+        if name not in _OPTIONAL.split() or (part is not None and np.size(part)):
             fields[name] = part
     return fields
 

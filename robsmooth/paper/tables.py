@@ -16,11 +16,14 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne import HomodyneParameters, fraction_inside
-from robsmooth.homodyne.loop import homodyne_loop, linearised
+from robsmooth.homodyne.loop import homodyne_loop, linearised, statistical_linearisation
+from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
-from robsmooth.paper import predictions, published
+from robsmooth.paper import published
 
 Records = Iterator[dict[str, Any]]  # the cells of each row, by their columns
+Results = Mapping[str, MonteCarloResult]
+ErrorsByMethod = dict[str, dict[str, MeanSquare]]  # by the name of an error, and the method
 
 
 def _table(digits: int = 4) -> Callable[[Callable[..., Records]], Callable[..., Table]]:
@@ -104,7 +107,7 @@ def designs(compared: Mapping[str, Estimator]) -> Records:
 
 
 @_table()
-def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Records:
+def simulations(results: Results, caption: str) -> Records:
     """{caption}"""
     for name, found in results.items():
         record = {"case": name, "filtered (rad²)": _estimate(found.filtered)}
@@ -113,8 +116,26 @@ def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Record
         yield record | {"in how many runs": found.slipped_paths}
 
 
+def predicted_errors(
+    compared: Mapping[str, Estimator], paper: Results, ergodic: Results, of: HomodyneParameters
+) -> ErrorsByMethod:
+    """Return the errors by each method, where the standard error of moments is their truncation."""
+    found = {}
+    for name, design in compared.items():
+        moments, approximate = stationary_errors(of, design), statistical_linearisation(of, design)
+        for output in ("filtered", "smoothed") if design.plant.delay > 0.0 else ("filtered",):
+            truncation = getattr(moments, f"{output}_truncation")
+            found[f"{name}, {output}"] = {
+                "paper's protocol": getattr(paper[name], output),
+                "ergodic": getattr(ergodic[name], output),
+                "moments": MeanSquare(getattr(moments, output), truncation),
+                "statistical linearisation": MeanSquare(getattr(approximate, output), 0.0),
+            }
+    return found
+
+
 @_table()
-def errors_by_method(found: predictions.ErrorsByMethod) -> Records:
+def errors_by_method(found: ErrorsByMethod) -> Records:
     """Three routes, one number: simulation (± one standard error), moments without sampling (±
     estimated truncation), and statistical linearisation.
     """
