@@ -154,10 +154,6 @@ def error_covariance(
     ArithmeticError
         Where the estimated rounding error is above a millionth of a variance.
 
-    See Also
-    --------
-    delta_sweep, worst_case, analysis_bound : many slopes, the worst Delta, a bound for all.
-
     Examples
     --------
     >>> import robsmooth as rs

@@ -65,10 +65,6 @@ def worst_case(
     WorstCase
         With an infinite mean square where an admissible uncertainty makes the loop unstable.
 
-    See Also
-    --------
-    analysis_bound : a bound for all that the constraints allow.
-
     Examples
     --------
     >>> import robsmooth as rs

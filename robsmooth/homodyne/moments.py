@@ -166,10 +166,6 @@ def stationary_errors(
         Where the loop is so noisy that the expansion does not converge to 2%, or its rates are so
         far apart that the linear loop's covariance is lost in rounding.
 
-    See Also
-    --------
-    monte_carlo, statistical_linearisation : by simulation, and a first approximation.
-
     Examples
     --------
     >>> import robsmooth as rs

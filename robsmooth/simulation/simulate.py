@@ -88,10 +88,6 @@ def simulate(
     RuntimeError
         Where a path diverges; it names the path and the time.
 
-    See Also
-    --------
-    sample_paths, monte_carlo : the paths, and a faster simulation of the paper's example.
-
     Examples
     --------
     >>> import robsmooth as rs

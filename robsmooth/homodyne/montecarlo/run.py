@@ -197,10 +197,6 @@ def monte_carlo(
     ConnectionError, OSError
         Where the cluster is lost, or the checkpoint cannot be written.
 
-    See Also
-    --------
-    stationary_errors, simulate : without sampling; for the loop of any nonlinear system.
-
     Examples
     --------
     >>> import robsmooth as rs
