@@ -15,8 +15,7 @@ from robsmooth._support.errors import CoarseDelayWarning, InfeasibleDesignError,
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.analysis.constraints import analysis_bound
-from robsmooth.analysis.covariance import error_covariance
-from robsmooth.analysis.worst_case import worst_case
+from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.conditions import COSTS
