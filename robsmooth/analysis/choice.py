@@ -15,8 +15,7 @@ from robsmooth._support.errors import CoarseDelayWarning, InfeasibleDesignError,
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.analysis.constraints import analysis_bound
-from robsmooth.analysis.covariance import error_covariance
-from robsmooth.analysis.worst_case import worst_case
+from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.conditions import COSTS
@@ -92,15 +91,12 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     return Judgement(constant.nominal, constant.mean_square, certified)
 
 
-_NONE = Judgement(math.inf, math.inf, math.inf)
-
-
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """One of the estimators that `best_smoother` compares, or None and why it was refused."""
 
-    estimator: Estimator | None
-    judgement: Judgement
+    estimator: Estimator | None = None
+    judgement: Judgement = Judgement(math.inf, math.inf, math.inf)
     refused: str = ""
 
     def error(self, against: str) -> float:
@@ -239,7 +235,7 @@ def best_smoother(
             candidates[name] = Candidate(estimator, judge(estimator, output))
         except InfeasibleDesignError as error:
             failures[name] = error
-            candidates[name] = Candidate(None, _NONE, str(error))
+            candidates[name] = Candidate(refused=str(error))
     errors = {name: each.error(against) for name, each in candidates.items()}
     best = min(errors, key=errors.__getitem__)
     if math.isinf(errors[best]):

@@ -111,10 +111,6 @@ def analysis_bound(
     -------
     AnalysisBound
 
-    See Also
-    --------
-    worst_case, minimize_bound : the worst constant uncertainty; the paper's own bound.
-
     References
     ----------
     I. R. Petersen, V. A. Ugrinovskii and A. V. Savkin, *Robust Control Design Using H-infinity

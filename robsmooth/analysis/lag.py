@@ -20,8 +20,7 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.analysis.covariance import error_covariance
-from robsmooth.analysis.worst_case import worst_case
+from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.systems.system import UncertainSystem

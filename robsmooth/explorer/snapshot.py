@@ -15,8 +15,7 @@ from robsmooth.estimators.bound import best_tau
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.homodyne.loop import StatisticalLinearisation
 from robsmooth.paper.published import DELAY, ORDER, printed
-from robsmooth.simulation.integrator import ExponentialIntegrator
-from robsmooth.simulation.loop import nonlinear_loop
+from robsmooth.simulation.loop import ExponentialIntegrator, nonlinear_loop
 
 # Where the least bound of the example is, whatever the parameters, unless it pays to ignore the
 # measurement: tau is all that is left to search for.

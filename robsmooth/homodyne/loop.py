@@ -262,10 +262,6 @@ def statistical_linearisation(
     UnstableLoopError
         Where no self-consistent variance exists: the linearised loop loses lock.
 
-    See Also
-    --------
-    stationary_errors, simulate : a better approximation; for any system, its equivalent slopes.
-
     Examples
     --------
     >>> import robsmooth as rs

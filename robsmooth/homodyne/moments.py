@@ -83,16 +83,15 @@ class StationaryErrors:
         Mean square errors, rad^2.
     smoothed_truncation, filtered_truncation : float
         Estimates of the error that the finite degree, and rounding, make in them, rad^2.
-    degree, unknowns : int
-        Total degree of the polynomials, and the moments that were solved for.
+    degree : int, total, of the polynomials
 
     Examples
     --------
     >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
     >>> errors = rs.stationary_errors(rs.homodyne.PAPER, kalman)
-    >>> errors.degree, errors.unknowns
-    (14, 63)
+    >>> errors.degree
+    14
     """
 
     smoothed: float
@@ -100,7 +99,6 @@ class StationaryErrors:
     smoothed_truncation: float
     filtered_truncation: float
     degree: int
-    unknowns: int
 
     @property
     def _relative_truncation(self) -> float:
@@ -112,8 +110,7 @@ class StationaryErrors:
     def __repr__(self) -> str:
         smoothed = f"smoothed {self.smoothed:.10g} +- {self.smoothed_truncation:.1g} rad^2"
         filtered = f"filtered {self.filtered:.10g} +- {self.filtered_truncation:.1g} rad^2"
-        found = f"degree {self.degree}, {self.unknowns} unknowns"
-        return f"StationaryErrors({smoothed}, {filtered}; {found})"
+        return f"StationaryErrors({smoothed}, {filtered}; degree {self.degree})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +163,6 @@ def stationary_errors(
         Where the loop is so noisy that the expansion does not converge to 2%, or its rates are so
         far apart that the linear loop's covariance is lost in rounding.
 
-    See Also
-    --------
-    monte_carlo, statistical_linearisation : by simulation, and a first approximation.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -219,8 +212,7 @@ def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> Statio
         steps = np.abs(np.diff(errors[-3:], axis=0))
         steps[:-1] /= GAIN_OF_A_STEP
         truncation = steps.max(axis=0) + problem.rounding * errors[-1]
-    unknowns = _unknowns(len(problem.drift), degree)
-    return StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree, unknowns)
+    return StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree)
 
 
 def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:

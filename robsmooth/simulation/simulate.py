@@ -13,8 +13,12 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.simulation.integrator import ExponentialIntegrator
-from robsmooth.simulation.loop import NonlinearLoop, Uncertainties, nonlinear_loop
+from robsmooth.simulation.loop import (
+    ExponentialIntegrator,
+    NonlinearLoop,
+    Uncertainties,
+    nonlinear_loop,
+)
 from robsmooth.simulation.statistics import (
     InadmissibleWarning,
     Moments,
@@ -87,10 +91,6 @@ def simulate(
         Where the loop is not stable without its nonlinearities.
     RuntimeError
         Where a path diverges; it names the path and the time.
-
-    See Also
-    --------
-    sample_paths, monte_carlo : the paths, and a faster simulation of the paper's example.
 
     Examples
     --------

@@ -18,9 +18,9 @@ from robsmooth import (
     error_covariance,
     homodyne,
 )
+from robsmooth.analysis.covariance import worst_case
 from robsmooth.analysis.families import uncertain_cancellation
 from robsmooth.analysis.lag import best_lag, choose_lag, lag_sweep
-from robsmooth.analysis.worst_case import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.baselines import optimal_fixed_lag_error, optimal_two_sided_error
 from tests.helpers.strategies import random_system, seeds

@@ -17,7 +17,7 @@ from robsmooth import (
     error_covariance,
     homodyne,
 )
-from robsmooth.analysis.worst_case import worst_case
+from robsmooth.analysis.covariance import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.loop import LOOPS
 from tests.helpers.loops import looking_at_nothing
@@ -160,7 +160,7 @@ def test_guaranteed_error_is_against_the_model_of_the_delay(example):
 def test_search_does_not_depend_on_the_number_of_starts(monkeypatch):
     design = designed(8, n=3, m=2, measurements=2, g=2)
     many = worst_case(design).mean_square
-    monkeypatch.setattr("robsmooth.analysis.worst_case._STARTS", 8)
+    monkeypatch.setattr("robsmooth.analysis.covariance._STARTS", 8)
     assert_allclose(worst_case(design).mean_square, many, rtol=1e-9)
 
 

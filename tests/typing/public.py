@@ -170,7 +170,6 @@ result = rs.monte_carlo(paper, kalman, runs=128, client=None, checkpoint=Path("m
 assert_type(result, rs.MonteCarloResult)
 assert_type(result.smoothed, rs.MeanSquare)
 assert_type(result.smoothed.mean_square, float)
-assert_type(result.smoothed.interval(), tuple[float, float])
 assert_type(result.provenance, dict[str, Any])
 study = rs.parameter_study(paper, [1e-6], [1], [0.4], [1.0], runs=128)
 assert_type(study, rs.Study)
