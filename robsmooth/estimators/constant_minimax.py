@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.estimators.certificate import model_loop
-from robsmooth.estimators.classical import classical
 from robsmooth.estimators.constant import mean_square, slopes, worst_constant, worst_delta
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.kalman import classical
 from robsmooth.estimators.loop import OpenLoop, open_loop
 from robsmooth.estimators.minimax import is_convex, minimax_smoother
 from robsmooth.estimators.tuned import tuned_fixed_lag_smoother

@@ -20,10 +20,10 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.certificate import ConstraintProblem, certify, problem_of
-from robsmooth.estimators.classical import classical
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.kalman import classical
 from robsmooth.estimators.loop import open_loop
 from robsmooth.estimators.programme import copies_are_known, least_certified
 from robsmooth.estimators.tuned import tuned_fixed_lag_smoother

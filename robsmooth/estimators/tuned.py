@@ -18,10 +18,9 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.estimators.certificate import certify, problem_of
-from robsmooth.estimators.classical import with_copies
 from robsmooth.estimators.constant import mean_square, worst_constant
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.kalman import kalman_gain
+from robsmooth.estimators.kalman import kalman_gain, with_copies
 from robsmooth.estimators.loop import open_loop
 from robsmooth.estimators.units import Natural
 from robsmooth.systems.augmented import AugmentedSystem
