@@ -44,10 +44,6 @@ def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
     InfeasibleDesignError
         For a measurement without noise, or a mode that is neither stable nor seen.
 
-    See Also
-    --------
-    fixed_lag_smoother, ngcf : with a delay; robust.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -105,10 +101,6 @@ def ngcf(system: UncertainSystem) -> RobustSmoother:
     -------
     RobustSmoother
 
-    See Also
-    --------
-    minimize_bound : with a delay.
-
     References
     ----------
     I. R. Petersen, "Robust guaranteed cost state estimation for nonlinear stochastic uncertain
@@ -144,10 +136,6 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     InfeasibleDesignError, ArithmeticError
         As in `kalman_bucy`; where the filter's time constants are so far apart that rounding would
         spoil the result.
-
-    See Also
-    --------
-    fixed_lag_smoother, optimal_two_sided_error : what comes close; the same for an endless delay.
 
     References
     ----------
@@ -193,10 +181,6 @@ def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
     -------
     (m, m) array
 
-    See Also
-    --------
-    optimal_fixed_lag_error
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -221,10 +205,6 @@ def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
     Returns
     -------
     float, in the squared unit of w
-
-    See Also
-    --------
-    optimal_fixed_lag_error, constant_minimax_smoother : one system; an estimator that is not told.
 
     Examples
     --------

@@ -44,11 +44,6 @@ class Estimator:
     nominal : pair of UncertainSystem or None
         The systems that a classical design runs as its model, and has its gain for.
 
-    See Also
-    --------
-    minimize_bound, fixed_lag_smoother : robust and classical designs.
-    error_covariance, simulate : the errors of any of them.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -96,10 +91,6 @@ class Estimator:
         Returns
         -------
         control.StateSpace
-
-        See Also
-        --------
-        UncertainSystem.to_statespace : the system, to be joined with it.
 
         Examples
         --------
@@ -156,10 +147,6 @@ class Estimator:
         ------
         ArithmeticError
             Where the estimator is unstable, and dt too long for it.
-
-        See Also
-        --------
-        smooth_record : smooths a record from file to file.
 
         Examples
         --------

@@ -54,10 +54,6 @@ class MinimaxSmoother(Estimator):
         How it was found: the first is the least over all linear estimators, with copies in the
         limit in which the multipliers of mu and mu-tilde vanish; the second is a local minimum.
 
-    See Also
-    --------
-    minimax_smoother : makes it.
-
     Examples
     --------
     >>> import robsmooth as rs
