@@ -49,9 +49,10 @@ def kalman_gain(system: UncertainSystem, model: DelayModel) -> tuple[Matrix, Mat
 
 def classical(plant: AugmentedSystem, copies: bool = False) -> Estimator:
     """Return the classical fixed-lag smoother of a plant's nominal system."""
-    _, gain = kalman_gain(plant.system, plant.delay_model)
-    A_c = plant.A_p - gain @ plant.C2_tilde[: plant.system.l]
-    nominal = plant.system.nominal
+    system = plant.system
+    _, gain = kalman_gain(system, plant.delay_model)
+    A_c = plant.A_p - gain @ plant.C2_tilde[: system.l]
+    nominal = UncertainSystem(system.A, system.B1, system.C0, system.C2, system.D21)
     return with_copies(plant, A_c, gain, copies).of_nominal(nominal, nominal)
 
 

@@ -261,11 +261,6 @@ class UncertainSystem:
         return self.C2.shape[0]
 
     @property
-    def nominal(self) -> "UncertainSystem":
-        """The linear system without uncertainties, nonlinearities and known inputs."""
-        return UncertainSystem(self.A, self.B1, self.C0, self.C2, self.D21)
-
-    @property
     def q(self) -> int:
         """Number of noises."""
         return self.B1.shape[1]
