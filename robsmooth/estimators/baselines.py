@@ -14,8 +14,9 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.constant import cut_at_one
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.kalman import classical, kalman_gain
+from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.smoother import RobustSmoother
+from robsmooth.estimators.tuned import classical
 from robsmooth.estimators.tuned import tuned_fixed_lag_smoother as tuned_fixed_lag_smoother
 from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import with_feedback

@@ -1,4 +1,4 @@
-"""The Kalman-Bucy filter: its gain, why there is none, and the smoothers made of a gain."""
+"""The gain of the Kalman-Bucy filter, and why there is none."""
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -9,8 +9,7 @@ from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support import notation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.estimators.estimator import Estimator
-from robsmooth.systems.augmented import AugmentedSystem, check_noise
+from robsmooth.systems.augmented import check_noise
 from robsmooth.systems.delay import DelayModel
 from robsmooth.systems.system import UncertainSystem
 
@@ -45,26 +44,6 @@ def kalman_gain(system: UncertainSystem, model: DelayModel) -> tuple[Matrix, Mat
     P = found.stationary[:, x]
     cross = np.vstack([cross, np.zeros((states, system.l))])
     return P, cho_solve(R, (P @ C.T + cross).T).T
-
-
-def classical(plant: AugmentedSystem, copies: bool = False) -> Estimator:
-    """Return the classical fixed-lag smoother of a plant's nominal system."""
-    system = plant.system
-    _, gain = kalman_gain(system, plant.delay_model)
-    A_c = plant.A_p - gain @ plant.C2_tilde[: system.l]
-    nominal = UncertainSystem(system.A, system.B1, system.C0, system.C2, system.D21)
-    return with_copies(plant, A_c, gain, copies).of_nominal(nominal, nominal)
-
-
-def with_copies(plant: AugmentedSystem, A_c: Matrix, gain: Matrix, copies: bool) -> Estimator:
-    """Return an estimator of w that runs the nonlinearities at its estimate, or not."""
-    B, D = plant.known
-    _, C, _ = plant.system.stacked(plant.system.nonlinearities)
-    into, arguments = B - gain @ D, np.pad(C, ((0, 0), (0, plant.n - plant.system.n)))
-    if not copies:
-        into, arguments = np.zeros_like(into), np.zeros_like(arguments)
-    B_c, C_c = np.hstack([gain, into]), np.vstack([plant.C_p0, arguments])
-    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=plant.C_p0)
 
 
 def _reason(system: UncertainSystem) -> str | None:

@@ -23,10 +23,9 @@ from robsmooth.estimators.certificate import ConstraintProblem, certify, problem
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.kalman import classical
 from robsmooth.estimators.loop import open_loop
 from robsmooth.estimators.programme import copies_are_known, least_certified
-from robsmooth.estimators.tuned import tuned_fixed_lag_smoother
+from robsmooth.estimators.tuned import classical, tuned_fixed_lag_smoother
 from robsmooth.estimators.units import Natural, in_plant_states
 from robsmooth.systems.augmented import AugmentedSystem
 
