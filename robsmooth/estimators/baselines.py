@@ -12,11 +12,11 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.bound import minimize_bound
-from robsmooth.estimators.classical import classical
 from robsmooth.estimators.constant import cut_at_one
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.smoother import RobustSmoother
+from robsmooth.estimators.tuned import classical
 from robsmooth.estimators.tuned import tuned_fixed_lag_smoother as tuned_fixed_lag_smoother
 from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import with_feedback
@@ -44,10 +44,6 @@ def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
     ------
     InfeasibleDesignError
         For a measurement without noise, or a mode that is neither stable nor seen.
-
-    See Also
-    --------
-    fixed_lag_smoother, ngcf : with a delay; robust.
 
     Examples
     --------
@@ -106,10 +102,6 @@ def ngcf(system: UncertainSystem) -> RobustSmoother:
     -------
     RobustSmoother
 
-    See Also
-    --------
-    minimize_bound : with a delay.
-
     References
     ----------
     I. R. Petersen, "Robust guaranteed cost state estimation for nonlinear stochastic uncertain
@@ -145,10 +137,6 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     InfeasibleDesignError, ArithmeticError
         As in `kalman_bucy`; where the filter's time constants are so far apart that rounding would
         spoil the result.
-
-    See Also
-    --------
-    fixed_lag_smoother, optimal_two_sided_error : what comes close; the same for an endless delay.
 
     References
     ----------
@@ -194,10 +182,6 @@ def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
     -------
     (m, m) array
 
-    See Also
-    --------
-    optimal_fixed_lag_error
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -222,10 +206,6 @@ def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
     Returns
     -------
     float, in the squared unit of w
-
-    See Also
-    --------
-    optimal_fixed_lag_error, constant_minimax_smoother : one system; an estimator that is not told.
 
     Examples
     --------

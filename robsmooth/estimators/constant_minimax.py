@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.estimators.certificate import model_loop
-from robsmooth.estimators.classical import classical
 from robsmooth.estimators.constant import mean_square, slopes, worst_constant, worst_delta
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import OpenLoop, open_loop
 from robsmooth.estimators.minimax import is_convex, minimax_smoother
-from robsmooth.estimators.tuned import tuned_fixed_lag_smoother
+from robsmooth.estimators.tuned import classical, tuned_fixed_lag_smoother
 from robsmooth.estimators.units import Natural, in_plant_states
 from robsmooth.systems.augmented import AugmentedSystem
 
@@ -88,10 +87,6 @@ def constant_minimax_smoother(
     InfeasibleDesignError
         Where every candidate's error has no limit for some constant uncertainty, and else as in
         `minimax_smoother`.
-
-    See Also
-    --------
-    minimax_smoother, worst_case : against uncertainty that varies; the worst constant one.
 
     Examples
     --------

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.statespace import state_space
-from robsmooth.systems.system import UncertainSystem
+from robsmooth.systems.system import UncertainSystem, state_space
 
 if TYPE_CHECKING:
     import control
@@ -44,11 +43,6 @@ class Estimator:
     cost : {None, "filtered", "smoothed"}, which error has a guarantee, where one has
     nominal : pair of UncertainSystem or None
         The systems that a classical design runs as its model, and has its gain for.
-
-    See Also
-    --------
-    minimize_bound, fixed_lag_smoother : robust and classical designs.
-    error_covariance, simulate : the errors of any of them.
 
     Examples
     --------
@@ -97,10 +91,6 @@ class Estimator:
         Returns
         -------
         control.StateSpace
-
-        See Also
-        --------
-        UncertainSystem.to_statespace : the system, to be joined with it.
 
         Examples
         --------
@@ -157,10 +147,6 @@ class Estimator:
         ------
         ArithmeticError
             Where the estimator is unstable, and dt too long for it.
-
-        See Also
-        --------
-        smooth_record : smooths a record from file to file.
 
         Examples
         --------

@@ -20,13 +20,12 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.certificate import ConstraintProblem, certify, problem_of
-from robsmooth.estimators.classical import classical
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import open_loop
 from robsmooth.estimators.programme import copies_are_known, least_certified
-from robsmooth.estimators.tuned import tuned_fixed_lag_smoother
+from robsmooth.estimators.tuned import classical, tuned_fixed_lag_smoother
 from robsmooth.estimators.units import Natural, in_plant_states
 from robsmooth.systems.augmented import AugmentedSystem
 
@@ -53,10 +52,6 @@ class MinimaxSmoother(Estimator):
     route : {"semidefinite programme", "descent"}
         How it was found: the first is the least over all linear estimators, with copies in the
         limit in which the multipliers of mu and mu-tilde vanish; the second is a local minimum.
-
-    See Also
-    --------
-    minimax_smoother : makes it.
 
     Examples
     --------

@@ -127,7 +127,7 @@ def least_certified(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray]:
     decay = cp.bmat([[first, middle, upper], [middle.T, second, lower], [upper.T, lower.T, rest]])
     in_Z, in_X = Z @ B_w, X @ B_w + L @ D_w
     energy = cp.bmat([[W, in_Z.T, in_X.T], [in_Z, Z, Z], [in_X, Z, X]])
-    conditions = [_symmetric(decay) << 0, _symmetric(energy) >> 0]
+    conditions = [(decay + decay.T) / 2 << 0, (energy + energy.T) / 2 >> 0]
     problem = cp.Problem(cp.Minimize(cp.trace(W)), conditions)
     with warnings.catch_warnings(), suppress(cp.SolverError):
         warnings.simplefilter("ignore")  # of accuracy, which the certificate shows
@@ -164,7 +164,3 @@ def _with_copies(
         B_c = np.vstack([B_c, np.hstack([np.zeros((n, system.l)), B])])
         C_c = np.hstack([C_c, np.vstack([plant.C_a, C])])
     return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=C_c[:m], C_f=C_c[:m])
-
-
-def _symmetric(matrix):
-    return (matrix + matrix.T) / 2

@@ -33,10 +33,6 @@ class RobustSmoother(Estimator):
         the limit.
     spectral_radius : float, rho(YX), below tau
 
-    See Also
-    --------
-    error_covariance, worst_case : its errors under given and worst uncertainties.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -138,10 +134,6 @@ def limiting_smoother(
     InfeasibleDesignError
         Where Assumption 2 or 3 or the constraint (eqcons) fails in the limit, or other multipliers
         are zero.
-
-    See Also
-    --------
-    minimize_bound, design_smoother : the search for tau and lambda; a design.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-r"""The classical smoother, tuned for the worst case: the strongest opponent of a robust design.
+r"""The classical smoother, also tuned: the strongest opponent of a robust design.
 
-The nominal system that it is made for is tuned, as an engineer would. The slope of a nonlinearity
-counts for the gain only: its copy is run as it is.
+For the worst case the nominal system that it is made for is tuned, as an engineer would. The slope
+of a nonlinearity counts for the gain only: its copy is run as it is.
 """
 
 import math
@@ -17,8 +17,8 @@ from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.validation import Matrix
 from robsmooth.estimators.certificate import certify, problem_of
-from robsmooth.estimators.classical import with_copies
 from robsmooth.estimators.constant import mean_square, worst_constant
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.kalman import kalman_gain
@@ -39,6 +39,26 @@ _STARTS = 8  # of the search for the worst Delta
 _LOGARITHMS = (-15.0, 15.0)
 _STEP = 0.1  # of the box, at first
 _OPTIONS = {"maxfev": 300, "xatol": 1e-2, "fatol": 1e-5}
+
+
+def classical(plant: AugmentedSystem, copies: bool = False) -> Estimator:
+    """Return the classical fixed-lag smoother of a plant's nominal system."""
+    system = plant.system
+    _, gain = kalman_gain(system, plant.delay_model)
+    A_c = plant.A_p - gain @ plant.C2_tilde[: system.l]
+    nominal = UncertainSystem(system.A, system.B1, system.C0, system.C2, system.D21)
+    return with_copies(plant, A_c, gain, copies).of_nominal(nominal, nominal)
+
+
+def with_copies(plant: AugmentedSystem, A_c: Matrix, gain: Matrix, copies: bool) -> Estimator:
+    """Return an estimator of w that runs the nonlinearities at its estimate, or not."""
+    B, D = plant.known
+    _, C, _ = plant.system.stacked(plant.system.nonlinearities)
+    into, arguments = B - gain @ D, np.pad(C, ((0, 0), (0, plant.n - plant.system.n)))
+    if not copies:
+        into, arguments = np.zeros_like(into), np.zeros_like(arguments)
+    B_c, C_c = np.hstack([gain, into]), np.vstack([plant.C_p0, arguments])
+    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=plant.C_p0)
 
 
 @one_thread

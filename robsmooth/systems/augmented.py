@@ -60,10 +60,6 @@ class AugmentedSystem:
     M_i, N_i : tuples of k + 3g arrays
         The matrices of the quadratic constraints on the channel inputs and outputs.
 
-    See Also
-    --------
-    augment, minimize_bound : make it, and the robust design for it.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -201,10 +197,6 @@ class AugmentedSystem:
         ------
         ValueError, TypeError
             For an entry too few or many, or one that is no number or block of its channel's size.
-
-        See Also
-        --------
-        error_covariance : the errors of an estimator under it.
 
         Examples
         --------

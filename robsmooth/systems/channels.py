@@ -33,10 +33,6 @@ class Uncertainty:
     ValueError, TypeError
         For a matrix that is not 2-D, real and finite.
 
-    See Also
-    --------
-    Nonlinearity, UncertainSystem : the other channels, and what they are part of.
-
     Examples
     --------
     A rate of decay that is known to 10%, in a system of one state:

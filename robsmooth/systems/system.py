@@ -20,7 +20,7 @@ A nonlinearity whose slopes lie in a sector around another slope than zero, :mat
 :math:`C_2`, and :math:`\psi_i(\nu) - c_i\nu` is kept, whose constant is half the sector's width.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
+from robsmooth._support.extras import extra
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.systems import statespace
 from robsmooth.systems.channels import (
     Channel,
     Nonlinearity,
@@ -39,7 +39,7 @@ from robsmooth.systems.channels import (
     with_feedback,
 )
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # it takes half a second to import, and few functions need it
     import control
 
 _SHOWN = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
@@ -193,7 +193,7 @@ class UncertainSystem:
         >>> rs.UncertainSystem.from_plant(plant, process_noise=1.0, measurement_noise=0.01).D21
         array([[0. , 0.1]])
         """
-        statespace.check_continuous("plant", plant)
+        check_continuous("plant", plant)
         n, l = plant.nstates, plant.noutputs  # noqa: E741 - the paper's letter
         process = covariance_root("process_noise", process_noise, plant.ninputs)
         measurement = covariance_root("measurement_noise", measurement_noise, l)
@@ -235,7 +235,7 @@ class UncertainSystem:
         inputs = {name: B for name, _, B, _, _ in channels}
         outputs = {"w": self.C0, "y": self.C2} | {name: C for _, name, _, C, _ in channels}
         feedthrough = {("y", name): D for name, _, _, _, D in channels}
-        return statespace.state_space(self.A, inputs, outputs, feedthrough)
+        return state_space(self.A, inputs, outputs, feedthrough)
 
     def stacked(self, channels: Sequence[Channel]) -> tuple[Matrix, Matrix, Matrix]:
         """Return B, C and D of some of the system's channels side by side."""
@@ -259,11 +259,6 @@ class UncertainSystem:
     def l(self) -> int:  # noqa: E743 - the paper's letter
         """Number of measurements."""
         return self.C2.shape[0]
-
-    @property
-    def nominal(self) -> "UncertainSystem":
-        """The linear system without uncertainties, nonlinearities and known inputs."""
-        return UncertainSystem(self.A, self.B1, self.C0, self.C2, self.D21)
 
     @property
     def q(self) -> int:
@@ -342,3 +337,47 @@ def covariance_root(name: str, intensity: ArrayLike, size: int) -> Matrix:
         got = f"one whose correlation matrix has the eigenvalue {eigenvalues.min():.3g}"
         raise ValueError(f"{name} must be nonnegative definite, got {got}")
     return unit[:, None] * (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T)
+
+
+def state_space(
+    A: Matrix,
+    inputs: Mapping[str, Matrix],
+    outputs: Mapping[str, Matrix],
+    feedthrough: Mapping[tuple[str, str], Matrix],
+) -> "control.StateSpace":
+    """Return a python-control object with signals by name: inputs (n, .) and outputs (., n).
+
+    Component i of a signal is called ``name[i]`` there: python-control connects by name. The
+    feedthrough is by (output, input), zero if left out.
+    """
+    with extra("control", "to_statespace"):
+        import control
+
+    D = [
+        [feedthrough.get((y, u), np.zeros((len(C), B.shape[1]))) for u, B in inputs.items()]
+        for y, C in outputs.items()
+    ]
+    return control.StateSpace(
+        A.copy(),
+        np.hstack(list(inputs.values())),
+        np.vstack(list(outputs.values())),
+        np.block(D),
+        0,
+        inputs=[f"{u}[{i}]" for u, B in inputs.items() for i in range(B.shape[1])],
+        outputs=[f"{y}[{i}]" for y, C in outputs.items() for i in range(len(C))],
+        remove_useless_states=False,
+    )
+
+
+def check_continuous(name: str, sys: "control.StateSpace") -> None:
+    """Check that `sys` is a state-space system in continuous time, with a state."""
+    with extra("control", "a python-control system"):
+        import control
+
+    if not isinstance(sys, control.StateSpace):
+        hint = "; control.ss(...) makes it one" if isinstance(sys, control.TransferFunction) else ""
+        raise TypeError(f"{name} must be a control.StateSpace, got {type(sys).__name__}{hint}")
+    if sys.isdtime(strict=True):
+        raise ValueError(f"{name} must be in continuous time, got one in steps of dt={sys.dt!r}")
+    if sys.nstates == 0:
+        raise ValueError(f"{name} must have a state, got a static gain")

@@ -26,7 +26,7 @@ assert_type(sine_sector.nonlinearity([[0.0]], [[1.0]], [[1]], noise=0.1), rs.Non
 assert_type(
     rs.Nonlinearity([[0]], [[1]], [[1]], sector=(0.6, 1)).sector, tuple[float, float] | None
 )
-assert_type(rs.sector(np.tanh, 1, chords=True).remainder(0.1), Any)
+assert_type(rs.sector(np.tanh, 1).half_width, float)
 assert_type(rs.examples.random_walk(diffusion=2.0), rs.UncertainSystem)
 assert_type(rs.examples.clock(), rs.UncertainSystem)
 assert_type(rs.examples.resonant_phase(uncertainty=0.01), rs.UncertainSystem)
