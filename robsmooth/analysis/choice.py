@@ -85,6 +85,8 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     validation.instance("estimator", estimator, Estimator)
     validation.choice("output", output, COSTS)
     constant = worst_case(estimator, output, loop="real")
+    if constant.mean_square == 0.0:  # nothing drives w, whatever the uncertainty
+        return Judgement(0.0, 0.0, 0.0)
     certified = math.inf
     with suppress(UnstableLoopError):  # what an uncertainty sees grows without bound
         certified = analysis_bound(estimator, output, loop="real").mean_square
