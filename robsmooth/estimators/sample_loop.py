@@ -125,7 +125,7 @@ def sample_loop(functions: tuple[Callable[[Any], Any], ...], compiled: bool) -> 
     """Return the loop over samples, a function of what follows `copies` in `_advance`."""
     if compiled:
         return partial(_advance, compiled_copies(functions)) if functions else _advance_linear
-    return partial(getattr(_advance, "py_func", _advance), Interpreted(functions))
+    return partial(_interpret, Interpreted(functions))
 
 
 class Interpreted:
@@ -202,3 +202,8 @@ def _subtract(C_nu, x, row, reference, k, arguments):
 def _advance_linear(sizes, steps, C_nu, readout, record, state, result):
     """Do as `_advance` for an estimator without copies; it need not be compiled anew."""
     _advance(None, sizes, steps, C_nu, readout, record, state, result)
+
+
+def _interpret(copies, *others):
+    """Do as `_advance` with functions that are not compiled; this can be pickled by its name."""
+    getattr(_advance, "py_func", _advance)(copies, *others)

@@ -76,6 +76,25 @@ def test_what_is_drawn_is_what_was_found():
     assert along.get_xlabel() == "time (s)"
 
 
+def test_what_is_too_short_to_tell_is_not_told():
+    found = rs.check_record(smoother(), record(SENSORS, np.random.default_rng(4), rows=60))
+    assert np.isnan(found.p_white) and np.isnan(found.correlations).all()
+    assert found.sentence == "The record agrees with the model."
+    longer = record(SENSORS, np.random.default_rng(4), rows=150, gaps=0.0)
+    found = rs.check_record(smoother(), longer, lags=100)
+    assert np.isfinite(found.correlations[:30]).all() and np.isnan(found.correlations[30:]).all()
+
+
+def test_the_start_of_a_drift_is_no_disagreement():
+    walk = rs.examples.random_walk()
+    rng, discrete = np.random.default_rng(5), rs.baselines.kalman_bucy(walk).discretize(DT)
+    for start in (0.0, 1e8):
+        y, _ = simulated(walk, DT, 1000, rng, np.array([start]))
+        found = rs.check_record(discrete, y)
+        assert found.sentence == "The record agrees with the model."
+        assert np.isnan(found.innovations[0]) and np.isfinite(found.innovations[1:]).all()
+
+
 @pytest.mark.parametrize(
     ("y", "options", "message"),
     [

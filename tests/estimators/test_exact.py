@@ -1,7 +1,11 @@
 """The exact smoother of a record: against conditioning, the textbook's recursion, simulation."""
 
+import copy
 import math
+import os
 import pickle
+import subprocess
+import sys
 from dataclasses import replace
 
 import numba
@@ -372,6 +376,68 @@ def test_a_record_in_pieces_is_as_one(delay):
     assert_array_equal(np.concatenate(parts, axis=1), whole)
     discrete.reset()
     assert_array_equal([discrete.step(row) for row in y], whole[0])
+
+
+@pytest.mark.parametrize("delay", ["exact", "model"])
+@pytest.mark.parametrize("function", [bend, np.tanh])
+def test_a_copy_of_a_smoother_goes_on_as_it_does(delay, function):
+    channel = rs.Nonlinearity([[0.5], [1.0]], [[1.0, -0.5]], [[0.3], [0.2]], 1.0, function)
+    estimator = baselines.fixed_lag_smoother(
+        replace(PAIR, nonlinearities=[channel]), 0.3, 2, copies=True
+    )
+    discrete = estimator.discretize(DT, delay=delay)
+    discrete.run(np.ones((5, 2)))
+    for again in (pickle.loads(pickle.dumps(discrete)), copy.deepcopy(discrete)):
+        found = again.run(np.ones((3, 2)))
+        assert_array_equal(found, copy.deepcopy(discrete).run(np.ones((3, 2))))
+
+
+def test_it_runs_where_the_compiler_is_switched_off():
+    program = """
+import numpy as np, robsmooth as rs
+channel = rs.Nonlinearity([[0.5]], [[1.0]], [[0.3]], 1.0, np.tanh)
+system = rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.3]], nonlinearities=[channel])
+for copies in (False, True):
+    discrete = rs.baselines.kalman_bucy(system, copies=copies).discretize(0.1)
+    print(discrete.run(np.ones((3, 1)), return_std=True)[0].ravel().round(6), discrete.compiled)
+"""
+    found = []
+    for switch in ("0", "1"):
+        environment = os.environ | {"NUMBA_DISABLE_JIT": switch}
+        ended = subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True
+        )
+        assert ended.stderr == ""
+        found.append([line.partition("]")[0] for line in ended.stdout.splitlines()])
+    assert found[0] == found[1] and len(found[0]) == 2
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda d: d.reset(covariance=[[1, 0.9], [0, 1]]), "covariance must be symmetric"),
+        (lambda d: d.reset(covariance=[[1, 2], [2, 1]]), "covariance must be nonnegative definite"),
+        (lambda d: d.bank([[0, 0]], 3), "lags must be a sequence of integers, got 3"),
+        (lambda d: d.bank([[0, 0]], [2, 1]), "lags must ascend, and be at most 3"),
+        (lambda d: d.bank([[0, 0]], [4]), "lags must ascend, and be at most 3"),
+        (lambda d: replace(PAIR, D22=1.0), r"D22 must have 2 dimension"),
+        (lambda d: replace(PAIR, B2=np.zeros((2, 1)), D22=np.zeros((2, 2))), "D22 must have shape"),
+        (lambda d: replace(PAIR, D22=np.zeros((3, 1))), "D22 must have shape"),
+    ],
+)
+def test_wrong_arguments_are_refused(call, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        call(exact(PAIR, 0.3))
+
+
+def test_singular_covariances_and_empty_records_are_right():
+    rng = np.random.default_rng(19)
+    discrete = exact(PAIR, 0.3)
+    for _ in range(50):
+        direction = 10.0 ** rng.uniform(-6, 6, 2) * rng.standard_normal(2)
+        discrete.reset(np.zeros(2), covariance=np.outer(direction, direction))
+        assert np.isfinite(discrete.run(np.ones((5, 2)), return_std=True)[1][3:]).all()
+    assert discrete.run([]).shape == (0, 2)
 
 
 def test_a_call_that_fails_leaves_the_state_as_it_was():
