@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dgebal
 from robsmooth._numerics.lyapunov import balanced_norm, covariances, deviations
 from robsmooth._support.validation import Matrix
 
-_GAP = 1e5  # between the decay rates of modes that hardly decay, and of the next
+_GAP = 1e2  # between the decay rates of modes that hardly decay, and of the next
 _STANDING = 1e-12  # of the fastest mode's rate: a mode that decays by less does not, to rounding
 _DECAY = 0.01  # of A's norm, so that all modes decay
 _LOST = 1e-6  # how far the products of V and W may be from one and zero
