@@ -2,11 +2,11 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+from scipy.stats import chi2, norm
 
 from robsmooth._support import validation
 from robsmooth._support.extras import extra
@@ -96,12 +96,12 @@ class RecordCheck:
         ]
         time = self.dt * np.cumsum([len(part) for part in squares])
         within = {"color": "0.85", "label": "99% of records of the model"}
-        low, high = stats.chi2.interval(1.0 - _LEVEL, np.maximum(counts, 1)) / np.maximum(counts, 1)
+        low, high = chi2.interval(1.0 - _LEVEL, np.maximum(counts, 1)) / np.maximum(counts, 1)
         along.fill_between(time, low, high, step="pre", **within)
         along.plot(time, np.where(counts, means, np.nan), "k.", drawstyle="steps-pre")
         along.set(xlabel="time (s)", ylabel="innovations squared", title="mean squares (model: 1)")
         lags = np.arange(1, 1 + len(self.correlations))
-        between.axhspan(*stats.norm.interval(1.0 - _LEVEL), **within)
+        between.axhspan(*norm.interval(1.0 - _LEVEL), **within)
         between.plot(lags, self.correlations.reshape(len(lags), -1), "k.")
         between.set(xlabel="lag (samples)", ylabel="in standard deviations", title="correlations")
         figure.legend(*between.get_legend_handles_labels(), loc="outside lower center")
@@ -173,17 +173,14 @@ def check_record(
         innovations=z,
         mean_square=float(total / count.sum()),
         correlations=correlations,
-        p_mean=float(stats.chi2.sf((values.sum(axis=0) ** 2 / count).sum(), z.shape[1])),
-        p_mean_square=float(2.0 * min(f(total, count.sum()) for f in _TAILS)),
-        p_white=float(stats.chi2.sf(squared, known)) if known else math.nan,
+        p_mean=float(chi2.sf((values.sum(axis=0) ** 2 / count).sum(), z.shape[1])),
+        p_mean_square=float(2.0 * min(chi2.cdf(total, count.sum()), chi2.sf(total, count.sum()))),
+        p_white=float(chi2.sf(squared, known)) if known else math.nan,
         dt=smoother.dt,
     )
 
 
-_TAILS = stats.chi2.cdf, stats.chi2.sf
-
-
-def _correlations(values: Floats, seen: NDArray[np.bool_], lag: int) -> Any:
+def _correlations(values: Floats, seen: NDArray[np.bool_], lag: int) -> Floats:
     """Return those at a lag, whatever the innovations' size; NaN where too few pairs are there."""
     pairs = seen[lag:].T.astype(float) @ seen[:-lag]
     size = np.sqrt((values**2).sum(axis=0) / seen.sum(axis=0))

@@ -167,10 +167,7 @@ class DiscreteSmoother:
             self._exact("covariance")
         n = self._engine.states
         if state is not None:
-            state = validation.array("state", state, ndim=1)
-            if state.size != n:
-                raise ValueError(f"state must have {n} entries, got {state.size}")
-            state = state - self._mean if self.exact else state
+            state = _vector("state", state, n) - (self._mean if self.exact else 0.0)
         if covariance is not None:
             root = covariance_root("covariance", covariance, n)
             covariance = root @ root.T
@@ -309,7 +306,7 @@ class DiscreteSmoother:
         (N, m) array, estimates of w at the ends of the intervals
         (N, m) array, the standard deviations of their errors
         """
-        found, spread, _ = self._exact("two_sided").whole(*self._given(y, reference, inputs))
+        found, spread = self._exact("two_sided").two_sided(*self._given(y, reference, inputs))
         return found + self._w, spread
 
     def innovations(
@@ -336,7 +333,7 @@ class DiscreteSmoother:
         --------
         robsmooth.check_record : tells whether they are what the model says.
         """
-        return self._exact("innovations").whole(*self._given(y, reference, inputs))[2]
+        return self._exact("innovations").innovations(*self._given(y, reference, inputs))
 
     def _exact(self, name: str) -> ExactFilter:
         if isinstance(self._engine, ExactFilter):
@@ -362,7 +359,8 @@ class DiscreteSmoother:
         reference = self._beside("reference", reference, self.g, len(y))
         if inputs is None and self.p:
             raise ValueError(f"inputs must be given: the system has {self.p}; zeros where none act")
-        inputs = self._beside("inputs", inputs, self.p, len(y)) if inputs is not None else None
+        if inputs is not None:
+            inputs = self._beside("inputs", inputs, self.p, len(y))
         y = y - self._offset if self._offset.any() else y
         return y, np.ascontiguousarray(reference[:, self._running] - self._shift), inputs
 

@@ -10,7 +10,6 @@ and runs as such (`robsmooth.estimators.discrete`).
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from robsmooth.estimators.exact_loop import (
     spread_of,
 )
 from robsmooth.estimators.kalman import kalman_gain
-from robsmooth.estimators.sample_loop import Interpreted, compiled_copies
+from robsmooth.estimators.sample_loop import check_state, loop_of
 from robsmooth.systems.delay import pade_delay
 
 _STANDING = 1e-13  # of the fastest mode's rate: a mode that decays by less does not
@@ -68,11 +67,7 @@ class ExactFilter:
                 "delay='model', or a longer dt"
             )
         self._prior, self._unknown, self._stationary = self._before(in_lock=bool(functions))
-        self._copies, self._compiled = None, compiled
-        if functions:
-            self._copies = compiled_copies(tuple(functions))
-            if not compiled:
-                self._copies = Interpreted(functions)
+        self._advance = loop_of(advance, advance_linear, tuple(functions), compiled)
 
     @one_thread
     def _in_samples(self, dt: float) -> tuple[Sampled, tuple[Floats, Floats]]:
@@ -181,17 +176,24 @@ class ExactFilter:
         self.memory = memory
         return result, deviations
 
-    def whole(
+    def two_sided(
         self, y: Floats, reference: Floats, inputs: Floats | None
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return two-sided estimates, deviations and normalised innovations of a whole record."""
+    ) -> tuple[Floats, Floats]:
+        """Return the estimates and deviations from a whole record."""
         memory, readout, lags = self._fresh(len(y)), self._outputs["filtered"], np.arange(len(y))
-        result, normalised = np.empty((len(y), len(readout))), np.empty_like(y)
-        none, deviations = np.empty((len(y), 0, len(readout))), np.zeros_like(result)
-        self._run(memory, "filtered", [], (y, reference, inputs), none, none[:0], normalised)
+        result, deviations = np.empty((2, len(y), len(readout)))
+        none = np.empty((len(y), 0, len(readout)))
+        self._run(memory, "filtered", [], (y, reference, inputs), none, none[:0], y[:0])
         read(memory, readout, lags, 0, result)
         spread_of(memory, readout, lags, 0, deviations)
-        return result[::-1], deviations[::-1], normalised
+        return result[::-1], deviations[::-1]
+
+    def innovations(self, y: Floats, reference: Floats, inputs: Floats | None) -> Floats:
+        """Return the normalised innovations of a whole record."""
+        result, none = np.empty_like(y), np.empty((len(y), 0, self._model.m))
+        memory = self._fresh(0)
+        self._run(memory, "filtered", [], (y, reference, inputs), none, none[:0], result)
+        return result
 
     def _run(
         self,
@@ -207,17 +209,11 @@ class ExactFilter:
             drive += inputs @ self._inputs[0].T
             known += inputs @ self._inputs[1].T
         how = self._outputs[output], np.array(lags, dtype=int), self._within(output)
-        run = advance_linear
-        if self._copies is not None:
-            run = partial(
-                advance if self._compiled else getattr(advance, "py_func", advance), self._copies
-            )
         try:
-            run(self._sampled, memory, *how, (y, known, drive, reference), *results)
+            self._advance(self._sampled, memory, *how, (y, known, drive, reference), *results)
         except np.linalg.LinAlgError:
             memory.P[:] = np.inf
-        if not np.isfinite(memory.x).all():
-            raise ArithmeticError("the estimator's state left the range of floating-point numbers")
+        check_state(memory.x)
         if not np.isfinite(memory.P).all():
             raise ArithmeticError(
                 "the covariance of the error left the range of floating-point numbers: with too "

@@ -33,9 +33,8 @@ Kalman filter", Ann. Stat. 19(2), 1991). With :math:`V \leftarrow \Psi V`, they 
 :math:`e_k - HV\delta`, and :math:`\delta` and its covariance, added to estimate and covariance, are
 those of least squares.
 
-What a copy gives, :math:`\mu =
-\psi(C_\nu\hat x - r)`, is taken at the beginning of a sample and, predicted, at its end, and held
-to be linear in time.
+What a copy gives, :math:`\mu = \psi(C_\nu\hat x - r)`, is taken at the beginning of a sample and,
+predicted, at its end, and held to be linear in time.
 """
 
 from typing import NamedTuple
@@ -279,22 +278,21 @@ def read(memory, readout, lags, within, result):
 def spread_of(memory, readout, lags, within, result):
     """Write the standard deviations of the errors of these estimates."""
     samples, ring, n = memory.counts[0], len(memory.states), len(memory.x)
-    information, done = np.zeros((n, n)), 0
+    known, information, done, slot = _known(memory), np.zeros((n, n)), 0, samples % max(ring, 1)
     for at in range(len(lags)):
-        if lags[at] + within > _known(memory):
+        if lags[at] + within > known:
             result[at] = np.nan
             continue
-        for d in range(done + 1, lags[at] + 1):
-            slot = (samples - d) % ring
+        for _ in range(done, lags[at]):
+            slot = (slot if slot else ring) - 1
             closed = memory.transitions[slot]
             information = np.ascontiguousarray(closed.T) @ information @ closed
             information += np.ascontiguousarray(memory.sights[slot].T) @ memory.sights[slot]
         done = lags[at]
-        covariance = memory.P.copy()
+        covariance, lost = memory.P.copy(), False
         if done > 0:
-            P = memory.covariances[(samples - done) % ring]
+            P, lost = memory.covariances[slot], memory.lost[slot]
             covariance = P - P @ information @ P
-        lost = done > 0 and memory.lost[(samples - done) % ring]
         for i in range(len(readout)):
             variance = max(readout[i] @ covariance @ readout[i], 0.0)
             result[at, i] = np.nan if lost else np.sqrt(variance)

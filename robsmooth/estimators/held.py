@@ -1,7 +1,6 @@
 r"""An estimator as it is in continuous time, with each sample held over its interval.
 
-With `y` held at
-its mean, an estimator
+With `y` held at its mean, an estimator
 
 .. math::
 
@@ -64,7 +63,8 @@ class HeldEstimator:
         self._C_nu = np.ascontiguousarray(estimator.C_c[system.m :][running])
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
         self._sizes = sample_loop.sizes_of(self.states, system.l, system.m, len(running))
-        self._advance = sample_loop.sample_loop(tuple(functions), compiled)
+        loops = sample_loop.advance, sample_loop.advance_linear
+        self._advance = sample_loop.loop_of(*loops, tuple(functions), compiled)
         self._patterns: dict[bytes, int] = {}  # of missing channels, to a row of the steps
         self._steps: Steps | None = None
         self._pattern(np.zeros(system.l, dtype=bool))
@@ -95,8 +95,7 @@ class HeldEstimator:
         readout, record = self._outputs[output], self._record(y, reference)
         state, result = self.memory.copy(), np.empty((len(y), len(readout)))
         self._advance(self._sizes, self._steps, self._C_nu, readout, record, state, result)
-        if not np.isfinite(state).all():
-            raise ArithmeticError("the estimator's state left the range of floating-point numbers")
+        sample_loop.check_state(state)
         self.memory = state
         return result[:, None], result[:0, None]
 

@@ -121,11 +121,26 @@ def _no_copies(arguments, values):
     pass
 
 
-def sample_loop(functions: tuple[Callable[[Any], Any], ...], compiled: bool) -> Callable:
-    """Return the loop over samples, a function of what follows `copies` in `_advance`."""
+def loop_of(
+    loop: Callable, linear: Callable, functions: tuple[Callable[[Any], Any], ...], compiled: bool
+) -> Callable:
+    """Return a loop over samples as a function of what follows `copies`; `linear` has none."""
+    if not functions:
+        return linear
     if compiled:
-        return partial(_advance, compiled_copies(functions)) if functions else _advance_linear
-    return partial(_interpret, Interpreted(functions))
+        return partial(loop, compiled_copies(functions))
+    return partial(_interpret, loop, Interpreted(functions))
+
+
+def _interpret(loop: Callable, *given: Any) -> None:
+    """Run a loop with functions that are not compiled; this can be pickled by its name."""
+    getattr(loop, "py_func", loop)(*given)
+
+
+def check_state(state: NDArray[np.float64]) -> None:
+    """Raise an ArithmeticError where a state is not finite."""
+    if not np.isfinite(state).all():
+        raise ArithmeticError("the estimator's state left the range of floating-point numbers")
 
 
 class Interpreted:
@@ -150,7 +165,7 @@ def sizes_of(*counts: int) -> tuple[tuple[float, ...], ...]:
 
 
 @njit
-def _advance(copies, sizes, steps, C_nu, readout, record, state, result):
+def advance(copies, sizes, steps, C_nu, readout, record, state, result):
     """Take all samples of a `Record`, and write `state` and `result`."""
     states, measurements, outputs, g = len(sizes[0]), len(sizes[1]), len(sizes[2]), len(sizes[3])
     x = np.empty((2, states))  # now, and at the end of the sample
@@ -199,11 +214,6 @@ def _subtract(C_nu, x, row, reference, k, arguments):
 
 
 @kept()
-def _advance_linear(sizes, steps, C_nu, readout, record, state, result):
-    """Do as `_advance` for an estimator without copies; it need not be compiled anew."""
-    _advance(None, sizes, steps, C_nu, readout, record, state, result)
-
-
-def _interpret(copies, *others):
-    """Do as `_advance` with functions that are not compiled; this can be pickled by its name."""
-    getattr(_advance, "py_func", _advance)(copies, *others)
+def advance_linear(sizes, steps, C_nu, readout, record, state, result):
+    """Do as `advance` for an estimator without copies; it need not be compiled anew."""
+    advance(None, sizes, steps, C_nu, readout, record, state, result)
