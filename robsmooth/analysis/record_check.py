@@ -13,7 +13,7 @@ from robsmooth._support.extras import extra
 from robsmooth.estimators.discrete import DiscreteSmoother
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 _LEVEL = 0.01  # how often one of the three tests is wrong about a record of the model
 _LAGS = 20
@@ -83,12 +83,11 @@ class RecordCheck:
             f"p_mean_square={self.p_mean_square:.2g}, p_white={self.p_white:.2g})"
         )
 
-    def plot(self) -> "Figure":
+    def plot(self) -> "tuple[Axes, Axes]":
         """Draw the mean squares along the record and the correlations; matplotlib is needed."""
         with extra("plot", "a plot"):
-            from matplotlib.figure import Figure
-        figure = Figure(figsize=(7.0, 3.0), layout="constrained")
-        along, between = figure.subplots(1, 2)
+            from matplotlib import pyplot as plt
+        figure, (along, between) = plt.subplots(1, 2, figsize=(7.0, 3.0), layout="constrained")
         squares = np.array_split(self.innovations**2, min(50, len(self.innovations)))
         counts = np.array([np.isfinite(part).sum() for part in squares])
         means = [
@@ -105,7 +104,7 @@ class RecordCheck:
         between.plot(lags, self.correlations.reshape(len(lags), -1), "k.")
         between.set(xlabel="lag (samples)", ylabel="in standard deviations", title="correlations")
         figure.legend(*between.get_legend_handles_labels(), loc="outside lower center")
-        return figure
+        return along, between
 
 
 def check_record(

@@ -65,15 +65,17 @@ def test_an_offset_is_found_out_and_taken_off():
 
 
 def test_what_is_drawn_is_what_was_found():
-    pytest.importorskip("matplotlib")
+    plt = pytest.importorskip("matplotlib.pyplot")
     y = record(SENSORS, np.random.default_rng(3))
     found = rs.check_record(smoother(), y, lags=7)
-    along, between = found.plot().axes
+    along, between = found.plot()
     drawn = [line.get_ydata()[0] for line in between.lines]
     assert_array_equal(drawn, found.correlations[0].ravel())
     assert len(along.lines[0].get_xdata()) == 50
     assert np.average(along.lines[0].get_ydata()) == pytest.approx(found.mean_square, rel=0.02)
     assert along.get_xlabel() == "time (s)"
+    assert plt.gcf() is along.figure  # pyplot shows it, in a notebook, too
+    plt.close(along.figure)
 
 
 def test_what_is_too_short_to_tell_is_not_told():
