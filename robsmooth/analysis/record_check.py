@@ -89,15 +89,14 @@ class RecordCheck:
             from matplotlib import pyplot as plt
         figure, (along, between) = plt.subplots(1, 2, figsize=(7.0, 3.0), layout="constrained")
         squares = np.array_split(self.innovations**2, min(50, len(self.innovations)))
-        counts = np.array([np.isfinite(part).sum() for part in squares])
-        means = [
-            np.nansum(part) / max(count, 1) for part, count in zip(squares, counts, strict=True)
-        ]
+        counts = np.array([np.isfinite(part).sum() for part in squares], dtype=float)
+        counts[counts == 0.0] = np.nan
+        means = np.array([np.nansum(part) for part in squares]) / counts
         time = self.dt * np.cumsum([len(part) for part in squares])
         within = {"color": "0.85", "label": "99% of records of the model"}
-        low, high = chi2.interval(1.0 - _LEVEL, np.maximum(counts, 1)) / np.maximum(counts, 1)
+        low, high = chi2.interval(1.0 - _LEVEL, counts) / counts
         along.fill_between(time, low, high, step="pre", **within)
-        along.plot(time, np.where(counts, means, np.nan), "k.", drawstyle="steps-pre")
+        along.plot(time, means, "k.")
         along.set(xlabel="time (s)", ylabel="innovations squared", title="mean squares (model: 1)")
         lags = np.arange(1, 1 + len(self.correlations))
         between.axhspan(*norm.interval(1.0 - _LEVEL), **within)
