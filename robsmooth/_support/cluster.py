@@ -182,7 +182,9 @@ def _on_cluster(function: Callable, calls: Iterable[tuple], client: "Client") ->
             if not pending:
                 return
             if _has_ended(pending[0]):
-                yield _result(pending.popleft(), client)
+                for result in _result(pending[0], client):
+                    pending.popleft()
+                    yield result
     finally:
         for future in pending:  # else an error's traceback would keep them
             with suppress(RuntimeError):  # there is no connection any more
@@ -196,12 +198,12 @@ def _has_ended(future: "Future") -> bool:
     return future.done()
 
 
-def _result(future: "Future", client: "Client") -> Any:
-    """Take the result of a call that has ended off the cluster."""
+def _result(future: "Future", client: "Client") -> list[Any]:
+    """Take the result of a call that has ended; it is gone again where its worker left with it."""
     from distributed import KilledWorker
 
     try:
-        return future.result(timeout=ANSWER_TIME)
+        return [future.result(timeout=ANSWER_TIME)]
     except KilledWorker as error:
         ended = f"the same call was on {error.allowed_failures + 1} worker(s) that ended"
         raise RuntimeError(f"{ended}: it may need more memory than they have") from None
@@ -213,6 +215,8 @@ def _result(future: "Future", client: "Client") -> Any:
     except (OSError, CancelledError) as error:
         if future.status == "error":  # the function's own
             raise
+        if isinstance(error, TimeoutError) and client.status == "running":
+            return []  # the scheduler, where it answers, has it computed anew
         raise _lost(client) from error
 
 

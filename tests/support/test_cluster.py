@@ -286,6 +286,31 @@ def test_workers_that_all_leave_are_missed_after_a_while(monkeypatch):
             deque(results, maxlen=0)
 
 
+def test_a_worker_that_leaves_with_a_result_is_waited_for(monkeypatch):
+    monkeypatch.setattr(cluster_module, "LOOK_EVERY", 0.1)
+    monkeypatch.setattr(cluster_module, "ANSWER_TIME", 0.5)
+    has_ended = cluster_module._has_ended
+    with cluster_of_threads() as (cluster, client):
+
+        def ended_and_left(future):
+            ended = has_ended(future)
+            if ended and not left:
+                cluster.scale(0)
+                wait_until(lambda: not client.scheduler_info()["workers"])
+                left.append(future.key)
+                cluster.scale(joins)
+            return ended
+
+        monkeypatch.setattr(cluster_module, "_has_ended", ended_and_left)
+        left, joins = [], 1
+        assert list(in_order(abs, numbers(3), client)) == [0, 1, 2]
+        assert left
+        monkeypatch.setattr(cluster_module, "JOIN_TIME", 0.5)
+        left, joins = [], 0
+        with pytest.raises(ConnectionError, match="no worker has joined"):
+            list(in_order(abs, numbers(3), client))
+
+
 def test_a_worker_with_other_software_is_refused(client, monkeypatch):
     mine = {**cluster_module.software(), "numpy": "1.0", "robsmooth": "0" * 64}
     monkeypatch.setattr(cluster_module, "software", lambda: mine)
