@@ -1,0 +1,253 @@
+"""Files with a row for each sample: CSV and Parquet by PyArrow, NPY by NumPy."""
+
+import csv
+import gzip
+import io
+import os
+import re
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tokenize import TokenError
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from robsmooth._support import validation
+from robsmooth._support.extras import extra
+from robsmooth._support.validation import Matrix
+
+BLOCK = 1 << 18  # bytes of a CSV file at a time, and more than a line of it has
+DATE = re.compile(r"\d{4}-\d\d-\d\d(?:[T ][\d:.]*(Z|[-+]\d\d:?\d\d)?)?")
+MISSING = ("", "NA", "N/A", "#N/A", "null", "nan", ".")
+NO_NAMES = ("None", "<NA>", "NaT", "-", "--", "?")  # gaps of others rather than names of columns
+DELIMITERS = {".csv": ",", ".tsv": "\t", ".parquet": "", ".npy": ""}
+
+
+def pyarrow() -> ModuleType:
+    """Return PyArrow, which an extra brings."""
+    with extra("records", "a CSV or Parquet file"):
+        import pyarrow.csv
+        import pyarrow.parquet
+    return pyarrow
+
+
+def delimiter_of(name: str, path: Path, given: str | None) -> str:
+    """Return what stands between the cells of a file of this suffix, nothing where it has none."""
+    suffix = Path(path.name.lower().removesuffix(".gz")).suffix
+    if suffix not in DELIMITERS or (path.exists() and not path.is_file()):
+        allowed = ", ".join(DELIMITERS)
+        raise ValueError(
+            f"{name} must be a file, no pipe or device, ending in {allowed}, got {path}"
+        )
+    if given is not None and not re.fullmatch(r"(?![\w\"'.+-])[\t -~]", str(given)):
+        allowed = "one character of ASCII, not a quote and in no number"
+        raise ValueError(f"delimiter must be {allowed}, got {given!r}")
+    return DELIMITERS[suffix] and (given or DELIMITERS[suffix])
+
+
+class Record:
+    """A file with a row for each sample."""
+
+    unit, first, read, advice = "row", 0, 0, ""  # read: how much of the size so far
+    names: Sequence[str] = ()
+    keys: Sequence[Any]  # of the columns, for the library
+    dates: dict[int, Any] = {}  # noqa: RUF012
+    begin: Any = None  # the first date; dates are read as seconds since then
+
+    def name(self, column: int) -> str:
+        """Return what a column is called in messages."""
+        return f"column {column}" + (f" ({self.names[column]!r})" if self.names else "")
+
+
+class Npy(Record):
+    """An NPY file. It is mapped anew for each chunk: what was read need not stay in memory."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        array = self._mapped()
+        if array.dtype.kind not in "iuf":
+            raise TypeError(f"{path} must hold real numbers, got entries of {array.dtype}")
+        if array.ndim not in (1, 2):
+            raise ValueError(f"{path} must hold an array (N, columns), got shape {array.shape}")
+        self.size, self.keys = len(array), range(array.shape[1] if array.ndim == 2 else 1)
+
+    def _mapped(self) -> Matrix:
+        try:
+            return npy.open_memmap(self.path, mode="r")
+        except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
+            plain = "plain numbers, without Python objects, which are never unpickled"
+            raise ValueError(f"{self.path} must be an NPY file of {plain}: {error}") from None
+
+    def rows(self, columns: list[int], chunk: int) -> Iterator[Matrix]:
+        """Yield columns of the next rows."""
+        for i in range(0, self.size, chunk):
+            part = self._mapped()[i : i + chunk].reshape(-1, len(self.keys))
+            self.read = i + len(part)
+            yield part[:, columns].astype(float)
+
+
+class Parquet(Record):
+    """A Parquet file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with self._failures(), pyarrow().parquet.ParquetFile(path) as file:
+            self.size, schema = file.metadata.num_rows, file.schema_arrow
+        self.names = self.keys = schema.names
+        dates = [(i, t) for i, t in enumerate(schema.types) if re.match("timestamp|date", str(t))]
+        self.dates = {i: pyarrow().timestamp("ns", getattr(t, "tz", None)) for i, t in dates}
+
+    @contextmanager
+    def _failures(self) -> Iterator[None]:
+        """Say in which file, and where in it, a library found something wrong."""
+        wrong = EOFError, zlib.error, gzip.BadGzipFile, csv.Error, pyarrow().ArrowException
+        try:
+            yield
+        except wrong as error:
+            what = re.sub(r"Row #(\d+)", lambda n: f"line {self.first + int(n[1]) - 1}", str(error))
+            raise ValueError(f"{self.path}: {what[:200]}{self.advice}") from None
+
+    def rows(self, columns: list[int], chunk: int) -> Iterator[Matrix]:
+        """Yield columns of the next rows."""
+        kinds = {self.keys[i]: self.dates.get(i, pyarrow().float64()) for i in columns}
+        with self._failures():
+            for batch in self._batches(kinds, chunk):
+                for part in (batch[i : i + chunk] for i in range(0, len(batch), chunk)):
+                    numbers = [self._numbers(part[key], kind) for key, kind in kinds.items()]
+                    yield np.column_stack(numbers)
+
+    def _numbers(self, column: Any, kind: Any) -> Matrix:
+        if str(column.type) == "bool":
+            raise TypeError(f"{self.path} must hold real numbers, got booleans")
+        values = column.cast(kind, safe=False).to_numpy(zero_copy_only=False)
+        if values.dtype.kind == "M":
+            self.begin = values[0] if self.begin is None else self.begin
+            values = (values - self.begin) / np.timedelta64(1, "s")
+        return values
+
+    def _batches(self, kinds: dict[str, Any], chunk: int) -> Iterator[Any]:
+        with pyarrow().parquet.ParquetFile(self.path) as file:
+            for batch in file.iter_batches(chunk, columns=list(kinds)):
+                self.read += len(batch)
+                yield batch
+
+
+class Csv(Parquet):
+    """A CSV file, as it is or in gzip."""
+
+    unit = "B"
+    advice = "; header=, skip_rows=, columns=, delimiter=, decimal= and missing= say how to read it"
+
+    def __init__(self, path: Path, delimiter: str, *dialect: Any) -> None:
+        decimal, header, skip, missing = dialect
+        if validation.choice("decimal", decimal, (".", ",")) == delimiter:
+            raise ValueError(f"delimiter and decimal must differ, got {decimal!r} for both")
+        gaps = [missing] if isinstance(missing, str) else missing
+        if not isinstance(gaps, Sequence):
+            raise TypeError(f"missing must be the words for a gap, got {missing!r}")
+        gaps = [*gaps, *(f" {word}" for word in gaps)]
+        self._values = {"decimal_point": decimal, "null_values": gaps}
+        self._parse = pyarrow().csv.ParseOptions(delimiter=delimiter)
+        self.path, self.size = path, path.stat().st_size
+        self.first = 1 + validation.integer("skip_rows", skip, low=0)
+        with self._failures(), _Text(path, skip) as text:
+            lines = [text.readline(BLOCK) for _ in range(2)]
+            for rule, broken in {
+                "begin with a header or a row of numbers, not a blank": not lines[0].strip(),
+                f"have lines of less than {BLOCK} bytes": BLOCK in map(len, lines),
+                "be text in UTF-8 with line ends of LF": re.search(rb"\0|\r(?!\n)", lines[0]),
+                "have one space between numbers": delimiter == " " and b"  " in lines[0],
+            }.items():
+                if broken:
+                    raise ValueError(f"{path} must {rule}")
+            rows = csv.reader(
+                (b.decode("utf-8-sig", "replace") for b in lines), delimiter=delimiter
+            )
+            head, below = ([cell.strip() for cell in next(rows, ())] for _ in lines)
+        self.keys = [str(i) for i in range(len(head))]
+        if self._has_names(head, below) if header is None else validation.boolean("header", header):
+            self.names, self.first, head = head, self.first + 1, below
+        dates = [(i, date) for i, cell in enumerate(head) if (date := DATE.fullmatch(cell))]
+        self.dates = {i: pyarrow().timestamp("ns", date[1] and "UTC") for i, date in dates}
+
+    def _has_names(self, cells: list[str], below: list[str]) -> bool:
+        """Return whether the first line is a header; refuse one that may have samples, too."""
+        gaps = {word.lower() for word in (*self._values["null_values"], *MISSING, *NO_NAMES)}
+        given = [cell for cell in cells if cell.lower() not in gaps]
+        numbers = [cell for cell in given if re.match(r"[-+.]?\d", cell)]
+        below = [cell for cell in below if re.fullmatch(r"[-+]?\d*[.,]\d+(e.*)?", cell)]
+        counted = below or given == [str(i) for i in range(len(given))]
+        labels = counted and all(map(str.isdecimal, given)) and len({*given}) == len(given)
+        if 0 < len(numbers) < len(given) or labels:
+            line = f"{self.path}, line {self.first}, {','.join(cells)[:60]!r},"
+            raise ValueError(f"{line} may be a header or a sample: say header=True or header=False")
+        return not numbers
+
+    def _batches(self, kinds: dict[str, Any], chunk: int) -> Iterator[Any]:
+        pc, rows, kept = pyarrow().csv, 0, {"include_columns": list(kinds), "column_types": kinds}
+        layout = pc.ReadOptions(use_threads=False, block_size=BLOCK, column_names=self.keys)
+        with _Text(self.path, self.first - 1) as text:
+            if not text.peek().strip(b"\r\n"):
+                return
+            values = pc.ConvertOptions(**self._values, **kept)
+            for batch in pc.open_csv(text, layout, self._parse, values):
+                rows, self.read = rows + len(batch), os.lseek(text.fileno(), 0, os.SEEK_CUR)
+                yield batch
+            if rows != text.lines:
+                raise csv.Error(f"{text.lines} lines hold {rows} rows: a quote runs over several")
+
+
+class _Text(io.BufferedReader):
+    """The text of a CSV file, of which only the last lines may be blank."""
+
+    def __init__(self, path: Path, skip: int) -> None:
+        with open(path, "rb") as file:
+            zipped = file.read(2) == b"\x1f\x8b"
+        super().__init__(gzip.GzipFile(path) if zipped else io.FileIO(path))  # type: ignore
+        self.lines, self._end = 0, b"\n"  # of those that were read, and with what these ended
+        for _ in range(skip):
+            self.readline()
+
+    def read(self, size: int | None = -1) -> bytes:
+        block = super().read(size)
+        text = self._end + block
+        body = text.rstrip(b"\r\n")
+        if blank := re.search(rb"\n\r?\n", body):
+            row = self.lines + body.count(b"\n", 0, blank.start()) + 1
+            raise csv.Error(f"Row #{row}: blank; a row of gaps has its nan or delimiters")
+        self.lines, self._end = self.lines + body.count(b"\n"), text[len(body) :]
+        return block
+
+
+def opened(path: Path, delimiter: str | None, *dialect: Any) -> Npy | Parquet:
+    """Open a record; the dialect is that of `Csv`."""
+    if mark := delimiter_of("source", path, delimiter):
+        return Csv(path, mark, *dialect)
+    if dialect != (".", None, 0, MISSING):
+        raise ValueError(f"decimal, header, skip_rows and missing are for CSV files, not {path}")
+    return Npy(path) if path.suffix.lower() == ".npy" else Parquet(path)
+
+
+@contextmanager
+def writer(path: Path, outputs: int, delimiter: str, date: Any) -> Iterator[Any]:
+    """Give what appends rows to an NPY file or, with their times, to a CSV file."""
+    if delimiter:
+        pa, names = pyarrow(), ["time", *(f"w[{i}]" for i in range(outputs))]
+        kinds = [date or pa.float64(), *outputs * [pa.float64()]]
+        schema = pa.schema(list(zip(names, kinds, strict=True)))
+        bare = {"include_header": False, "quoting_style": "none", "delimiter": delimiter}
+        with pa.output_stream(path) as file:  # in gzip where the path ends so
+            file.write(f"{delimiter.join(names)}\n".encode())
+            with pa.csv.CSVWriter(file, schema, write_options=pa.csv.WriteOptions(**bare)) as table:
+                yield lambda times, w: table.write(pa.table([times, *w.T], schema=schema))
+        return
+    with open(path, "wb") as file:
+        file.write(bytes(128))  # for the header
+        yield lambda _, w: file.write(w.astype("<f8").tobytes())
+        shape = (file.tell() - 128) // (8 * outputs), outputs
+        file.seek(0)
+        npy.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": shape})
