@@ -6,11 +6,10 @@ import io
 import os
 import re
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tokenize import TokenError
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ NO_NAMES = ("None", "<NA>", "NaT", "-", "--", "?")  # gaps of others rather than
 DELIMITERS = {".csv": ",", ".tsv": "\t", ".parquet": "", ".npy": ""}
 
 
-def pyarrow() -> ModuleType:
+def pyarrow() -> Any:
     """Return PyArrow, which an extra brings."""
     with extra("records", "a CSV or Parquet file"):
         import pyarrow.csv
@@ -52,11 +51,9 @@ def delimiter_of(name: str, path: Path, given: str | None) -> str:
 class Record:
     """A file with a row for each sample."""
 
-    unit, first, read, advice = "row", 0, 0, ""  # read: how much of the size so far
+    unit, first, read, advice = "row", 0, 0, ""  # of the size; the first row; how much was read
     names: Sequence[str] = ()
-    keys: Sequence[Any]  # of the columns, for the library
-    dates: dict[int, Any] = {}  # noqa: RUF012
-    begin: Any = None  # the first date; dates are read as seconds since then
+    dates: Mapping[int, Any] = {}  # the types of columns of dates, which are read as Unix seconds
 
     def name(self, column: int) -> str:
         """Return what a column is called in messages."""
@@ -67,25 +64,22 @@ class Npy(Record):
     """An NPY file. It is mapped anew for each chunk: what was read need not stay in memory."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        array = self._mapped()
+        try:
+            array = npy.open_memmap(path, mode="r")
+        except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
+            plain = "plain numbers, without Python objects, which are never unpickled"
+            raise ValueError(f"{path} must be an NPY file of {plain}: {error}") from None
         if array.dtype.kind not in "iuf":
             raise TypeError(f"{path} must hold real numbers, got entries of {array.dtype}")
         if array.ndim not in (1, 2):
             raise ValueError(f"{path} must hold an array (N, columns), got shape {array.shape}")
-        self.size, self.keys = len(array), range(array.shape[1] if array.ndim == 2 else 1)
-
-    def _mapped(self) -> Matrix:
-        try:
-            return npy.open_memmap(self.path, mode="r")
-        except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
-            plain = "plain numbers, without Python objects, which are never unpickled"
-            raise ValueError(f"{self.path} must be an NPY file of {plain}: {error}") from None
+        self.path, self.size = path, len(array)
+        self.keys = range(array.shape[1] if array.ndim == 2 else 1)
 
     def rows(self, columns: list[int], chunk: int) -> Iterator[Matrix]:
         """Yield columns of the next rows."""
         for i in range(0, self.size, chunk):
-            part = self._mapped()[i : i + chunk].reshape(-1, len(self.keys))
+            part = npy.open_memmap(self.path, mode="r")[i : i + chunk].reshape(-1, len(self.keys))
             self.read = i + len(part)
             yield part[:, columns].astype(float)
 
@@ -117,23 +111,22 @@ class Parquet(Record):
         with self._failures():
             for batch in self._batches(kinds, chunk):
                 for part in (batch[i : i + chunk] for i in range(0, len(batch), chunk)):
-                    numbers = [self._numbers(part[key], kind) for key, kind in kinds.items()]
-                    yield np.column_stack(numbers)
-
-    def _numbers(self, column: Any, kind: Any) -> Matrix:
-        if str(column.type) == "bool":
-            raise TypeError(f"{self.path} must hold real numbers, got booleans")
-        values = column.cast(kind, safe=False).to_numpy(zero_copy_only=False)
-        if values.dtype.kind == "M":
-            self.begin = values[0] if self.begin is None else self.begin
-            values = (values - self.begin) / np.timedelta64(1, "s")
-        return values
+                    yield np.column_stack([_numbers(part[key], kinds[key]) for key in kinds])
 
     def _batches(self, kinds: dict[str, Any], chunk: int) -> Iterator[Any]:
         with pyarrow().parquet.ParquetFile(self.path) as file:
             for batch in file.iter_batches(chunk, columns=list(kinds)):
+                if "bool" in map(str, batch.schema.types):
+                    raise TypeError(f"{self.path} must hold real numbers, got booleans")
                 self.read += len(batch)
                 yield batch
+
+
+def _numbers(column: Any, kind: Any) -> Matrix:
+    column = column.cast(kind, safe=False)
+    if str(kind) == "double":
+        return column.to_numpy(zero_copy_only=False)
+    return column.cast("int64").to_numpy(zero_copy_only=False) / 1e9
 
 
 class Csv(Parquet):
@@ -213,8 +206,7 @@ class _Text(io.BufferedReader):
             self.readline()
 
     def read(self, size: int | None = -1) -> bytes:
-        block = super().read(size)
-        text = self._end + block
+        text = self._end + (block := super().read(size))
         body = text.rstrip(b"\r\n")
         if blank := re.search(rb"\n\r?\n", body):
             row = self.lines + body.count(b"\n", 0, blank.start()) + 1
@@ -243,7 +235,8 @@ def writer(path: Path, outputs: int, delimiter: str, date: Any) -> Iterator[Any]
         with pa.output_stream(path) as file:  # in gzip where the path ends so
             file.write(f"{delimiter.join(names)}\n".encode())
             with pa.csv.CSVWriter(file, schema, write_options=pa.csv.WriteOptions(**bare)) as table:
-                yield lambda times, w: table.write(pa.table([times, *w.T], schema=schema))
+                as_given = (lambda t: np.round(1e6 * t).astype("M8[us]")) if date else np.asarray
+                yield lambda times, w: table.write(pa.table([as_given(times), *w.T], schema=schema))
         return
     with open(path, "wb") as file:
         file.write(bytes(128))  # for the header

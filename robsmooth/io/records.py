@@ -55,27 +55,25 @@ def smooth_record(
     ----------
     smoother : DiscreteSmoother, made by ``estimator.discretize(dt)``
     source : path
-        A ``.csv`` or ``.tsv`` file, as it is or in gzip, a ``.parquet`` file, or a ``.npy`` file
-        with an array (N, columns) or (N,). Where it has nan or a gap, a measurement is missing.
+        A ``.csv`` or ``.tsv`` file, in gzip or not, a ``.parquet`` file, or a ``.npy`` file with an
+        array (N, columns) or (N,). Where it has nan or a gap, a measurement is missing.
     target : path
-        For the estimates: a ``.csv`` or ``.tsv`` file, in gzip as ``.csv.gz``, with the columns
-        ``time``, ``w[0]``, ``w[1]``..., or a ``.npy`` file of an (N, m) array. A time is that of
-        w: the end of the row's interval less the `delay`, for the filtered estimate the end.
+        For the estimates: a ``.csv`` or ``.tsv`` file with the columns ``time``, ``w[0]``,
+        ``w[1]``..., in gzip as ``.csv.gz``, or a ``.npy`` file of an (N, m) array.
     columns, reference : int, str or sequence of them, optional
         The l columns that are measurements, by default all others, and the g ones of the reference
         of the nonlinearities, as in `DiscreteSmoother.run`: indices, or names of a header.
     time : int, str or False, optional
-        A column with the begins of the intervals, in s or as dates: a row that is missing, or a
-        wrong dt, is refused, and the times of the estimates are in its clock, Unix seconds or UTC
-        for example. By default they are those of `DiscreteSmoother.times`, and a column that looks
-        like times is refused as a measurement, and beside `columns` must go with dt or count rows,
+        A column with the begins of the rows' intervals, in s or dates: a row that is missing, or a
+        wrong dt, is refused, and the times of the estimates are in this clock, one dt and less the
+        `delay` after (filtered: one dt), or as in `DiscreteSmoother.times` by default. Then, too, a
+        column that looks like times is refused as a measurement and checked beside ``columns``,
         unless this is False.
     output : {"smoothed", "filtered"}, which estimates to write
-    delimiter : str, one character, of CSV files; by default a comma, in a ``.tsv`` file a tab
-    decimal : {".", ","}, the decimal mark of a CSV file
+    delimiter, decimal : str, one character each of CSV files, by their suffix and "." by default
     header : bool, optional
-        Whether a CSV file begins with names. By default it does where its first line has words and
-        no numbers, and one that may be either, as ``0,1`` or ``NA,NA``, is refused.
+        Whether a CSV file begins with names; by default whether its first line has words and no
+        numbers. One that may be either, as ``0,1`` or ``NA,NA``, is refused.
     skip_rows : int, lines of a CSV file before the header or the first sample
     missing : str or sequence of str, what stands in a CSV file where a measurement is missing
     chunk : int, rows in memory at a time
@@ -124,23 +122,16 @@ def smooth_record(
     chosen = _choice(record, smoother, columns, reference, time)
     timed = time is not None and time is not False
     shift = smoother.dt - (smoother.delay if output == "smoothed" else 0.0)
+    ends = [smoother.l, smoother.l + (0 if reference is None else smoother.g)]
     before = smoother.state, smoother.samples
     bar = progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress)
     rows, date = 0, record.dates.get(chosen[-1]) if timed else None
     try:
-        with (
-            bar,
-            atomic_path(target) as path,
-            formats.writer(path, smoother.m, mark, date) as write,
-        ):
-            for values in _checked(record, chosen, smoother, timed, chunk):
-                y, known, own = np.split(values, [smoother.l, len(chosen) - timed], axis=1)
+        with bar, atomic_path(target) as path, formats.writer(path, smoother.m, mark, date) as put:
+            for values in _checked(record, chosen, ends, smoother.dt, chunk):
+                y, known, own = np.split(values, ends, axis=1)
                 estimates = smoother.run(y, reference=known if known.size else None, output=output)
-                times = own[:, 0] + shift if timed else smoother.times(len(y), output)
-                write(
-                    record.begin + np.round(1e9 * times).astype("m8[ns]") if date else times,
-                    estimates,
-                )
+                put(own[:, 0] + shift if timed else smoother.times(len(y), output), estimates)
                 rows += len(y)
                 bar.update(record.read - bar.n)
     except BaseException:
@@ -154,21 +145,21 @@ def _choice(record: Record, smoother: DiscreteSmoother, *given: Columns) -> list
     columns, reference, time = given
     known = _positions(record, "reference", reference, smoother.g)
     times = _positions(record, "time", time, 1)
-    rest = [i for i in range(len(record.keys)) if i not in (*known, *times)]
-    if columns is not None:
-        measured = _positions(record, "columns", columns, smoother.l)
-        rest = [i for i in rest if i not in measured]
-    for i in rest if time is None else ():
-        if i in record.dates or _rises_evenly(record, i):
-            remedy = f"say time={i}, by which the rows are checked, or time=False"
-            raise ValueError(f"{record.path}: {record.name(i)} looks like times: {remedy}")
+    measured = _positions(record, "columns", columns, smoother.l)
+    rest = [i for i in range(len(record.keys)) if i not in (*known, *times, *measured)]
+    if time is None:
+        times = [i for i in rest if i in record.dates or _rises_evenly(record, i)][:1]
     if columns is None:
+        if time is None and times:
+            found, says = (
+                record.name(times[0]),
+                f"say time={times[0]}, or time=False where it is not",
+            )
+            raise ValueError(f"{record.path}: {found} looks like times: {says}")
         measured = _positions(record, "columns", rest, smoother.l)
     chosen = [*measured, *known, *times]
     if len({*chosen}) < len(chosen) or record.dates.keys() & {*measured, *known}:
-        raise ValueError(
-            f"columns, reference and time must be different and no dates, got {chosen}"
-        )
+        raise ValueError(f"columns, reference and time must be distinct, and no dates: {chosen}")
     return chosen
 
 
@@ -195,20 +186,19 @@ def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[
 
 
 def _rises_evenly(record: Record, column: int) -> bool:
-    """Return whether a column begins as times would, a few rows missing."""
+    """Return whether a column begins as times would, of which a few are missing."""
     with suppress(ValueError, TypeError):
-        values = next(record.rows([column], HEAD), np.empty((0, 1)))
-        if len(values) > 3 and np.isfinite(values).all() and (np.diff(values[:, 0]) > 0).all():
-            steps = np.diff(values[:, 0])
+        steps = np.diff(next(record.rows([column], HEAD), np.empty((0, 1)))[:, 0])
+        if len(steps) > 2 and (steps > 0).all():
             return float(np.mean(np.abs(steps / np.median(steps) - 1.0) < TIMING)) > 0.7
     return False
 
 
 def _checked(
-    record: Record, chosen: list[int], smoother: DiscreteSmoother, timed: bool, chunk: int
+    record: Record, chosen: list[int], ends: list[int], dt: float, chunk: int
 ) -> Iterator[Matrix]:
     """Yield the rows of a record whose numbers and times are as they must be."""
-    dt, done, begin, last = smoother.dt, 0, 0.0, 0.0
+    done, begin, last = 0, 0.0, 0.0
 
     def place(i: int, j: int) -> str:
         called = "line" if record.unit == "B" else "row"
@@ -216,22 +206,21 @@ def _checked(
 
     for values in record.rows(chosen, chunk):
         wrong = ~np.isfinite(values)
-        wrong[:, : smoother.l] &= ~np.isnan(values[:, : smoother.l])
+        wrong[:, : ends[0]] &= ~np.isnan(values[:, : ends[0]])
         if wrong.any():
             i, j = np.argwhere(wrong)[0]
             raise ValueError(f"{place(i, j)}: {values[i, j]} where there must be a finite number")
-        if timed:
-            times, count = values[:, -1], done + np.arange(len(values))
+        for times in values[:, ends[1] :].T:
+            count = done + np.arange(len(times))
             begin, last = (begin, last) if done else (times[0], times[0] - dt)
-            late = np.diff(times, prepend=last) / dt - 1.0
-            drift = (times - begin) / dt - count
-            wrong = (np.abs(late) >= TIMING) | (np.abs(drift) >= TIMING + DRIFT * count)
+            late, drift = np.diff(times, prepend=last) / dt, (times - begin) / dt - count
+            wrong = (np.abs(late - 1) >= TIMING) | (np.abs(drift) >= TIMING + DRIFT * count)
             if wrong.any():
                 i = int(wrong.argmax())
                 raise ValueError(
-                    f"{place(i, -1)}: the time {times[i]:.9g} s is {1 + late[i]:.6g} samples after "
-                    f"that of the row before and {drift[i]:+.6g} samples off the times of the "
-                    f"record's begin with dt = {dt:g} s"
+                    f"{place(i, -1)}: {times[i]:.15g} s is {late[i]:.6g} samples after the row "
+                    f"before and {drift[i]:+.6g} samples off the times of the record's begin with "
+                    f"dt = {dt:g} s; time=False takes all rows as regular"
                 )
             last = times[-1]
         yield values
