@@ -114,6 +114,7 @@ class Parquet(Record):
                     yield np.column_stack([_numbers(part[key], kinds[key]) for key in kinds])
 
     def _batches(self, kinds: dict[str, Any], chunk: int) -> Iterator[Any]:
+        self.read = 0
         with pyarrow().parquet.ParquetFile(self.path) as file:
             for batch in file.iter_batches(chunk, columns=list(kinds)):
                 if "bool" in map(str, batch.schema.types):
@@ -140,7 +141,7 @@ class Csv(Parquet):
         if validation.choice("decimal", decimal, (".", ",")) == delimiter:
             raise ValueError(f"delimiter and decimal must differ, got {decimal!r} for both")
         gaps = [missing] if isinstance(missing, str) else missing
-        if not isinstance(gaps, Sequence):
+        if not (isinstance(gaps, Sequence) and all(isinstance(word, str) for word in gaps)):
             raise TypeError(f"missing must be the words for a gap, got {missing!r}")
         gaps = [*gaps, *(f" {word}" for word in gaps)]
         self._values = {"decimal_point": decimal, "null_values": gaps}
@@ -157,9 +158,8 @@ class Csv(Parquet):
             }.items():
                 if broken:
                     raise ValueError(f"{path} must {rule}")
-            rows = csv.reader(
-                (b.decode("utf-8-sig", "replace") for b in lines), delimiter=delimiter
-            )
+            decoded = [line.decode("utf-8-sig", "replace") for line in lines]
+            rows = csv.reader(decoded, delimiter=delimiter)
             head, below = ([cell.strip() for cell in next(rows, ())] for _ in lines)
         self.keys = [str(i) for i in range(len(head))]
         if self._has_names(head, below) if header is None else validation.boolean("header", header):

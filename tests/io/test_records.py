@@ -188,7 +188,7 @@ def test_good_times_are_let_through(tmp_path, times):
 @pytest.mark.parametrize(
     ("times", "row", "message"),
     [
-        (np.delete(DT * np.arange(200), 150), 150, "is 2 samples after that of the row before"),
+        (np.delete(DT * np.arange(200), 150), 150, "is 2 samples after the row before"),
         (np.insert(DT * np.arange(200), 60, 60 * DT), 61, "is 0 samples after"),
         (1.01 * DT * np.arange(200), 56, r"\+0.56 samples off"),
         (2 * DT * np.arange(5), 1, "is 2 samples after"),
@@ -197,7 +197,7 @@ def test_good_times_are_let_through(tmp_path, times):
     ids=["a row is missing", "a row twice", "another dt", "twice the dt", "missing late"],
 )
 def test_rows_out_of_time_are_refused(tmp_path, times, row, message):
-    with pytest.raises(ValueError, match=rf"y.npy, row {row}, column 0: the time .*{message}"):
+    with pytest.raises(ValueError, match=rf"y.npy, row {row}, column 0: .*{message}"):
         smoothed(tmp_path, "y.npy", with_times(times), time=0, chunk=30)
 
 
@@ -369,6 +369,7 @@ def test_nothing_is_unpickled(tmp_path):
         ({"skip_rows": -1}, ValueError, "skip_rows must be an integer of at least 0"),
         ({"decimal": ";"}, ValueError, "decimal must be one of"),
         ({"missing": -999}, TypeError, "missing must be"),
+        ({"missing": [-999]}, TypeError, "missing must be"),
         ({"chunk": 0}, ValueError, "chunk must be an integer of at least 1"),
         ({"progress": 1}, TypeError, "progress must be True or False"),
         ({"columns": [0, 1], "output": "both"}, ValueError, "output must be one of"),
