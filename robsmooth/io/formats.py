@@ -228,12 +228,12 @@ def opened(path: Path, delimiter: str | None, *dialect: Any) -> Npy | Parquet:
 def writer(path: Path, outputs: int, delimiter: str, date: Any) -> Iterator[Any]:
     """Give what appends rows to an NPY file or, with their times, to a CSV file."""
     if delimiter:
-        pa, names = pyarrow(), ["time", *(f"w[{i}]" for i in range(outputs))]
-        kinds = [date or pa.float64(), *outputs * [pa.float64()]]
-        schema = pa.schema(list(zip(names, kinds, strict=True)))
+        pa, number = pyarrow(), pyarrow().float64()
+        w = [(f"w[{i}]", number) for i in range(outputs)]
+        schema = pa.schema([("time", date or number), *w])
         bare = {"include_header": False, "quoting_style": "none", "delimiter": delimiter}
         with pa.output_stream(path) as file:  # in gzip where the path ends so
-            file.write(f"{delimiter.join(names)}\n".encode())
+            file.write(f"{delimiter.join(schema.names)}\n".encode())
             with pa.csv.CSVWriter(file, schema, write_options=pa.csv.WriteOptions(**bare)) as table:
                 as_given = (lambda t: np.round(1e6 * t).astype("M8[us]")) if date else np.asarray
                 yield lambda times, w: table.write(pa.table([as_given(times), *w.T], schema=schema))
