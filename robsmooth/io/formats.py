@@ -23,7 +23,6 @@ BLOCK = 1 << 18  # bytes of a CSV file at a time, and more than a line of it has
 DATE = re.compile(r"\d{4}-\d\d-\d\d(?:[T ][\d:.]*(Z|[-+]\d\d:?\d\d)?)?")
 MISSING = ("", "NA", "N/A", "#N/A", "null", "nan", ".")
 NO_NAMES = ("None", "<NA>", "NaT", "-", "--", "?")  # gaps of others rather than names of columns
-DELIMITERS = {".csv": ",", ".tsv": "\t", ".parquet": "", ".npy": ""}
 
 
 def pyarrow() -> Any:
@@ -36,16 +35,19 @@ def pyarrow() -> Any:
 
 def delimiter_of(name: str, path: Path, given: str | None) -> str:
     """Return what stands between the cells of a file of this suffix, nothing where it has none."""
-    suffix = Path(path.name.lower().removesuffix(".gz")).suffix
-    if suffix not in DELIMITERS or (path.exists() and not path.is_file()):
-        allowed = ", ".join(DELIMITERS)
+    found = re.search(r"(\.csv|\.tsv)(\.gz)?$|\.npy$|\.parquet$", path.name.lower())
+    known = found and (name == "source" or found[0] != ".parquet")
+    if not known or (path.exists() and not path.is_file()):
+        allowed = ".csv, .csv.gz, .tsv, .tsv.gz or .npy" + (
+            ", or .parquet" if name == "source" else ""
+        )
         raise ValueError(
             f"{name} must be a file, no pipe or device, ending in {allowed}, got {path}"
         )
     if given is not None and not re.fullmatch(r"(?![\w\"'.+-])[\t -~]", str(given)):
         allowed = "one character of ASCII, not a quote and in no number"
         raise ValueError(f"delimiter must be {allowed}, got {given!r}")
-    return DELIMITERS[suffix] and (given or DELIMITERS[suffix])
+    return (given or {".csv": ",", ".tsv": "\t"}[found[1]]) if found[1] else ""
 
 
 class Record:
@@ -143,8 +145,6 @@ class Csv(Parquet):
         gaps = [missing] if isinstance(missing, str) else missing
         if not (isinstance(gaps, Sequence) and all(isinstance(word, str) for word in gaps)):
             raise TypeError(f"missing must be the words for a gap, got {missing!r}")
-        gaps = [*gaps, *(f" {word}" for word in gaps)]
-        self._values = {"decimal_point": decimal, "null_values": gaps}
         self._parse = pyarrow().csv.ParseOptions(delimiter=delimiter)
         self.path, self.size = path, path.stat().st_size
         self.first = 1 + validation.integer("skip_rows", skip, low=0)
@@ -153,7 +153,7 @@ class Csv(Parquet):
             for rule, broken in {
                 "begin with a header or a row of numbers, not a blank": not lines[0].strip(),
                 f"have lines of less than {BLOCK} bytes": BLOCK in map(len, lines),
-                "be text in UTF-8 with line ends of LF": re.search(rb"\0|\r(?!\n)", lines[0]),
+                "be text in UTF-8 with line ends of LF": re.search(rb"[\0-\10]|\r(?!\n)", lines[0]),
                 "have one space between numbers": delimiter == " " and b"  " in lines[0],
             }.items():
                 if broken:
@@ -161,6 +161,8 @@ class Csv(Parquet):
             decoded = [line.decode("utf-8-sig", "replace") for line in lines]
             rows = csv.reader(decoded, delimiter=delimiter)
             head, below = ([cell.strip() for cell in next(rows, ())] for _ in lines)
+        gaps = [*gaps, *(f" {word}" for word in gaps if word or len(head) > 1)]
+        self._values = {"decimal_point": decimal, "null_values": gaps}
         self.keys = [str(i) for i in range(len(head))]
         if self._has_names(head, below) if header is None else validation.boolean("header", header):
             self.names, self.first, head = head, self.first + 1, below
@@ -173,9 +175,9 @@ class Csv(Parquet):
         given = [cell for cell in cells if cell.lower() not in gaps]
         numbers = [cell for cell in given if re.match(r"[-+.]?\d", cell)]
         below = [cell for cell in below if re.fullmatch(r"[-+]?\d*[.,]\d+(e.*)?", cell)]
-        counted = below or given == [str(i) for i in range(len(given))]
-        labels = counted and all(map(str.isdecimal, given)) and len({*given}) == len(given)
-        if 0 < len(numbers) < len(given) or labels:
+        counted = [cell.removesuffix(".0") for cell in given] == [str(i) for i in range(len(given))]
+        distinct = all(map(str.isdecimal, given)) and len({*given}) == len(given)
+        if 0 < len(numbers) < len(given) or counted or (distinct and below):
             line = f"{self.path}, line {self.first}, {','.join(cells)[:60]!r},"
             raise ValueError(f"{line} may be a header or a sample: say header=True or header=False")
         return not numbers

@@ -28,6 +28,7 @@ DIALECTS = {
     "a dot": (GAPS.format("."), {}, ROWS),
     "quoted": (GAPS.format('""'), {}, ROWS),
     "after a space": ("I, Q\n1.5, -2\nNA, 0.25\n0.003, NA\n", {}, ROWS),
+    "a space": ("1.5,-2\n ,0.25\n0.003, \n", {}, ROWS),
     "-999": (GAPS.format("-999"), {"missing": "-999"}, ROWS),
     "two words": ("1.5,-2\nOVL,0.25\n0.003,-\n", {"missing": ["OVL", "-"]}, ROWS),
     "another word": (GAPS.format("OVL"), {}, r"line 2.* 'OVL'; .*missing= say how to read it"),
@@ -44,6 +45,8 @@ DIALECTS = {
     "numbered": ("0,1\n0.5,0.25\n", {}, EITHER),
     "numbered above counts": ("0,1\n2,3\n", {}, EITHER),
     "numbered, with an index": (",0,1\n0,0.5,0.25\n", {}, EITHER),
+    "numbered by floats": ("0.0,1.0\n0.5,0.25\n", {}, EITHER),
+    "floats": ("1.0,2.0\n0.5,0.25\n", {}, [[1, 2], [0.5, 0.25]]),
     "wavelengths": ("400,500\n0.5,0.25\n", {}, EITHER),
     "numbered, a header": ("0,1\n0.5,0.25\n", HEADER, [[0.5, 0.25]]),
     "numbered, a sample": ("0,1\n0.5,0.25\n", NO_HEADER, [[0, 1], [0.5, 0.25]]),
@@ -101,6 +104,7 @@ DIALECTS = {
     "gzip": (gzip.compress(b"1,2\n3,4\n"), {"name": "y.csv.gz"}, [[1, 2], [3, 4]]),
     "gzip by another name": (gzip.compress(b"I,Q\n1,2\n"), {}, [[1, 2]]),
     "gzip, cut off": (gzip.compress(GAPS.format("").encode())[:-9], {}, "y.csv: Compressed file"),
+    "xz": (b"\xfd7zXZ\0\0\4\n", {}, "must be text in UTF-8"),
     "a zip": (b"PK\x03\x04\x14\0\0\0\x08\0y.csv\n", {}, "must be text in UTF-8"),
 }
 

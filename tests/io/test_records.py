@@ -373,7 +373,9 @@ def test_nothing_is_unpickled(tmp_path):
         ({"chunk": 0}, ValueError, "chunk must be an integer of at least 1"),
         ({"progress": 1}, TypeError, "progress must be True or False"),
         ({"columns": [0, 1], "output": "both"}, ValueError, "output must be one of"),
-        ({"target": "out.txt"}, ValueError, "target must be a file, .* ending in .csv, .tsv,"),
+        ({"target": "out.txt"}, ValueError, "target must be a file, .* got .*out.txt"),
+        ({"target": "w.parquet"}, ValueError, "target must be a file, .* ending in .csv, .csv.gz,"),
+        ({"target": "w.npy.gz"}, ValueError, "target must be a file, .* ending in .csv, .csv.gz,"),
         ({"target": "y.csv"}, ValueError, "target must be another file than source"),
     ],
 )
@@ -426,6 +428,20 @@ def test_the_home_is_known_and_links_and_permissions_are_kept(tmp_path, monkeypa
     (tmp_path / "x.npy").symlink_to("y.npy")
     with pytest.raises(ValueError, match="target must be another file than source"):
         smooth_record(discrete(), "~/y.npy", "~/x.npy")
+
+
+def test_a_row_of_one_column_is_no_blank(tmp_path):
+    system = random_system(np.random.default_rng(0))
+    smoother = baselines.kalman_bucy(system).discretize(DT)
+    for text, message in (
+        ("0.5\n\n1.5\n", "line 2: blank"),
+        ("0.5\n1.5\n \n", "line 3: .*value ''"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            smoothed(tmp_path, "y.csv", text, smoother)
+    found = smoothed(tmp_path, "y.csv", '0.5\n""\nnan\n', smoother)
+    expected = baselines.kalman_bucy(system).discretize(DT).run([[0.5], [np.nan], [np.nan]])
+    assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("name", ["w.csv.gz", "w.tsv", "w.tsv.gz"])
