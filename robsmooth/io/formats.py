@@ -36,14 +36,10 @@ def pyarrow() -> Any:
 def delimiter_of(name: str, path: Path, given: str | None) -> str:
     """Return what stands between the cells of a file of this suffix, nothing where it has none."""
     found = re.search(r"(\.csv|\.tsv)(\.gz)?$|\.npy$|\.parquet$", path.name.lower())
-    known = found and (name == "source" or found[0] != ".parquet")
-    if not known or (path.exists() and not path.is_file()):
-        allowed = ".csv, .csv.gz, .tsv, .tsv.gz or .npy" + (
-            ", or .parquet" if name == "source" else ""
-        )
-        raise ValueError(
-            f"{name} must be a file, no pipe or device, ending in {allowed}, got {path}"
-        )
+    unwritten = found and name == "target" and found[0] == ".parquet"
+    if not found or unwritten or (path.exists() and not path.is_file()):
+        allowed = "that ends in .csv, .tsv, .csv.gz, .tsv.gz, .npy or, to be read, .parquet"
+        raise ValueError(f"{name} must be a file, no pipe or device, {allowed}, got {path}")
     if given is not None and not re.fullmatch(r"(?![\w\"'.+-])[\t -~]", str(given)):
         allowed = "one character of ASCII, not a quote and in no number"
         raise ValueError(f"delimiter must be {allowed}, got {given!r}")
@@ -177,18 +173,19 @@ class Csv(Parquet):
         below = [cell for cell in below if re.fullmatch(r"[-+]?\d*[.,]\d+(e.*)?", cell)]
         counted = [cell.removesuffix(".0") for cell in given] == [str(i) for i in range(len(given))]
         distinct = all(map(str.isdecimal, given)) and len({*given}) == len(given)
-        if 0 < len(numbers) < len(given) or counted or (distinct and below):
+        alike = not numbers and len({*given}) == 1 < len(given)  # a gap's word, perhaps
+        if 0 < len(numbers) < len(given) or counted or alike or (distinct and below):
             line = f"{self.path}, line {self.first}, {','.join(cells)[:60]!r},"
             raise ValueError(f"{line} may be a header or a sample: say header=True or header=False")
         return not numbers
 
     def _batches(self, kinds: dict[str, Any], chunk: int) -> Iterator[Any]:
-        pc, rows, kept = pyarrow().csv, 0, {"include_columns": list(kinds), "column_types": kinds}
+        pc, rows, names = pyarrow().csv, 0, list(kinds)
+        values = pc.ConvertOptions(**self._values, column_types=kinds, include_columns=names)
         layout = pc.ReadOptions(use_threads=False, block_size=BLOCK, column_names=self.keys)
         with _Text(self.path, self.first - 1) as text:
             if not text.peek().strip(b"\r\n"):
                 return
-            values = pc.ConvertOptions(**self._values, **kept)
             for batch in pc.open_csv(text, layout, self._parse, values):
                 rows, self.read = rows + len(batch), os.lseek(text.fileno(), 0, os.SEEK_CUR)
                 yield batch

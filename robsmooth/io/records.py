@@ -64,18 +64,19 @@ def smooth_record(
         The l columns that are measurements, by default all others, and the g ones of the reference
         of the nonlinearities, as in `DiscreteSmoother.run`: indices, or names of a header.
     time : int, str or False, optional
-        A column with the begins of the rows' intervals, in s or dates: a row that is missing, or a
-        wrong dt, is refused, and the times of the estimates are in this clock, one dt and less the
-        `delay` after (filtered: one dt), or as in `DiscreteSmoother.times` by default. Then, too, a
-        column that looks like times is refused as a measurement and checked beside ``columns``,
-        unless this is False.
+        A column with the begins of the rows' intervals, s or dates. A row that is missing, or a
+        wrong dt, is refused. The times of the estimates are in this clock: a row's time plus dt,
+        less the `delay` where they are smoothed; without it, those of `DiscreteSmoother.times`.
+        A column that looks like times is refused as a measurement by default, and checked where
+        ``columns`` leaves it out; with False neither is done.
     output : {"smoothed", "filtered"}, which estimates to write
     delimiter, decimal : str, one character each of CSV files, by their suffix and "." by default
     header : bool, optional
         Whether a CSV file begins with names; by default whether its first line has words and no
         numbers. One that may be either, as ``0,1`` or ``NA,NA``, is refused.
     skip_rows : int, lines of a CSV file before the header or the first sample
-    missing : str or sequence of str, what stands in a CSV file where a measurement is missing
+    missing : str or sequence of str
+        What stands for a gap in a CSV file: by default nothing, NA, N/A, #N/A, null, nan or a dot.
     chunk : int, rows in memory at a time
     progress : bool, whether to show a progress bar
 
@@ -90,10 +91,8 @@ def smooth_record(
         For what cannot be read, or is no number; the message names the file, row and column.
     ArithmeticError
         Where the smoother's state leaves the range of floats.
-    OSError
-        Where a file cannot be opened or written.
-    ImportError
-        Where a CSV or Parquet file needs PyArrow: ``pip install 'robsmooth[records]'``.
+    OSError, ImportError
+        Where a file cannot be opened or written, or wants PyArrow, of the extra ``records``.
 
     See Also
     --------

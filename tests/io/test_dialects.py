@@ -52,6 +52,7 @@ DIALECTS = {
     "numbered, a sample": ("0,1\n0.5,0.25\n", NO_HEADER, [[0, 1], [0.5, 0.25]]),
     "gaps": ("NA,NA\n1,2\n", {}, EITHER),
     "gaps of others": ("None,-\n1,2\n", {"missing": ["None", "-"]}, EITHER),
+    "a gap's word unsaid": ("OVL,OVL\n1,2\n", {}, EITHER),
     "empty gaps": (",\n1,2\n", {}, EITHER),
     "gaps, a sample": ("NA,NA\n1,2\n", NO_HEADER, [[X, X], [1, 2]]),
     "gaps, a header": ("NA,NA\n1,2\n", HEADER, [[1, 2]]),
@@ -59,7 +60,7 @@ DIALECTS = {
     "a comment": ("# of a scope\nI,Q\n1,2\n", {}, "got 1: column 0 .*skip_rows="),
     "a comment left out": ("# of a scope\n\nI,Q\n1,2\n", {"skip_rows": 2}, [[1, 2]]),
     "units": ("I,Q\nmV,mV\n1,2\n", {}, "line 2: .* 'mV'; .*skip_rows="),
-    "units left out": ("I,Q\nmV,mV\n1,2\n", {"skip_rows": 1}, [[1, 2]]),
+    "units left out": ("I,Q\nmV,mV\n1,2\n", {"skip_rows": 2}, [[1, 2]]),
     # --- marks
     "semicolons": ("1;2\n3;4\n", {"delimiter": ";"}, [[1, 2], [3, 4]]),
     "semicolons unsaid": ("I;Q\n1;2\n", {}, r"got 1: column 0 \('I;Q'\)"),

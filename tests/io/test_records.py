@@ -374,8 +374,8 @@ def test_nothing_is_unpickled(tmp_path):
         ({"progress": 1}, TypeError, "progress must be True or False"),
         ({"columns": [0, 1], "output": "both"}, ValueError, "output must be one of"),
         ({"target": "out.txt"}, ValueError, "target must be a file, .* got .*out.txt"),
-        ({"target": "w.parquet"}, ValueError, "target must be a file, .* ending in .csv, .csv.gz,"),
-        ({"target": "w.npy.gz"}, ValueError, "target must be a file, .* ending in .csv, .csv.gz,"),
+        ({"target": "w.parquet"}, ValueError, "target must be a file, .* ends in .csv, .tsv,"),
+        ({"target": "w.npy.gz"}, ValueError, "target must be a file, .* ends in .csv, .tsv,"),
         ({"target": "y.csv"}, ValueError, "target must be another file than source"),
     ],
 )
@@ -391,7 +391,7 @@ def test_names_want_a_header(tmp_path):
 
 
 def test_wrong_sources_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"source must be a file, .* ending in .*, got .*y.npz"):
+    with pytest.raises(ValueError, match=r"source must be a file, .* ends in .*, got .*y.npz"):
         smooth_record(discrete(), tmp_path / "y.npz", tmp_path / "out.npy")
     with pytest.raises(FileNotFoundError, match=r"y\.csv"):
         smooth_record(discrete(), tmp_path / "y.csv", tmp_path / "out.npy")
