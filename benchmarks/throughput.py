@@ -61,9 +61,10 @@ def contenders() -> dict[str, Callable]:
         error = nu / (2 * alpha * gamma)
         return 2 * alpha * (np.sin(error) - beta * error)
 
-    ours = estimator.discretize(DT)
-    compiled = with_copies.discretize(DT, functions=[psi])
-    interpreted = with_copies.discretize(DT)
+    ours = estimator.discretize(DT, delay="model")
+    exact = estimator.discretize(DT)
+    compiled = with_copies.discretize(DT, functions=[psi], delay="model")
+    interpreted = with_copies.discretize(DT, delay="model")
 
     def run(smoother):
         def simulate(y):
@@ -92,6 +93,7 @@ def contenders() -> dict[str, Callable]:
         "scipy.signal.lfilter": lambda y: signal.lfilter(numerator[0], denominator, y, axis=0),
         "scipy.signal.dlsim": lambda y: signal.dlsim(sampled, y)[1],
         "control.forced_response": forced_response,
+        "robsmooth, exact delay": run(exact),
         "robsmooth, a gap in ten": with_gaps,
         "robsmooth, compiled copies": run(compiled),
         "robsmooth, copies in Python": run(interpreted),

@@ -86,6 +86,8 @@ def stage(run: Request, source: Path, executed: list[Path]) -> None:
     mathjax = Path(find_spec("sphinx-mathjax-offline").origin).parent / "static/mathjax"
     _copy([mathjax / "tex-svg-full.js"], source / "_static/mathjax")
     _copy([root / name for name in DOCUMENTS], source)
+    readme = source / "README.md"  # the site's own pages stand beside it
+    readme.write_text(readme.read_text("utf-8").replace("](docs/source/", "]("), encoding="utf-8")
     _copy((root / "benchmarks").glob("*.*"), source / "benchmarks", (*RESULTS, ".md"))
     _copy([root / "data/published.toml", *(run.results / "data").glob("*.json")], source / "data")
     _copy(figures.iterdir(), source / "figures", RESULTS)

@@ -11,15 +11,17 @@ from robsmooth.analysis.choice import best_smoother as best_smoother
 from robsmooth.analysis.choice import judge as judge
 from robsmooth.analysis.constraints import AnalysisBound as AnalysisBound
 from robsmooth.analysis.constraints import analysis_bound as analysis_bound
+from robsmooth.analysis.covariance import WorstCase as WorstCase
 from robsmooth.analysis.covariance import delta_sweep as delta_sweep
 from robsmooth.analysis.covariance import error_covariance as error_covariance
+from robsmooth.analysis.covariance import worst_case as worst_case
 from robsmooth.analysis.lag import LagChoice as LagChoice
 from robsmooth.analysis.lag import LagSweep as LagSweep
 from robsmooth.analysis.lag import best_lag as best_lag
 from robsmooth.analysis.lag import choose_lag as choose_lag
 from robsmooth.analysis.lag import lag_sweep as lag_sweep
-from robsmooth.analysis.worst_case import WorstCase as WorstCase
-from robsmooth.analysis.worst_case import worst_case as worst_case
+from robsmooth.analysis.record_check import RecordCheck as RecordCheck
+from robsmooth.analysis.record_check import check_record as check_record
 from robsmooth.estimators import baselines as baselines
 from robsmooth.estimators.bound import minimize_bound as minimize_bound
 from robsmooth.estimators.constant_minimax import (
@@ -52,7 +54,6 @@ from robsmooth.simulation.simulate import sample_paths as sample_paths
 from robsmooth.simulation.simulate import simulate as simulate
 from robsmooth.simulation.statistics import InadmissibleWarning as InadmissibleWarning
 from robsmooth.simulation.statistics import SamplePaths as SamplePaths
-from robsmooth.simulation.statistics import SimulatedError as SimulatedError
 from robsmooth.simulation.statistics import SimulationResult as SimulationResult
 from robsmooth.systems import examples as examples
 from robsmooth.systems.augmented import AugmentedSystem as AugmentedSystem

@@ -36,6 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def figures(options: argparse.Namespace) -> int:
     """Run the notebooks, and write the report of the reproduction."""
     given = vars(options) | {"root": _project(), "parameters": dict(options.set)}
+    given["only"] = [name for name in options.only.split(",") if name]
     run = Request(**{each.name: given[each.name] for each in fields(Request)})
     tasks, results = plan(run), []
     with closing(run_notebooks(run, tasks)) as running:
@@ -93,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     text = "scale of the run (default: %(default)s); quick writes to build/quick"
     add("--profile", choices=PROFILES, default=Request.profile, help=text)
     text = "parts of the names of the notebooks to run (default: all)"
-    add("--only", metavar="NAME[,NAME]", type=_names, default=Request.only, help=text)
+    add("--only", metavar="NAME[,NAME]", default="", help=text)
     text = "give a parameter a value of your own; the results go to build/custom"
     add("--set", metavar="NAME=VALUE", type=_setting, action="append", default=[], help=text)
     add("--jobs", type=int, default=Request.jobs, help="notebooks at a time (default: %(default)s)")
@@ -102,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--force", action="store_true", help="run the fresh ones, too")
     text = "compute on the cluster of the Dask scheduler at tcp://host:port"
     add("--dask", metavar="ADDRESS", default=Request.dask, help=text)
-    add("--build", metavar="FOLDER", type=_folder, help="folder to work in (default: build)")
+    add("--build", metavar="FOLDER", type=Path, help="folder to work in (default: build)")
 
     _command(commands, "verdicts", verdicts, "every printed number with its verdict")
 
@@ -117,14 +118,6 @@ def _command(commands, name: str, function: Callable, text: str) -> Callable:
     command = commands.add_parser(name, help=text)
     command.set_defaults(command=function)
     return command.add_argument
-
-
-def _names(text: str) -> list[str]:
-    return [name for name in text.split(",") if name]
-
-
-def _folder(text: str) -> Path:
-    return Path(text).resolve()  # the notebooks are run elsewhere
 
 
 def _setting(text: str) -> tuple[str, object]:

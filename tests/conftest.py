@@ -1,5 +1,7 @@
 """What tests share: reproducible property tests, one BLAS thread, and a run of all notebooks."""
 
+import sys
+
 import pytest
 from hypothesis import HealthCheck, settings
 from threadpoolctl import threadpool_limits
@@ -21,7 +23,7 @@ def terminal(capsys, monkeypatch):
     """What is written where stderr is a terminal, which shows progress bars."""
     for name in ("CI", "TQDM_DISABLE"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("robsmooth._support.progress._in_terminal", lambda: True)
+    monkeypatch.setattr(type(sys.stderr), "isatty", lambda _: True)
     return capsys
 
 

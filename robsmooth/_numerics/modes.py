@@ -24,6 +24,7 @@ _LOST = 1e-6  # how far the products of V and W may be from one and zero
 _UNREACHED = 1e-3  # of the noise
 _SLOW = 1e-9  # of that rate
 _ROUNDING = 1e-13  # of that rate
+_NEGLIGIBLE = 1e-9  # a product of matrices that is smaller, relative to its terms, is rounding
 _UNSEEN = 1e-8  # of an output's size: what it shows of a mode then is rounding
 
 
@@ -98,3 +99,14 @@ def modes(A: Matrix, x: Matrix, limit: float) -> Modes:
     if not lost <= _LOST:
         raise LinAlgError("the modes are too close to each other to be told apart")
     return Modes(V, W, first, V_rest, W_rest, rest, x)
+
+
+def reaches(A: Matrix, B: Matrix, C: Matrix) -> bool:
+    """Return whether inputs B of x' = A x + B u have any effect on C x."""
+    size = np.abs(B)
+    for _ in range(len(A)):
+        if (np.abs(C @ B) > _NEGLIGIBLE * (np.abs(C) @ size)).any():
+            return True
+        largest = size.max(initial=0.0) or 1.0
+        B, size = A @ B / largest, np.abs(A) @ size / largest
+    return False

@@ -14,7 +14,7 @@ units of :math:`1/(|A| + \sqrt{|Q||S|})` and `X` in those of :math:`|Q|/(a + \sq
 `a` is the decay rate of the slowest mode of `A`, or zero where `A` is not stable.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import LinAlgError, schur, solve_continuous_are
@@ -43,18 +43,11 @@ class RiccatiSolution:
     error of X to its norm, in the units of the states that balance the equation.
     """
 
-    X: Matrix
+    X: Matrix = field(repr=False)
     residual: float
     smallest_eigenvalue: float
     decay_rate: float  # of A - S X, 1/(unit of time)
     error: float  # the last step of Newton's method
-
-    def __repr__(self) -> str:
-        return (
-            f"RiccatiSolution({len(self.X)} states, residual={self.residual:.2g}, "
-            f"smallest_eigenvalue={self.smallest_eigenvalue:.2g}, "
-            f"decay_rate={self.decay_rate:.4g}, error={self.error:.2g})"
-        )
 
 
 @one_thread
@@ -70,12 +63,13 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     (A, Q, S), again = _rescaled(A, Q, S, decay * first[0])
     time, unit = first * again
 
-    starts, failure = (_pencil, _nothing), None
-    if np.sqrt(np.abs(Q).max()) * np.sqrt(np.abs(S).max()) <= _NEARLY_LINEAR * decay * time:
-        starts = (_nothing, _pencil)
-    for start in starts:
+    # Zero is the better start where the quadratic part is next to nothing. It may also lead to the
+    # solution where the pencil is too inaccurate, for time constants that lie far apart.
+    linear = np.sqrt(np.abs(Q).max()) * np.sqrt(np.abs(S).max()) <= _NEARLY_LINEAR * decay * time
+    failure = None
+    for from_zero in (linear, not linear):
         try:
-            X, error = _refine(A, Q, S, start(A, Q, S))
+            X, error = _refine(A, Q, S, np.zeros_like(A) if from_zero else _pencil(A, Q, S))
             residual, smallest, rate = _certify(A, Q, S, X, error)
         except (LinAlgError, ValueError, RiccatiError) as reason:
             failure = failure or " ".join(str(reason).split()).rstrip(".")
@@ -92,15 +86,6 @@ def _rescaled(A: Matrix, Q: Matrix, S: Matrix, decay: float) -> tuple[tuple, np.
     units = 1.0 / (np.abs(A).max() + speed or 1.0), size / rate if size and rate else 1.0
     time, unit = units = np.exp2(np.rint(np.log2(units)))
     return (A * time, Q * (time / unit), S * (time * unit)), units
-
-
-def _nothing(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return zero: the better start where the quadratic part is next to nothing.
-
-    It may also lead to the solution where the pencil is too inaccurate, for time constants that lie
-    far apart.
-    """
-    return np.zeros_like(A)
 
 
 def _pencil(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:

@@ -21,7 +21,7 @@ from functools import cache, lru_cache
 from importlib import metadata
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from robsmooth._support.extras import extra
 
@@ -138,12 +138,8 @@ def _digest_sources(package: Path) -> str:
 _SOURCES = _digest_sources(Path(__file__).resolve().parent.parent)
 
 
-class _Call(NamedTuple):
+class _Call(tuple):
     """A call that unpickling computes: ``pickle.loads`` and bytes are known to every worker."""
-
-    software: dict[str, str]  # of the client
-    function: bytes
-    arguments: bytes
 
     def __reduce__(self):
         return _compute, tuple(self)
@@ -181,7 +177,7 @@ def _on_cluster(function: Callable, calls: Iterable[tuple], client: "Client") ->
                 threads, look_at = workers(client), time.monotonic() + LOOK_EVERY
             room = CALLS_PER_THREAD * threads + CALLS_AHEAD - len(pending)
             for index, call in islice(calls, max(room, 0)):
-                task = pickle.dumps(_Call(software(), shipped, cloudpickle.dumps(call)))
+                task = pickle.dumps(_Call((software(), shipped, cloudpickle.dumps(call))))
                 pending.append(client.submit(pickle.loads, task, pure=False, priority=-index))
             if not pending:
                 return

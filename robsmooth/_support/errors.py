@@ -45,10 +45,6 @@ class CoarseDelayWarning(RuntimeWarning):
 class LongStepWarning(RuntimeWarning):
     """The step is long for the loop: the results of the simulation depend on it.
 
-    See Also
-    --------
-    robsmooth.monte_carlo, robsmooth.simulate : give it, and say which steps are fine.
-
     Examples
     --------
     >>> import warnings

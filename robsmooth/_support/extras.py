@@ -2,9 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from importlib.util import find_spec
-from types import ModuleType
 
 
 class MissingExtraError(ImportError):
@@ -31,12 +29,3 @@ def check_installed(*packages: str) -> None:
     for package in packages:
         if find_spec(package) is None:
             raise ModuleNotFoundError(f"No module named {package!r}", name=package)
-
-
-def convex_modelling() -> ModuleType:
-    """Return cvxpy, which takes long to import; an ImportError says what is not installed."""
-    for module, package in {"cvxpy": "cvxpy-base", "clarabel": "clarabel"}.items():
-        if find_spec(module) is None:
-            advice = f"convex optimisation needs the package {package}: pip install {package}"
-            raise MissingExtraError(advice, name=module)
-    return import_module("cvxpy")

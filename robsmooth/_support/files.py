@@ -38,16 +38,9 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def write_json(path: str | os.PathLike[str], value: object) -> None:
-    """Write `value` as readable JSON, NumPy's scalars and arrays included; numbers are finite."""
-    text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False, default=_builtin)
+    """Write `value` as readable JSON; numbers are finite."""
+    text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False)
     write_text(path, text + "\n")
-
-
-def _builtin(value: object) -> object:
-    """A scalar or an array of NumPy as a number or a list of Python."""
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise TypeError(f"value of type {type(value).__name__} has no JSON form")
 
 
 @contextmanager

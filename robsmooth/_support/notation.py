@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 LIMIT = 6  # of more rows, columns or entries than these, the middle ones are left out
 _DIGITS = 4
 _NO_ENTRY = 1e-16  # is zero in print, over the mean of its row's and column's largest
-_NO_IMAGINARY_PART = 1e-12  # over the size of a pole
 
 
 def number(value: float, digits: int = _DIGITS) -> str:
@@ -40,11 +39,6 @@ def estimate(mean: float, error: float) -> str:
         return number(mean, 6)
     size, least = (math.floor(math.log10(abs(x) or error)) for x in (mean, error))
     return rf"{number(mean, min(max(size - least + 2, 1), 15))} \pm {number(error, 2)}"
-
-
-def vector(values: Iterable[float]) -> str:
-    r"""Return numbers as LaTeX, in parentheses."""
-    return "(" + ", ".join(_elided(map(number, values), r"\dots")) + ")"
 
 
 def matrix(value: ArrayLike) -> str:
@@ -79,17 +73,6 @@ def total(terms: Iterable[str]) -> str:
     """Return the sum of terms, of which the empty ones are zero, as LaTeX."""
     terms = [term for term in terms if term]
     return " + ".join(terms).replace("+ -", "- ") or "0"
-
-
-def poles(values: Iterable[complex]) -> str:
-    r"""Return eigenvalues of a real matrix as LaTeX, each conjugate pair once."""
-    texts = []
-    for pole in values:
-        if abs(pole.imag) <= _NO_IMAGINARY_PART * abs(pole):
-            texts.append(number(pole.real))
-        elif pole.imag > 0.0:
-            texts.append(rf"{number(pole.real)} \pm {number(pole.imag)}\,i")
-    return r",\ ".join(_elided(texts, r"\dots"))
 
 
 def array(value: ArrayLike) -> str:

@@ -21,9 +21,5 @@ def progress_bar(iterable: Iterable | None = None, *, shown: bool = True, **sett
         from tqdm.notebook import tqdm as notebook_bar
 
         return notebook_bar(iterable, disable=False, **settings)
-    shown = shown and (in_notebook or _in_terminal())
+    shown = shown and (in_notebook or sys.stderr.isatty())
     return tqdm(iterable, disable=not shown, **settings)
-
-
-def _in_terminal() -> bool:
-    return sys.stderr.isatty()

@@ -94,12 +94,6 @@ class Table:
         return f"{cell:.{self.digits}g}" if isinstance(cell, float) else str(cell)
 
 
-def table_of_values(rows: Iterable[tuple[str, Cell]], caption: str, digits: int = 4) -> Table:
-    """Return a table of names and values, without the values that are None."""
-    known = [(name, value) for name, value in rows if value is not None]
-    return Table(("", "value"), known, caption, digits)
-
-
 def _numeric(column: Sequence[str]) -> bool:
     """Tell whether a column's printed cells are numbers, as far as there are any."""
     found = [cell for cell in column if cell]

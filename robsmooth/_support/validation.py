@@ -23,6 +23,8 @@ def array(name: str, value: ArrayLike, ndim: int) -> Matrix:
         raise TypeError(f"{name} must be an array of numbers, got entries of type {given.dtype}")
     if given.ndim != ndim:
         raise ValueError(f"{name} must have {ndim} dimension(s), got shape {given.shape}")
+    if np.ma.is_masked(value):
+        raise ValueError(f"{name} must have no masked entries")
     result = np.array(given, dtype=float)
     if not np.isfinite(result).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])

@@ -15,8 +15,7 @@ from robsmooth._support.errors import CoarseDelayWarning, InfeasibleDesignError,
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.analysis.constraints import analysis_bound
-from robsmooth.analysis.covariance import error_covariance
-from robsmooth.analysis.worst_case import worst_case
+from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.conditions import COSTS
@@ -75,10 +74,6 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     -------
     Judgement
 
-    See Also
-    --------
-    best_smoother, worst_case, analysis_bound : all candidates; the worst case, and the certificate.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -90,21 +85,20 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     validation.instance("estimator", estimator, Estimator)
     validation.choice("output", output, COSTS)
     constant = worst_case(estimator, output, loop="real")
+    if constant.mean_square == 0.0:  # nothing drives w, whatever the uncertainty
+        return Judgement(0.0, 0.0, 0.0)
     certified = math.inf
     with suppress(UnstableLoopError):  # what an uncertainty sees grows without bound
         certified = analysis_bound(estimator, output, loop="real").mean_square
     return Judgement(constant.nominal, constant.mean_square, certified)
 
 
-_NONE = Judgement(math.inf, math.inf, math.inf)
-
-
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """One of the estimators that `best_smoother` compares, or None and why it was refused."""
 
-    estimator: Estimator | None
-    judgement: Judgement
+    estimator: Estimator | None = None
+    judgement: Judgement = Judgement(math.inf, math.inf, math.inf)
     refused: str = ""
 
     def error(self, against: str) -> float:
@@ -212,17 +206,11 @@ def best_smoother(
         Where no estimator has a finite error; for the certified one it says which fraction of the
         uncertainty has one. Where a measurement has no noise, no measurement sees a mode that does
         not decay, or an uncertainty does.
-    ValueError, TypeError
-        For an argument that is not as described.
 
     Warns
     -----
     CoarseDelayWarning
         Where the classical smoother's error is above its filter's, without uncertainty.
-
-    See Also
-    --------
-    judge : the three errors of one estimator.
 
     Examples
     --------
@@ -249,7 +237,7 @@ def best_smoother(
             candidates[name] = Candidate(estimator, judge(estimator, output))
         except InfeasibleDesignError as error:
             failures[name] = error
-            candidates[name] = Candidate(None, _NONE, str(error))
+            candidates[name] = Candidate(refused=str(error))
     errors = {name: each.error(against) for name, each in candidates.items()}
     best = min(errors, key=errors.__getitem__)
     if math.isinf(errors[best]):
@@ -272,7 +260,7 @@ def _warn_of_coarse_delay(classical: Candidate) -> None:
         warnings.warn(
             f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: the "
             f"delay's model of order {plant.order} is too coarse for this signal; a higher order "
-            "or a shorter delay helps",
+            "or a shorter delay helps, and in discrete time the classical smoother needs no model",
             CoarseDelayWarning,
             stacklevel=4,
         )

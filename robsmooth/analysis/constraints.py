@@ -1,20 +1,10 @@
 r"""The exact worst case of a given estimator under the paper's constraints.
 
-How large can the error of a *given* estimator become? The constraints (eqIQC1) to (eqIQC4) speak of
-mean energies of inputs :math:`\tilde\xi` that may depend on all that has happened. For multipliers
-:math:`\theta \ge 0` and the stabilising solution of
-
-.. math::
-
-    \mathbf A'P + P\mathbf A + C'C + C_\zeta' N(\theta) C_\zeta +
-    P B_\xi M(\theta)^{-1} B_\xi' P = 0, \qquad C = C_w - C_s,
-
-Ito's formula for :math:`X'PX` gives :math:`E|e|^2 \le \operatorname{tr}\mathbf B'P\mathbf B` for
-every admissible uncertainty. The right hand side is convex in :math:`\theta`. Its infimum is not
+How large can the error of a *given* estimator become? The bound of
+`robsmooth.estimators.certificate` holds for all multipliers :math:`\theta`. The least one is not
 only a bound: inputs may be mixed by a coin tossed at the start, so that the mean energies that can
-be reached form a convex set, and there is no duality gap. The worst input is the feedback
-:math:`\tilde\xi = M^{-1}B_\xi'PX`, which spends energy where and when it does most harm, and whose
-own energies are the gradient: at the minimum it meets the constraints.
+be reached form a convex set, and there is no duality gap. The worst input spends energy where and
+when it does most harm. Its own energies are the gradient: at the minimum it meets the constraints.
 
 A design's V is this bound with :math:`\theta = \tau\lambda` and more noise: :math:`2V =
 \operatorname{tr} B_\xi M(\lambda)^{-1}B_\xi'P`, where :math:`M(\lambda)^{-1} \ge JJ'` and
@@ -27,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._support import notation, validation
+from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.tables import table_of_values
+from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.certificate import (
     ConstraintProblem,
@@ -40,6 +30,8 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop, scaled, which_loop
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.delay import pade_delay
+
+_DELAY_ORDER = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +51,8 @@ class AnalysisBound:
     multipliers : (k + 3g,) array
         theta, s (unit of w)^2; infinity for a constraint that allows its input no energy.
     feedback : (r + 2g, N) array
-        The worst input as a feedback of the states X. Both are empty where there is no bound.
+        The worst input as a feedback of the states X, and after them those of the delay's model.
+        Both are empty where there is no bound.
 
     Examples
     --------
@@ -89,10 +82,11 @@ class AnalysisBound:
             ("share of it that no input was shown to reach", self.gap),
             ("share of the uncertainty for which there is a bound", self.fraction),
             ("guarantee, $2V$", self.guarantee),
-            (r"multipliers $\theta$, s (unit of $w$)²", f"${notation.vector(self.multipliers)}$"),
+            (r"multipliers $\theta$, s (unit of $w$)²", f"${notation.matrix([self.multipliers])}$"),
         ]
         caption = "The worst that the constraints on the uncertainty allow."
-        return table_of_values(rows, caption, digits=5).html()
+        known = [row for row in rows if row[1] is not None]
+        return Table(("", "value"), known, caption, digits=5).html()
 
 
 @one_thread
@@ -102,25 +96,20 @@ def analysis_bound(
     loop: str = "theory",
     *,
     copy_noise: bool | None = None,
-    delay_order: int = 10,
 ) -> AnalysisBound:
     """Return the largest error that the constraints on the uncertainty allow an estimator.
+
+    Where `output` is "smoothed", it is that against a Pade model of order 10 of the delayed w, with
+    states of its own: the true delay has no finite state.
 
     Parameters
     ----------
     smoother, output, loop, copy_noise
         As in `error_covariance`.
-    delay_order : int
-        Pade order of the delay of w where `output` is "smoothed": the true delay has no finite
-        state. The result is for that model, whose states follow those of the loop.
 
     Returns
     -------
     AnalysisBound
-
-    See Also
-    --------
-    worst_case, minimize_bound : the worst constant uncertainty; the paper's own bound.
 
     References
     ----------
@@ -136,9 +125,8 @@ def analysis_bound(
     """
     loop = which_loop(loop, copy_noise)
     opened = open_loop(smoother, output, loop)
-    delay_order = validation.integer("delay_order", delay_order, low=1)
     if opened.delay > 0.0:
-        opened = _with_delay_model(opened, delay_order)
+        opened = _with_delay_model(opened, _DELAY_ORDER)
     proven = guarantee(smoother, output, loop)
     opened, x = scaled(opened)
     fraction, problem, theta = _feasible(opened, smoother.plant)

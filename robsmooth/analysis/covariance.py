@@ -1,4 +1,4 @@
-r"""Closed loop and stationary error covariance (Section III-A).
+r"""Closed loop, stationary error covariance, and the worst constant uncertainty (Section III-A).
 
 With the uncertainty :math:`\tilde\xi = \Delta\tilde\zeta`, the plant and the estimator form the
 loop :math:`dX = \mathbf A X\,dt + \mathbf B\,dW` of (eqclosed). Its stationary covariance
@@ -25,6 +25,7 @@ what the state one lag back contributes, and the noise since then. The state is
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,20 +35,25 @@ from robsmooth._numerics.modes import hardly_decays
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Matrix, frozen
+from robsmooth.estimators.constant import mean_square, worst_delta
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import (
     OUTPUTS,
     Reference,
     drifting_error,
     error_rows,
+    guarantee,
     matrices,
+    open_loop,
+    scaled,
     which_loop,
 )
 from robsmooth.systems.augmented import AugmentedSystem
 
 _BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once
 _NORM_ERROR = 1e-12
+_STARTS = 16  # corners of the admissible set to search from, besides its centre
 
 
 def closed_loop(
@@ -154,10 +160,6 @@ def error_covariance(
     ArithmeticError
         Where the estimated rounding error is above a millionth of a variance.
 
-    See Also
-    --------
-    delta_sweep, worst_case, analysis_bound : many slopes, the worst Delta, a bound for all.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -198,10 +200,6 @@ def delta_sweep(
     -------
     (N, m, m) array
 
-    See Also
-    --------
-    error_covariance, worst_case : one uncertainty, and the worst of all.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -219,3 +217,73 @@ def delta_sweep(
     parts = np.array_split(slopes[:, None, None], 1 + size // _BATCH)
     loops = (closed_loop(smoother, part * pattern, loop) for part in parts)
     return np.concatenate([_stationary_error(*each, smoother, output) for each in loops])
+
+
+@dataclass(frozen=True, eq=False)
+class WorstCase:
+    """The worst constant uncertainty, as `worst_case` finds it.
+
+    Attributes
+    ----------
+    Delta : (r + 2g, h + 2g) array
+        The uncertainty; channels without an effect have zero blocks.
+    mean_square, nominal : float
+        The mean square error under it and without uncertainty, in the squared unit of w; infinity
+        where the loop is not stable.
+    guarantee : float or None, twice the bound V of the design, where that is for this error
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
+    >>> rs.worst_case(ngcf, "filtered").Delta
+    array([[ 0.,  0.,  0.],
+           [ 0., -1.,  0.],
+           [ 0.,  0., -1.]])
+    """
+
+    Delta: Matrix
+    mean_square: float
+    nominal: float
+    guarantee: float | None
+
+    def __repr__(self) -> str:
+        proven = "" if self.guarantee is None else f", guarantee={self.guarantee:.5g}"
+        return f"WorstCase(mean_square={self.mean_square:.5g}, nominal={self.nominal:.5g}{proven})"
+
+
+@one_thread
+def worst_case(
+    smoother: Estimator,
+    output: str = "smoothed",
+    loop: str = "theory",
+) -> WorstCase:
+    """Search for the constant admissible uncertainty with the largest mean square error.
+
+    Parameters
+    ----------
+    smoother, output, loop
+        As in `error_covariance`.
+
+    Returns
+    -------
+    WorstCase
+        With an infinite mean square where an admissible uncertainty makes the loop unstable.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
+    >>> rs.worst_case(ngcf, "filtered")
+    WorstCase(mean_square=0.2053, nominal=0.12483, guarantee=0.24335)
+    """
+    opened, _ = scaled(open_loop(smoother, output, loop))
+    _, Delta = worst_delta(opened, _STARTS)
+
+    def error(Delta: Matrix) -> float:
+        if not np.isfinite(mean_square(opened, Delta)):
+            return np.inf
+        return float(np.trace(error_covariance(smoother, Delta, output, loop)))
+
+    worst, nominal = error(Delta), error(np.zeros_like(Delta))
+    return WorstCase(frozen(Delta), worst, nominal, guarantee(smoother, output, loop))

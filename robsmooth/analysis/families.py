@@ -6,6 +6,7 @@ relative: 1 is as much as the signal itself in a unit of time.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,6 @@ from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
 from robsmooth.analysis.constraints import analysis_bound
 from robsmooth.estimators.baselines import fixed_lag_smoother
-from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.minimax import minimax_smoother
 from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import Uncertainty
@@ -67,16 +67,13 @@ def robustness_map(
     The errors are of smoothers with a lag of half a time constant; not a number is where no
     estimator has a finite one.
     """
+    bound = partial(analysis_bound, output="smoothed", loop="real")
     ratios = np.full((len(noises), len(sizes)), np.nan)
     for i, j in progress_bar(list(np.ndindex(ratios.shape)), unit="system", shown=progress):
         system = family(sizes[j], noises[i])
         try:
-            robust = _certified(minimax_smoother(augment(system, LAG, ORDER)))
+            robust = bound(minimax_smoother(augment(system, LAG, ORDER))).mean_square
         except InfeasibleDesignError:
             continue
-        ratios[i, j] = _certified(fixed_lag_smoother(system, LAG, ORDER)) / robust
+        ratios[i, j] = bound(fixed_lag_smoother(system, LAG, ORDER)).mean_square / robust
     return ratios
-
-
-def _certified(estimator: Estimator) -> float:
-    return analysis_bound(estimator, "smoothed", loop="real").mean_square

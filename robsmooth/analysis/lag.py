@@ -15,30 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from robsmooth._support import notation, validation
+from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.analysis.covariance import error_covariance
-from robsmooth.analysis.worst_case import worst_case
+from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
-from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.smoother import design_smoother
-from robsmooth.systems.augmented import augment
 from robsmooth.systems.system import UncertainSystem
 
-Family = Callable[[UncertainSystem, float, int], Estimator]
-Design = str | Family
+Design = Callable[[UncertainSystem, float, int], Estimator]
 Floats = NDArray[np.float64]
-Error = Callable[[float], float]  # of a lag
 
+_MOST_ORDER = 8  # that `choose_lag` tries
 _LEAST_GAIN = 1e-6  # of that from filtering to two-sided smoothing: a longer lag gains no more
-_SHORTEST_LAG = 1e-3  # of the longest: lags are tried from here
-_LAG_RATIO = 1.5  # between lags that are tried
-_LAG_TOLERANCE = 1e-4  # of the best lag's logarithm; the error's is of the order of its square
+_LAGS = np.geomspace(1e-3, 2.0, 20)  # that are tried, in units of that lag
+_LAG_TOLERANCE = 1e-4  # of the best lag; the error's is of the order of its square
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +44,13 @@ class LagSweep:
     nominal, worst : (O, L) arrays
         Without uncertainty; under the worst constant one, infinity where that is not stable.
     optimal : (L,) array, the exact optimum: no linear smoother's nominal error is lower
-    filtering, two_sided : float, the exact optimum for lag zero and for an infinite one
 
     Examples
     --------
     >>> import robsmooth as rs
     >>> sweep = rs.lag_sweep(rs.homodyne.PAPER.uncertain_system(), lags=[1e-6, 2e-6], orders=[2])
-    >>> sweep.gain.round(2)
-    array([[0.6 , 0.84]])
+    >>> sweep.nominal.round(4), sweep.optimal.round(4)  # the model of the delay costs little
+    (array([[0.0594, 0.0496]]), array([0.0593, 0.0495]))
     """
 
     lags: Floats
@@ -66,34 +58,13 @@ class LagSweep:
     nominal: Matrix
     worst: Matrix
     optimal: Floats
-    filtering: float
-    two_sided: float
-
-    @property
-    def gain(self) -> Matrix:
-        """(O, L) share of the possible gain, from filtering to two-sided smoothing, nominally."""
-        return (self.filtering - self.nominal) / (self.filtering - self.two_sided)
 
     def __repr__(self) -> str:
-        return (
-            f"LagSweep({len(self.orders)} orders x {len(self.lags)} lags, least nominal error "
-            f"{self.nominal.min():.5g}, filtering={self.filtering:.5g}, "
-            f"two_sided={self.two_sided:.5g})"
-        )
+        sizes = f"{len(self.orders)} orders x {len(self.lags)} lags"
+        return f"LagSweep({sizes}, least nominal error {self.nominal.min():.5g})"
 
-    def _repr_html_(self) -> str:
-        lags, rows = self.lags, []
-        by_order = zip(self.orders, self.nominal, self.gain, self.worst, strict=True)
-        for order, nominal, gain, worst in by_order:
-            i, j = nominal.argmin(), worst.argmin()
-            rows.append((str(order), nominal[i], lags[i], f"{gain[i]:.0%}", worst[j], lags[j]))
-        columns = ("order", "nominal error", "at lag (s)", "gain", "worst error", "at lag (s)")
-        ends = [f"${notation.number(error)}$" for error in (self.filtering, self.two_sided)]
-        caption = (
-            f"Least smoothed errors over {len(lags)} lags, in the squared unit of $w$, and the "
-            f"share of the possible gain: filtering has {ends[0]}, two-sided smoothing {ends[1]}."
-        )
-        return Table(columns, rows, caption).html()
+
+_classical = partial(baselines.fixed_lag_smoother, copies=True)
 
 
 @one_thread
@@ -101,7 +72,7 @@ def lag_sweep(
     system: UncertainSystem,
     lags: Sequence[float] | Floats,
     orders: Sequence[int] | NDArray[np.int_],
-    design: Design = "classical",
+    design: Design | None = None,
     *,
     progress: bool = False,
 ) -> LagSweep:
@@ -112,10 +83,9 @@ def lag_sweep(
     system : UncertainSystem
     lags : sequence of float, in seconds, not negative
     orders : sequence of int, of the delay's Pade model
-    design : {"classical", "filtered cost", "smoothed cost"} or callable
-        The nominal system's fixed-lag smoother with copies of the nonlinearities; the robust one
-        with the least bound on the filtered error, or on the smoothed one, which takes a search
-        for each lag and order; or a function that makes an `Estimator` of system, lag and order.
+    design : callable, optional
+        Makes an `Estimator` of system, lag and order. Default: the nominal system's fixed-lag
+        smoother with copies of the nonlinearities.
     progress : bool, whether to show a bar
 
     Returns
@@ -126,10 +96,6 @@ def lag_sweep(
     ------
     InfeasibleDesignError
         Where there is no design.
-
-    See Also
-    --------
-    best_lag, choose_lag : the lag with the least error, and one that meets a target.
 
     Examples
     --------
@@ -144,18 +110,51 @@ def lag_sweep(
     orders = np.array([validation.integer("orders", order, low=1) for order in orders], dtype=int)
     if not lags.size * orders.size:
         raise ValueError(f"{'orders' if lags.size else 'lags'} must have at least one value")
+    design = _classical if design is None else design
+    if not callable(design):
+        raise TypeError(f"design must be a function of system, lag and order, got {design!r}")
     validation.boolean("progress", progress)
-    make = _family(system, design)
     grid = [(lag, int(order)) for order in orders for lag in lags]
     cases = [
-        worst_case(make(system, lag, order), loop="real")
+        worst_case(design(system, lag, order), loop="real")
         for lag, order in progress_bar(grid, unit="design", shown=progress)
     ]
     errors = np.array([(case.nominal, case.mean_square) for case in cases]).T
     errors = errors.reshape(2, len(orders), len(lags))
     optimal = np.array([_optimal_error(system, lag) for lag in lags])
-    ends = (_optimal_error(system, lag) for lag in (0.0, math.inf))
-    return LagSweep(*map(frozen, (lags, orders, *errors, optimal)), *ends)
+    return LagSweep(*map(frozen, (lags, orders, *errors, optimal)))
+
+
+@one_thread
+def best_lag(system: UncertainSystem, order: int) -> tuple[float, float]:
+    """Find the lag with the least nominal error of the classical smoother of an order.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+    order : int, of the delay's Pade model, at least one
+
+    Returns
+    -------
+    lag, error : float, in seconds, and in the squared unit of w
+
+    Raises
+    ------
+    InfeasibleDesignError
+        Where there is no design, or smoothing gains nothing.
+
+    Examples
+    --------
+    >>> import robsmooth as rs
+    >>> lag, error = rs.best_lag(rs.homodyne.PAPER.uncertain_system(), order=2)
+    >>> round(lag, 8), round(error, 4)
+    (4.01e-06, 0.0453)
+    """
+    validation.instance("system", system, UncertainSystem)
+    order = validation.integer("order", order, low=1)
+    lags, errors = _errors_of_lags(system, order, _longest_lag(system))
+    best = errors.argmin()
+    return float(lags[best]), float(errors[best])
 
 
 @dataclass(frozen=True)
@@ -166,11 +165,8 @@ class LagChoice:
     ----------
     lag, order : float, in seconds, and int, of the delay's Pade model
     error, target : float
-        The smoothed mean square error, by the criterion, and its limit, in the squared unit of w.
-    shortest : float
-        No linear smoother of any order meets the target nominally with a lag below this (s).
-    lags : dict of int to float
-        The shortest lag (s) for each order that was tried; infinity where none meets the target.
+        The classical smoother's nominal mean square error, and its limit, in the squared unit of w.
+    shortest : float, the lag (s) with which an exact delay meets the target
 
     Examples
     --------
@@ -184,7 +180,6 @@ class LagChoice:
     error: float
     target: float
     shortest: float
-    lags: dict[int, float]
 
     def __repr__(self) -> str:
         return (
@@ -192,84 +187,20 @@ class LagChoice:
             f"target={self.target:.5g}, shortest={self.shortest:.4g} s)"
         )
 
-    def _repr_html_(self) -> str:
-        lags = self.lags.items()
-        rows = [(str(order), lag, "chosen" if order == self.order else "") for order, lag in lags]
-        caption = (
-            "The shortest lag that meets the target for each order: an error of "
-            f"${notation.number(self.error)}$, at most ${notation.number(self.target)}$ was asked "
-            f"for. An exact delay would take ${notation.number(self.shortest)}$ s."
-        )
-        return Table(("order", "lag (s)", ""), rows, caption).html()
-
-
-@one_thread
-def best_lag(
-    system: UncertainSystem, order: int, design: Design = "classical", criterion: str = "nominal"
-) -> tuple[float, float]:
-    """Find the lag with the least smoothed error for an order of the delay's model.
-
-    Parameters
-    ----------
-    system : UncertainSystem
-    order : int, of the delay's Pade model, at least one
-    design
-        As in `lag_sweep`.
-    criterion : {"nominal", "worst"}, the error without uncertainty, or under the worst constant one
-
-    Returns
-    -------
-    lag, error : float, in seconds, and in the squared unit of w
-
-    Raises
-    ------
-    InfeasibleDesignError
-        Where there is no design, or smoothing gains nothing.
-
-    See Also
-    --------
-    lag_sweep, choose_lag : errors for many lags, and the shortest lag that meets a target.
-
-    Examples
-    --------
-    >>> import robsmooth as rs
-    >>> lag, error = rs.best_lag(rs.homodyne.PAPER.uncertain_system(), order=2)
-    >>> round(lag, 8), round(error, 4)
-    (4.01e-06, 0.0453)
-    """
-    error = _error_of_lag(system, design, criterion)
-    of_lag = partial(error, order=validation.integer("order", order, low=1))
-    longest = _longest_lag(system)
-    return _least(of_lag, *_on_a_grid(of_lag, _SHORTEST_LAG * longest, 2 * longest))
-
 
 @one_thread
 def choose_lag(
-    system: UncertainSystem,
-    target: float | None = None,
-    *,
-    fraction: float | None = None,
-    design: Design = "classical",
-    criterion: str = "nominal",
-    max_order: int = 8,
-    slack: float = 0.05,
+    system: UncertainSystem, target: float | None = None, *, fraction: float | None = None
 ) -> LagChoice:
-    """Choose the lag and the order of a smoother whose error meets a target.
-
-    Each order has a shortest lag that meets the target, if any; higher orders have shorter ones.
-    The choice is the lowest order whose lag is, within `slack`, the shortest of all.
+    """Choose the lowest order of a classical smoother that meets a target, and its shortest lag.
 
     Parameters
     ----------
     system : UncertainSystem
-    target : float, optional, the mean square error to meet, in the squared unit of w
+    target : float, optional, the nominal mean square error to meet, in the squared unit of w
     fraction : float, optional
         In its place: the share, from 0 to 1, of the gain from optimal filtering to two-sided
         smoothing.
-    design, criterion
-        As in `best_lag`: the error that is to meet the target.
-    max_order : int, the highest order to try
-    slack : float, how much longer than the shortest the lag may be, relatively, for a lower order
 
     Returns
     -------
@@ -279,13 +210,9 @@ def choose_lag(
     Raises
     ------
     InfeasibleDesignError
-        As in `best_lag`, and where no order up to `max_order` meets the target.
+        As in `best_lag`, and where no order up to 8 meets the target.
     ValueError
         Where no smoother can.
-
-    See Also
-    --------
-    lag_sweep, best_lag : errors for many lags, and the lag with the least.
 
     Examples
     --------
@@ -294,38 +221,38 @@ def choose_lag(
     >>> round(choice.lag, 8), choice.order
     (2.58e-06, 2)
     """
-    error = _error_of_lag(system, design, criterion)
-    max_order = validation.integer("max_order", max_order, low=1)
-    slack = validation.real("slack", slack, low=0.0)
+    validation.instance("system", system, UncertainSystem)
     target = _target(system, target, fraction)
-    filtered = error(0.0, order=0)
+    filtered = _classical_error(system, 0, 0.0)
     if filtered <= target:
-        return LagChoice(0.0, 0, filtered, target, 0.0, {0: 0.0})
-    longest, shortest = _longest_lag(system), 0.0
+        return LagChoice(0.0, 0, filtered, target, 0.0)
+    longest, shortest, least = _longest_lag(system), 0.0, math.inf
     if _optimal_error(system, 0.0) > target:
         shortest = _crossing(partial(_optimal_error, system), target, 0.0, longest)
-    low, high = max(shortest, _SHORTEST_LAG * longest), 2 * longest
-    lags, least = {}, math.inf
-    for order in range(1, max_order + 1):
-        lags[order], lowest = _shortest_lag(partial(error, order=order), target, low, high)
-        least = min(least, lowest)
-        if lags[order] <= (1.0 + slack) * shortest:
-            break  # no higher order can do better than that
-    best = min(lags.values())
-    if math.isinf(best):
-        raise InfeasibleDesignError(
-            "The target",
-            f"no order up to {max_order} has a lag with an error of at most {target:.6g}; the "
-            f"least that was found, at lags above the {shortest:.4g} s that an exact delay would "
-            f"take, is {least:.6g}; try a higher max_order or another design",
-        )
-    order, lag = next(item for item in lags.items() if item[1] <= (1.0 + slack) * best)
-    return LagChoice(lag, order, error(lag, order=order), target, shortest, lags)
+    for order in range(1, _MOST_ORDER + 1):
+        lags, errors = _errors_of_lags(system, order, longest)
+        least = min(least, errors.min())
+        if least <= target:
+            error, first = partial(_classical_error, system, order), (errors <= target).argmax()
+            lag = _crossing(error, target, lags[first - 1], lags[first])
+            return LagChoice(lag, order, error(lag), target, shortest)
+    raise InfeasibleDesignError(
+        "The target",
+        f"no order up to {_MOST_ORDER} has a lag with an error of at most {target:.6g}; the least "
+        f"that was found is {least:.6g}; an exact delay would take {shortest:.4g} s",
+    )
 
 
 def _optimal_error(system: UncertainSystem, lag: float) -> float:
     """Return the least mean square error of any linear smoother with an exact lag."""
     return float(np.trace(baselines.optimal_fixed_lag_error(system, lag)))
+
+
+def _classical_error(system: UncertainSystem, order: int, lag: float) -> float:
+    """Return the nominal mean square error of the classical smoother."""
+    smoother = _classical(system, lag, order)
+    Delta = smoother.plant.structured_delta()
+    return float(np.trace(error_covariance(smoother, Delta, loop="real")))
 
 
 def _target(system: UncertainSystem, target: float | None, fraction: float | None) -> float:
@@ -345,37 +272,6 @@ def _target(system: UncertainSystem, target: float | None, fraction: float | Non
     return target
 
 
-def _family(system: UncertainSystem, design: Design) -> Family:
-    """Return the function that makes the estimator of a lag and an order."""
-    if callable(design):
-        return design
-    validation.choice("design", design, ("classical", "filtered cost", "smoothed cost"))
-    if design == "classical":
-        return partial(baselines.fixed_lag_smoother, copies=True)
-    if design == "smoothed cost":
-        return lambda system, lag, order: minimize_bound(augment(system, lag, order), "smoothed")
-    best = minimize_bound(augment(system, 0.0, 0))  # is the best for all lags and orders
-    return lambda system, lag, order: design_smoother(
-        augment(system, lag, order), best.tau, best.multipliers
-    )
-
-
-def _error_of_lag(system: UncertainSystem, design: Design, criterion: str) -> Callable[..., float]:
-    """Return the smoothed mean square error as a function of lag and order."""
-    validation.instance("system", system, UncertainSystem)
-    criterion = validation.choice("criterion", criterion, ("nominal", "worst"))
-    make = _family(system, design)
-
-    def error(lag: float, order: int) -> float:
-        smoother = make(system, lag, order)
-        if criterion == "worst":
-            return worst_case(smoother, loop="real").mean_square
-        Delta = smoother.plant.structured_delta()
-        return float(np.trace(error_covariance(smoother, Delta, loop="real")))
-
-    return error
-
-
 def _longest_lag(system: UncertainSystem) -> float:
     """Return a lag beyond which the exact optimum gains next to nothing, up to a factor of two."""
     filtering, two_sided = _optimal_error(system, 0.0), _optimal_error(system, math.inf)
@@ -389,40 +285,20 @@ def _longest_lag(system: UncertainSystem) -> float:
     return lag
 
 
-def _on_a_grid(error: Error, low: float, high: float) -> tuple[Floats, Floats]:
-    """Return lags from low to high, evenly spaced in their logarithm, and their errors."""
-    lags = np.geomspace(low, high, 2 + int(math.log(high / low) / math.log(_LAG_RATIO)))
-    return lags, np.array([error(lag) for lag in lags])
-
-
-def _least(error: Error, lags: Floats, errors: Floats) -> tuple[float, float]:
-    """Return the lag of the least error, and that error, between the best lag's neighbours."""
+def _errors_of_lags(system: UncertainSystem, order: int, longest: float) -> tuple[Floats, Floats]:
+    """Return lags from zero on, with the best one among them, and the classical errors."""
+    error = partial(_classical_error, system, order)
+    lags = np.append(0.0, _LAGS * longest)
+    errors = np.array([error(lag) for lag in lags])
     best = int(errors.argmin())
-    result = minimize_scalar(
-        lambda logarithm: -1.0 / error(math.exp(logarithm)),  # an error may be infinite
-        bounds=np.log([lags[max(best - 1, 0)], lags[min(best + 1, len(lags) - 1)]]),
-        method="bounded",
-        options={"xatol": _LAG_TOLERANCE},
-    )
-    lag, least = math.exp(result.x), float(-1.0 / result.fun)
-    return (lag, least) if least < errors[best] else (float(lags[best]), float(errors[best]))
+    ends = lags[max(best - 1, 0)], lags[min(best + 1, len(_LAGS))]
+    how = {"bounds": ends, "method": "bounded", "options": {"xatol": _LAG_TOLERANCE * ends[1]}}
+    found = minimize_scalar(error, **how)
+    after = np.searchsorted(lags, found.x)
+    return np.insert(lags, after, found.x), np.insert(errors, after, found.fun)
 
 
-def _shortest_lag(error: Error, target: float, low: float, high: float) -> tuple[float, float]:
-    """Return the shortest lag that meets the target, or infinity, and the least error found."""
-    lags, errors = _on_a_grid(error, low, high)
-    if not (errors <= target).any():
-        lag, least = _least(error, lags, errors)
-        if least > target:
-            return math.inf, least
-        after = np.searchsorted(lags, lag)
-        lags, errors = np.insert(lags, after, lag), np.insert(errors, after, least)
-    first = int((errors <= target).argmax())
-    between = lags[first - 1], lags[first]
-    shortest = _crossing(error, target, *between) if first > 0 else float(lags[0])
-    return shortest, float(errors.min())
-
-
-def _crossing(error: Error, target: float, low: float, high: float) -> float:
-    """Return the lag between two at which the error, which may be infinite, falls to the target."""
-    return brentq(lambda lag: 1.0 - target / error(lag), low, high, xtol=1e-12 * high, rtol=1e-12)
+def _crossing(error: Callable[[float], float], target: float, low: float, high: float) -> float:
+    """Return the lag between two at which the error falls to the target."""
+    tolerance = {"xtol": 1e-12 * high, "rtol": 1e-12}
+    return brentq(lambda lag: error(lag) / target - 1.0, low, high, **tolerance)

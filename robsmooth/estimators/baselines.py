@@ -14,8 +14,9 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.constant import cut_at_one
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.kalman import classical, kalman_gain
+from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.smoother import RobustSmoother
+from robsmooth.estimators.tuned import classical
 from robsmooth.estimators.tuned import tuned_fixed_lag_smoother as tuned_fixed_lag_smoother
 from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import with_feedback
@@ -43,10 +44,6 @@ def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
     ------
     InfeasibleDesignError
         For a measurement without noise, or a mode that is neither stable nor seen.
-
-    See Also
-    --------
-    fixed_lag_smoother, ngcf : with a delay; robust.
 
     Examples
     --------
@@ -89,7 +86,7 @@ def fixed_lag_smoother(
     --------
     >>> import robsmooth as rs
     >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, order=2)
-    Estimator(3 states, delay=3.1e-06 s, order=2, 1 measurements, 1 outputs, 1 copies)
+    Estimator(3 states, 1 measurements, 1 outputs, 1 copies, delay=3.1e-06 s, order=2)
     """
     return classical(augment(system, delay, order), copies)
 
@@ -104,10 +101,6 @@ def ngcf(system: UncertainSystem) -> RobustSmoother:
     Returns
     -------
     RobustSmoother
-
-    See Also
-    --------
-    minimize_bound : with a delay.
 
     References
     ----------
@@ -144,10 +137,6 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     InfeasibleDesignError, ArithmeticError
         As in `kalman_bucy`; where the filter's time constants are so far apart that rounding would
         spoil the result.
-
-    See Also
-    --------
-    fixed_lag_smoother, optimal_two_sided_error : what comes close; the same for an endless delay.
 
     References
     ----------
@@ -193,10 +182,6 @@ def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
     -------
     (m, m) array
 
-    See Also
-    --------
-    optimal_fixed_lag_error
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -221,10 +206,6 @@ def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
     Returns
     -------
     float, in the squared unit of w
-
-    See Also
-    --------
-    optimal_fixed_lag_error, constant_minimax_smoother : one system; an estimator that is not told.
 
     Examples
     --------

@@ -1,7 +1,13 @@
 r"""The least bound: minimisation of V over tau and lambda.
 
 SciPy's SLSQP minimises :math:`\log V` under the constraint :math:`J'M(\lambda)J \le I`, in natural
-units (`robsmooth.estimators.units`). What is known of the minimiser says where it is sought:
+units (`robsmooth.estimators.units`). With :math:`\theta = \tau\lambda`, neither :math:`X` nor
+:math:`Y/\tau` nor the estimator depends on :math:`\tau`, and :math:`V = \tau\,v(\theta)`: v is half
+the entropy of the problem's central H-infinity controller, for channels weighted by
+:math:`M(\theta)` and :math:`N(\theta)`. For the search the equations are solved fast and not
+certified; the design that it ends with is, by `design_smoother`.
+
+What is known of the minimiser says where it is sought:
 
 - :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`: the least bound lies on the boundary of the
   constraint, and the step onto it is exact.
@@ -21,20 +27,16 @@ from operator import itemgetter
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import LinAlgError, schur
 from scipy.optimize import minimize, minimize_scalar
 
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth.estimators.bound_function import log_bound
-from robsmooth.estimators.conditions import (
-    check_plant,
-    check_stable,
-    multiplier_level,
-    of_measurements,
-)
+from robsmooth._support.validation import Matrix
+from robsmooth.estimators import conditions
 from robsmooth.estimators.drift import Drift
-from robsmooth.estimators.problem import DesignProblem
+from robsmooth.estimators.equations import DesignEquations, DesignProblem
 from robsmooth.estimators.smoother import RobustSmoother, design_smoother, limiting_smoother
 from robsmooth.estimators.units import Units
 from robsmooth.systems.augmented import AugmentedSystem, undelayed
@@ -54,6 +56,8 @@ _REFUSED = 1e3  # more than the logarithm of any bound
 _ROUNDING = 1e-18  # a level of the constraint that is smaller is rounding
 _ROUGH = {"ftol": 1e-6, "maxiter": 50}  # SLSQP's options from each start ...
 _FINE = {"ftol": 1e-14, "maxiter": 100}  # ... and from the best end
+_STABILITY_MARGIN = 1e-10  # of a Riccati equation's closed loop, relative to its Hamiltonian's norm
+_LARGEST = 1e75  # a norm, so that products of four stay within the floats
 _PASSES = 10  # of it, each from where the one before has stopped
 _TIGHT = 1e-11  # a pass that takes less off log V is the last
 
@@ -95,13 +99,13 @@ def minimize_bound(
     >>> round(smoother.mean_square_bound, 4), round(smoother.bound_infimum, 5)
     (0.1399, 0.06994)
     """
-    check_plant(plant, "filtered" if cost is None else cost)
+    conditions.check_plant(plant, "filtered" if cost is None else cost)
     if cost is None:
         cost = "smoothed" if plant.delay > 0.0 else "filtered"
     starts = validation.integer("starts", starts, low=1)
     seed = validation.integer("seed", seed, low=0)
-    check_stable(plant)
-    search, alone = _Search.of(plant, cost), of_measurements(plant)
+    conditions.check_stable(plant)
+    search, alone = _Search.of(plant, cost), conditions.of_measurements(plant)
     value, tau, multipliers = search.least(starts, seed)
     if alone.size and alone.all():
         positive = np.arange(len(search.levels)) < plant.system.k + plant.system.g
@@ -110,7 +114,7 @@ def minimize_bound(
             value, tau, multipliers = there
     if value >= _REFUSED:
         raise search.not_found()
-    level = multiplier_level(plant, multipliers)
+    level = conditions.multiplier_level(plant, multipliers)
     tau, multipliers = tau * search.tau * level, multipliers / level
     if multipliers.all():
         return design_smoother(plant, tau, multipliers, cost)
@@ -134,7 +138,7 @@ def _design_near(limit: RobustSmoother, search: "_Search") -> RobustSmoother:
     for fraction in VANISHING * 0.1 ** np.arange(7):
         small = fraction * limit.multipliers.max()
         multipliers = np.where(limit.multipliers > 0.0, limit.multipliers, small)
-        multipliers /= multiplier_level(plant, multipliers)
+        multipliers /= conditions.multiplier_level(plant, multipliers)
         with suppress(InfeasibleDesignError):
             tau = search.best_tau(multipliers)
             design = design_smoother(plant, tau, multipliers, limit.cost)
@@ -264,3 +268,39 @@ class _Search:
             "may be one, and minimax_smoother needs less"
         )
         return InfeasibleDesignError(condition, detail, verb="failed where the search ended")
+
+
+@np.errstate(all="ignore")
+def log_bound(problem: DesignProblem, theta: np.ndarray) -> float:
+    """Return log v of a problem in natural units.
+
+    Raises InfeasibleDesignError where there is no design, or numbers leave the range of floats.
+    """
+    of_Y = conditions.ASSUMPTION_Y
+    with suppress(LinAlgError):
+        equations = DesignEquations(problem, 1.0, theta)
+        Y = _stabilising(of_Y, *equations.equation_Y)
+        spectrum = np.linalg.eigvalsh(Y)
+        conditions.check_nonnegative(of_Y, spectrum[0] / (np.abs(spectrum).max() or 1.0))
+        X = _stabilising(conditions.ASSUMPTION_X, *equations.equation_X())
+        *_, v, _ = equations.solution(X, Y)
+        if np.isfinite(v):
+            return float(np.log(max(v, np.finfo(float).tiny)))
+    raise conditions.refusal(of_Y, "numbers leave the range of floats")
+
+
+def _stabilising(condition: str, A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
+    """Return the stabilising solution of A'X + XA + Q - XSX = 0, which the condition asks for."""
+    n = len(A)
+    size_Q, size_S = np.linalg.norm(Q), np.linalg.norm(S)
+    unit = np.sqrt(size_Q / size_S) if size_Q > 0.0 < size_S else 1.0 / (size_S or 1.0)
+    hamiltonian = np.block([[A, -unit * S], [-Q / unit, -A.T]])
+    size = np.linalg.norm(hamiltonian)
+    if size < _LARGEST:
+        with suppress(LinAlgError):
+            form, basis, stable = schur(hamiltonian, sort="lhp")
+            X = np.linalg.solve(basis[:n, :n].T, basis[n:, :n].T) * unit
+            decays = stable == n and -form.diagonal()[:n].max() > _STABILITY_MARGIN * size
+            if decays and np.linalg.norm(X) < _LARGEST:
+                return (X + X.T) / 2
+    raise conditions.refusal(condition, "there is no stabilising solution")

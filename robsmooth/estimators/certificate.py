@@ -26,7 +26,6 @@ from scipy.optimize import minimize
 from robsmooth._numerics.modes import Modes, hardly_decays, is_stable, separations
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth._support.extras import convex_modelling
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
 from robsmooth.estimators.estimator import Estimator
@@ -138,12 +137,8 @@ class ConstraintProblem:
 def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np.ndarray, Matrix]:
     """Return the loop without modes that hardly decay, where it can be.
 
-    Also which constraints see these modes, and what the states are of the whole loop's, (., N).
-
-    Raises
-    ------
-    UnstableLoopError
-        Where a mode does not decay, and the output of an uncertainty holds it.
+    Also which constraints see these modes, and what the states are of the whole loop's, (., N). An
+    UnstableLoopError says that a mode does not decay, and the output of an uncertainty holds it.
     """
     k, g = plant.system.k, plant.system.g
     whole, seeing = (loop, np.zeros(k + 3 * g, dtype=bool), np.eye(len(loop.A))), None
@@ -261,7 +256,7 @@ def _by_programme(
 
     P is in the unit of the error, and theta relative to the given one, feasible for a fraction.
     """
-    cp = convex_modelling()
+    import cvxpy as cp  # it takes long to import
 
     unit, A, B, C = problem.at(theta, fraction).mean_square, problem.A, problem.B, problem.C
     root = np.linalg.inv(np.linalg.cholesky(np.tensordot(theta, problem.M, axes=1)))

@@ -1,12 +1,13 @@
 """The conditions of the theory, and what is said where one fails."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from robsmooth._numerics.riccati import RiccatiError, RiccatiSolution
+from robsmooth._numerics.riccati import RiccatiError, RiccatiSolution, solve_riccati
 from robsmooth._support import validation
 from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.validation import Matrix
 from robsmooth.systems.augmented import AugmentedSystem, check_is_plant, check_noise
 
 COSTS = ("filtered", "smoothed")
@@ -96,10 +97,10 @@ def check_nonnegative(condition: str, smallest: float) -> None:
         raise refusal(condition, text)
 
 
-def certified_solution(condition: str, solve: Callable[[], RiccatiSolution]) -> RiccatiSolution:
+def certified_solution(condition: str, equation: tuple[Matrix, ...]) -> RiccatiSolution:
     """Solve one Riccati equation; name the assumption where there is no nonnegative solution."""
     try:
-        solution = solve()
+        solution = solve_riccati(*equation)
     except RiccatiError as error:
         raise refusal(condition, str(error)) from None
     check_nonnegative(condition, solution.smallest_eigenvalue)

@@ -15,17 +15,15 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.estimators.certificate import model_loop
 from robsmooth.estimators.constant import mean_square, slopes, worst_constant, worst_delta
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.kalman import classical
 from robsmooth.estimators.loop import OpenLoop, open_loop
 from robsmooth.estimators.minimax import is_convex, minimax_smoother
-from robsmooth.estimators.tuned import tuned_fixed_lag_smoother
+from robsmooth.estimators.tuned import classical, tuned_fixed_lag_smoother
 from robsmooth.estimators.units import Natural, in_plant_states
 from robsmooth.systems.augmented import AugmentedSystem
 
@@ -35,7 +33,7 @@ _CLOSED = 1e-4  # relative: the worst Delta is in the set where no other is wors
 _STARTS = 16  # of the search for the worst Delta
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ConstantMinimaxSmoother(Estimator):
     """An estimator with the least largest error over constant uncertainties.
 
@@ -61,14 +59,9 @@ class ConstantMinimaxSmoother(Estimator):
     Deltas: NDArray[np.float64]
     cost: str
 
-    def __repr__(self) -> str:
-        return self._summary(f"worst_constant={self.worst_constant:.5g}")
-
-    def _repr_html_(self) -> str:
-        rows = [(f"worst constant {self.cost} error, (unit of $w$)²", self.worst_constant)]
-        for i, Delta in enumerate(self.Deltas[1:], start=1):
-            rows.append((rf"$\Delta$ {i} of those it is for", f"${notation.matrix(Delta)}$"))
-        return self._sheet("Minimax smoother against constant uncertainty", rows)
+    @property
+    def _figures(self) -> str:
+        return f"worst_constant={self.worst_constant:.5g}, cost={self.cost!r}"
 
 
 @one_thread
@@ -94,12 +87,6 @@ def constant_minimax_smoother(
     InfeasibleDesignError
         Where every candidate's error has no limit for some constant uncertainty, and else as in
         `minimax_smoother`.
-    ValueError, TypeError
-        For an argument that is not as described.
-
-    See Also
-    --------
-    minimax_smoother, worst_case : against uncertainty that varies; the worst constant one.
 
     Examples
     --------
@@ -124,12 +111,7 @@ def constant_minimax_smoother(
     value *= natural.units.w**2
     if drifts:
         value, _ = worst_constant(Estimator(**fields), output, _STARTS)
-    return ConstantMinimaxSmoother(
-        **fields,
-        worst_constant=value,
-        Deltas=Deltas,
-        cost=output,
-    )
+    return ConstantMinimaxSmoother(**fields, worst_constant=value, Deltas=Deltas, cost=output)
 
 
 def _candidates(plant: AugmentedSystem) -> list[Estimator]:

@@ -39,11 +39,10 @@ class Slopes:
         """Return the gradient with respect to `variables`."""
         plant = estimator.plant
         n, m, own = plant.n, plant.system.m, slice(plant.n, None)
-        noise = _real_noise(estimator)
         drift = self.A[own, own]
         gain = (
             self.A[own, :n] @ plant.C2_tilde.T
-            + self.B[own] @ noise.T
+            + self.B[own] @ plant.real_noise.T
             + self.inputs[own] @ plant.D21_tilde.T
         )
         arguments = (plant.D12_tilde.T @ self.outputs[:, own])[m:]
@@ -51,13 +50,6 @@ class Slopes:
         gain = measured - copied @ plant.known[1].T
         parts = (drift, gain, arguments, self.estimate[:, own])
         return np.concatenate([part.ravel() for part in parts])
-
-
-def _real_noise(estimator: Estimator) -> Matrix:
-    """Return the noise of the extended measurement, the copies without any."""
-    noise = estimator.plant.D21_bar.copy()
-    noise[estimator.plant.system.l :] = 0.0
-    return noise
 
 
 def variables(estimator: Estimator) -> np.ndarray:

@@ -1,35 +1,12 @@
-r"""An estimator in discrete time, for a measured record.
+"""An estimator in discrete time, for a measured record.
 
-A record has a row for each interval of `dt`: the mean of :math:`dy/dt` over it. With `y` held at
-its mean, an estimator
-
-.. math::
-
-    \dot{\hat x} = A\hat x + B_y\,y + B_\mu\,\psi(\tilde\nu - r), \qquad \tilde\nu = C_\nu\hat x,
-
-is linear but for the copies, where `r` is the reference. The linear part is taken exactly, whatever
-`dt`, and the copies' part by the exponential Runge-Kutta method of second order ETD2RK (S. M. Cox
-and P. C. Matthews, J. Comput. Phys. 176(2), 2002),
-
-.. math::
-
-    a &= \varphi_0\hat x_k + \varphi_1 h\,[B_y y_k + B_\mu\,\mu(\hat x_k)], \\
-    \hat x_{k+1} &= a + \varphi_2 h\,B_\mu\,[\mu(a) - \mu(\hat x_k)], \qquad
-    \mu(x) = \psi(C_\nu x - r_k), \quad \varphi_j = \varphi_j(Ah),
-
-which keeps every equilibrium. The copies' slope at zero is not moved into `A`: what is left could
-have twice the Lipschitz constant, and that this is small is why long steps are stable. In the
-example, at a `dt` of a third of the loop's time constant, the method's error is a thousandth of the
-estimate's.
-
-Where measurements are missing, their place is taken by what the estimator expects of them,
-:math:`(C_2\hat x)_i + (\bar D_{21}\,\tilde\mu)_i`, all along the interval and not held: their
-innovation is zero. This changes `A` and :math:`B_\mu`, so that every set of missing channels has
-matrices of its own. In a long gap the estimates go back to the prior, zero.
+A record has a row for each interval of `dt`: the mean of :math:`dy/dt` over it. Classical designs
+run as exact filters and smoothers in discrete time (`robsmooth.estimators.exact`), all others as
+the equations in continuous time that they are (`robsmooth.estimators.held`).
 """
 
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Literal, overload
 
 import numba
 import numpy as np
@@ -37,9 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
 from robsmooth.estimators import sample_loop
-from robsmooth.estimators.sample_loop import Record, Steps
+from robsmooth.estimators.exact import ExactFilter
+from robsmooth.estimators.held import HeldEstimator
+from robsmooth.systems.system import covariance_root
 
+Floats = NDArray[np.float64]
+Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
+DELAYS = ("exact", "model")
 
 
 class DiscreteSmoother:
@@ -57,7 +39,9 @@ class DiscreteSmoother:
     ----------
     dt, delay : float
         Length of a sample's interval, and the delay of the smoothed estimate (also ``lag``), s.
-    l, m, g : int, numbers of measurements, outputs and nonlinearities
+    exact : bool
+        Whether the delay is exact, for the smoother is that of a nominal system in discrete time.
+    l, m, g, p : int, numbers of measurements, outputs, nonlinearities and known inputs
     compiled : bool
         Whether samples are taken by compiled code: where the estimator runs no copies, or numba
         has compiled all functions for scalars, unless NUMBA_DISABLE_JIT is set. Others are slower
@@ -83,50 +67,63 @@ class DiscreteSmoother:
         estimator: Any,  # an Estimator, which imports this module
         dt: float,
         functions: Iterable[Callable[[Any], Any] | None] | None = None,
+        delay: str | None = None,
+        mean: ArrayLike | None = None,
+        offset: ArrayLike | None = None,
     ) -> None:
         self.dt: float = validation.positive("dt", dt)
         self.delay: float = estimator.plant.delay
         self.lag: float = self.delay
         system = estimator.plant.system
-        self.l, self.m, self.g = system.l, system.m, system.g
-        self._estimator, self._running = estimator, sample_loop.running_copies(estimator)
-        self._C_nu = np.ascontiguousarray(estimator.C_c[system.m :][self._running])
-        self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
-        self._sizes = sample_loop.sizes_of(len(estimator.A_c), self.l, self.m, len(self._running))
+        self.l, self.m, self.g, self.p = system.l, system.m, system.g, system.p
+        if delay is not None:
+            validation.choice("delay", delay, DELAYS)
+        if delay == "exact" and estimator.nominal is None:
+            raise ValueError(
+                "delay 'exact' is for classical and tuned designs, which smooth the innovations of "
+                "a nominal system; this one is a filter of the plant with its delay model, and "
+                "runs as delay='model'"
+            )
+        self.exact: bool = estimator.nominal is not None and delay != "model"
+        self._mean = _vector("mean", mean, system.n)
+        self._offset = _vector("offset", offset, self.l) + system.C2 @ self._mean
+        self._w = system.C0 @ self._mean
+        self._running = sample_loop.running_copies(estimator)
+        arguments = [c.C @ self._mean for c in system.nonlinearities]
+        self._shift = np.array(arguments).reshape(-1)[self._running]
         run = sample_loop.running_functions(system.nonlinearities, functions, self._running)
         self.compiled: bool = (
             all(map(sample_loop.takes_numbers, run)) and not numba.config.DISABLE_JIT
         )
-        self._advance = sample_loop.sample_loop(run, self.compiled)
-        self._patterns: dict[bytes, int] = {}  # of missing channels, to a row of the steps
-        self._steps: Steps | None = None
-        self._pattern(np.zeros(self.l, dtype=bool))
+        kind = ExactFilter if self.exact else HeldEstimator
+        self._engine = kind(estimator, self.dt, self._running, run, self.compiled)
         self.reset()
 
     def __repr__(self) -> str:
         how = "compiled" if self.compiled else "not compiled"
+        kind = "exact delay" if self.exact else "delay model"
         return (
-            f"DiscreteSmoother(dt={self.dt:g} s, delay={self.delay:g} s, "
-            f"{len(self._state)} states, {self.l} measurements, {self.m} outputs, "
+            f"DiscreteSmoother(dt={self.dt:g} s, delay={self.delay:g} s, {kind}, "
+            f"{self._engine.states} states, {self.l} measurements, {self.m} outputs, "
             f"{len(self._running)} copies, {how}, {self.samples} samples taken)"
         )
 
     @property
-    def state(self) -> NDArray[np.float64]:
-        """The estimator's state now, (n_c,); a copy."""
-        return self._state.copy()
+    def state(self) -> Floats:
+        """The state now, a copy: an exact filter's estimate of the system's, or the estimator's."""
+        return self._engine.state + (self._mean if self.exact else 0.0)
 
     @property
-    def smoothed(self) -> NDArray[np.float64]:
+    def smoothed(self) -> Floats:
         """The smoothed estimate now, (m,): of w one delay back."""
-        return self._outputs["smoothed"] @ self._state
+        return self._engine.estimate("smoothed") + self._w
 
     @property
-    def filtered(self) -> NDArray[np.float64]:
+    def filtered(self) -> Floats:
         """The filtered estimate now, (m,): of w now."""
-        return self._outputs["filtered"] @ self._state
+        return self._engine.estimate("filtered") + self._w
 
-    def times(self, rows: int, output: str = "smoothed") -> NDArray[np.float64]:
+    def times(self, rows: int, output: str = "smoothed") -> Floats:
         """Return the times to which the last `rows` estimates belong.
 
         Parameters
@@ -144,110 +141,257 @@ class DiscreteSmoother:
         delay = self.delay if validation.choice("output", output, OUTPUTS) == "smoothed" else 0.0
         return np.arange(self.samples - rows + 1, self.samples + 1) * self.dt - delay
 
-    def reset(self, state: ArrayLike | None = None, samples: int = 0) -> None:
+    def reset(
+        self,
+        state: ArrayLike | None = None,
+        samples: int = 0,
+        *,
+        covariance: ArrayLike | None = None,
+    ) -> None:
         """Begin a new record.
 
         Parameters
         ----------
-        state : (n_c,) array, to begin with; zero by default
+        state : (n,) array, optional
+            What to begin with: for an exact smoother the mean of the system's state, else the
+            estimator's state. By default nothing is known but the model.
         samples : int, those before, where a record is gone on with
+        covariance : (n, n) array, optional
+            Of the system's state, for an exact smoother: how well the mean is known. By default
+            that of the model, where modes that do not decay are not known at all: estimates are NaN
+            until the samples tell enough of them. Where copies run, a filter in lock knows them as
+            well as it ever will.
         """
         samples = validation.integer("samples", samples, low=0)
-        states = len(self._estimator.A_c)
-        state = validation.array("state", np.zeros(states) if state is None else state, ndim=1)
-        if state.size != states:
-            raise ValueError(f"state must have {states} entries, got {state.size}")
-        self._state = state.copy()
+        if covariance is not None:
+            self._exact("covariance")
+        n = self._engine.states
+        if state is not None:
+            state = validation.array("state", state, ndim=1)
+            if state.size != n:
+                raise ValueError(f"state must have {n} entries, got {state.size}")
+            state = state - self._mean if self.exact else state
+        if covariance is not None:
+            root = covariance_root("covariance", covariance, n)
+            covariance = root @ root.T
+        self._engine.start(state, covariance)
         self.samples: int = samples
 
-    def step(self, y: ArrayLike, *, reference: ArrayLike | None = None) -> NDArray[np.float64]:
+    def step(
+        self,
+        y: ArrayLike,
+        *,
+        reference: ArrayLike | None = None,
+        inputs: ArrayLike | None = None,
+    ) -> Floats:
         """Take one sample.
 
         Parameters
         ----------
-        y, reference : (l,) and (g,) arrays, a row of those of `run`
+        y, reference, inputs : (l,), (g,) and (p,) arrays, a row of those of `run`
 
         Returns
         -------
         (m,) array, the smoothed estimate at the interval's end; `filtered` has the other
         """
-        y = np.asarray(y)
+        y = np.asanyarray(y)
         if y.ndim != 1:
             raise ValueError(f"y must have shape ({self.l},), got shape {y.shape}")
-        if reference is not None:
-            reference = np.asarray(reference)[None]
-        return self.run(y[None], reference=reference)[0]
+        rows = (None if each is None else np.asanyarray(each)[None] for each in (reference, inputs))
+        reference, inputs = rows
+        return self.run(y[None], reference=reference, inputs=inputs)[0]
 
+    @overload
     def run(
-        self, y: ArrayLike, *, reference: ArrayLike | None = None, output: str = "smoothed"
-    ) -> NDArray[np.float64]:
+        self,
+        y: ArrayLike,
+        *,
+        reference: ArrayLike | None = None,
+        output: str = "smoothed",
+        inputs: ArrayLike | None = None,
+        return_std: Literal[False] = False,
+    ) -> Floats: ...
+    @overload
+    def run(self, y: ArrayLike, *, return_std: Literal[True], **of: Any) -> Pair: ...
+    def run(
+        self,
+        y: ArrayLike,
+        *,
+        reference: ArrayLike | None = None,
+        output: str = "smoothed",
+        inputs: ArrayLike | None = None,
+        return_std: bool = False,
+    ) -> Floats | Pair:
         r"""Take the samples of a record, or of a piece of it.
 
         Parameters
         ----------
         y : (N, l) array
-            Row by row the mean of dy/dt over an interval; NaN where a measurement is missing.
+            Row by row the mean of dy/dt over an interval; NaN, or masked, where it is missing.
         reference : (N, g) array, optional
             What a detector takes off the nonlinearities' arguments, which act on :math:`\nu - r`,
             and the copies on :math:`\tilde\nu - r`, with `r` held over each interval. In homodyne
             detection that is :math:`2\alpha\gamma` times the phase of the local oscillator.
             `SamplePaths` has it beside y. Zero by default, whatever `simulate` takes by this name.
         output : {"smoothed", "filtered"}, which estimates to return
+        inputs : (N, p) array, optional
+            The means of the known inputs over the intervals, where the system has any.
+        return_std : bool
+            Whether to return the standard deviations of the errors, too. An exact smoother knows
+            them for its nominal system: they grow in a gap, and at both ends of a record.
 
         Returns
         -------
         (N, m) array
-            Estimates at the ends of the intervals; `times` has the times that they belong to.
+            Estimates at the ends of the intervals; `times` has the times that they belong to. An
+            exact smoother has NaN where the model and the samples do not tell enough: before the
+            start of a record of a system that drifts, or whose state at the start is given, and
+            where an unstable mode has grown through a long gap.
+        (N, m) array, their standard deviations, with `return_std`
 
         Raises
         ------
         ArithmeticError
             Where the state leaves the range of floats.
         """
-        readout = self._outputs[validation.choice("output", output, OUTPUTS)]
-        y = _checked("y", y, self.l)
-        record = self._record(y, self._reference(reference, len(y)))
-        state, result = self._state.copy(), np.empty((len(y), len(readout)))
-        self._advance(self._sizes, self._steps, self._C_nu, readout, record, state, result)
-        if not np.isfinite(state).all():
-            raise ArithmeticError("the estimator's state left the range of floating-point numbers")
-        self._state = state
-        self.samples += len(y)
+        lag = self._engine.samples_back if output == "smoothed" else 0
+        if validation.boolean("return_std", return_std):
+            self._exact("return_std")
+        found, spread = self._take(y, reference, inputs, output, [lag], return_std)
+        return (found[:, 0], spread[:, 0]) if return_std else found[:, 0]
+
+    def bank(
+        self,
+        y: ArrayLike,
+        lags: Sequence[int],
+        *,
+        reference: ArrayLike | None = None,
+        inputs: ArrayLike | None = None,
+    ) -> Floats:
+        """Take samples, and return the estimates at many lags in one pass.
+
+        Parameters
+        ----------
+        y, reference, inputs : as in `run`
+        lags : sequence of int
+            In samples, ascending, at most the delay. A lag of d belongs to d intervals before the
+            end of the row's.
+
+        Returns
+        -------
+        (N, len(lags), m) array
+        """
+        longest = self._exact("bank").samples_back
+        if not isinstance(lags, Iterable):
+            raise TypeError(f"lags must be a sequence of integers, got {lags!r}")
+        lags = [validation.integer("lags", lag, low=0) for lag in lags]
+        if not lags or lags != sorted(set(lags)) or lags[-1] > longest:
+            raise ValueError(f"lags must ascend, and be at most {longest}, got {lags}")
+        return self._take(y, reference, inputs, "filtered", lags, False)[0]
+
+    def two_sided(
+        self,
+        y: ArrayLike,
+        *,
+        reference: ArrayLike | None = None,
+        inputs: ArrayLike | None = None,
+    ) -> Pair:
+        """Return the estimates that use a whole record: fixed-interval smoothing.
+
+        The record begins as `reset` last said. The samples taken and the state stay as they are.
+
+        Parameters
+        ----------
+        y, reference, inputs : as in `run`
+
+        Returns
+        -------
+        (N, m) array, estimates of w at the ends of the intervals
+        (N, m) array, the standard deviations of their errors
+        """
+        found, spread, _ = self._exact("two_sided").whole(*self._given(y, reference, inputs))
+        return found + self._w, spread
+
+    def innovations(
+        self,
+        y: ArrayLike,
+        *,
+        reference: ArrayLike | None = None,
+        inputs: ArrayLike | None = None,
+    ) -> Floats:
+        """Return the normalised innovations of a record: white, of variance one, by the model.
+
+        An innovation is what a sample differs by from what the filter expects of it. Those of a
+        sample are made uncorrelated, and are divided by their standard deviations.
+
+        Parameters
+        ----------
+        y, reference, inputs : as in `two_sided`
+
+        Returns
+        -------
+        (N, l) array, with NaN where a measurement is missing
+
+        See Also
+        --------
+        robsmooth.check_record : tells whether they are what the model says.
+        """
+        return self._exact("innovations").whole(*self._given(y, reference, inputs))[2]
+
+    def _exact(self, name: str) -> ExactFilter:
+        if isinstance(self._engine, ExactFilter):
+            return self._engine
+        raise ValueError(
+            f"{name} is for an exact smoother, of a classical or a tuned design without "
+            "delay='model': this one runs a model of its delay"
+        )
+
+    def _take(
+        self, y: Any, reference: Any, inputs: Any, output: str, lags: Sequence[int], spread: bool
+    ) -> tuple[Floats, Floats]:
+        validation.choice("output", output, OUTPUTS)
+        given = self._given(y, reference, inputs)
+        found, deviations = self._engine.take(*given, output, lags, spread)
+        self.samples += len(given[0])
+        return found + self._w if self._w.any() else found, deviations
+
+    def _given(self, y: Any, reference: Any, inputs: Any) -> tuple[Floats, Floats, Floats | None]:
+        """Return samples, references of the copies that run, and inputs, after their check."""
+        y = checked("y", y, self.l)
+        refuse("y must be finite, or nan where it is missing", y, np.isinf(y))
+        reference = self._beside("reference", reference, self.g, len(y))
+        if inputs is None and self.p:
+            raise ValueError(f"inputs must be given: the system has {self.p}; zeros where none act")
+        inputs = self._beside("inputs", inputs, self.p, len(y)) if inputs is not None else None
+        y = y - self._offset if self._offset.any() else y
+        return y, np.ascontiguousarray(reference[:, self._running] - self._shift), inputs
+
+    def _beside(self, name: str, given: ArrayLike | None, columns: int, rows: int) -> Floats:
+        """Return what stands beside y, zero by default."""
+        if given is None:
+            return np.zeros((rows, columns))
+        result = checked(name, given, columns)
+        if len(result) != rows:
+            raise ValueError(f"{name} must have {rows} rows, as y, got {len(result)}")
+        refuse(f"{name} must be finite", result, ~np.isfinite(result))
         return result
 
-    def _reference(self, given: ArrayLike | None, rows: int) -> NDArray[np.float64]:
-        """Return the reference of the copies that run."""
-        if given is None:
-            return np.zeros((rows, len(self._running)))
-        reference = _checked("reference", given, self.g)
-        if len(reference) != rows:
-            raise ValueError(f"reference must have {rows} rows, as y, got {len(reference)}")
-        _refuse("reference must be finite", reference, ~np.isfinite(reference))
-        return np.ascontiguousarray(reference[:, self._running])
+    def _checkpoint(self) -> tuple[Any, int]:
+        """Return what `_restore` goes back to."""
+        return self._engine.memory, self.samples
 
-    def _record(self, y: NDArray[np.float64], reference: NDArray[np.float64]) -> Record:
-        """Return the samples, in segments with the same measurements missing."""
-        if np.isfinite(y).all():
-            return Record(y, reference, np.array([0, len(y)]), np.zeros(1, dtype=np.intp))
-        _refuse("y must be finite, or nan where it is missing", y, np.isinf(y))
-        missing = np.isnan(y)
-        changes = 1 + np.flatnonzero((missing[1:] != missing[:-1]).any(axis=1))
-        starts = np.array([0, *changes, len(y)])
-        patterns = np.array([self._pattern(row) for row in missing[starts[:-1]]])
-        return Record(np.where(missing, 0.0, y), reference, starts, patterns)
-
-    def _pattern(self, missing: NDArray[np.bool_]) -> int:
-        """Return the index of the matrices for these missing channels; make them where needed."""
-        key = missing.tobytes()
-        if key not in self._patterns:
-            steps = sample_loop.steps_of(self._estimator, self._running, self.dt, missing)
-            if self._steps is not None:
-                steps = Steps(*map(np.concatenate, zip(self._steps, steps, strict=True)))
-            self._patterns[key], self._steps = len(self._patterns), steps
-        return self._patterns[key]
+    def _restore(self, checkpoint: tuple[Any, int]) -> None:
+        self._engine.memory, self.samples = checkpoint
 
 
-def _checked(name: str, given: ArrayLike, columns: int) -> NDArray[np.float64]:
+def _vector(name: str, given: ArrayLike | None, size: int) -> Floats:
+    result = validation.array(name, np.zeros(size) if given is None else given, ndim=1)
+    if result.size != size:
+        raise ValueError(f"{name} must have {size} entries, got {result.size}")
+    return result
+
+
+def checked(name: str, given: ArrayLike, columns: int) -> Floats:
     """Return `given` as an (N, columns) array of floats."""
     try:
         result = np.asarray(given)
@@ -255,13 +399,17 @@ def _checked(name: str, given: ArrayLike, columns: int) -> NDArray[np.float64]:
         raise ValueError(f"{name} must be a rectangular array of numbers") from None
     if result.dtype.kind not in "iuf" and result.size:
         raise TypeError(f"{name} must be an array of real numbers, got entries of {result.dtype}")
+    if result.size == 0 and result.ndim == 1:
+        result = result.reshape(0, columns)
     if result.ndim != 2 or result.shape[1] != columns:
         hint = f"; {name}[:, None] has it" if result.ndim == 1 and columns == 1 else ""
         raise ValueError(f"{name} must have shape (N, {columns}), got {result.shape}{hint}")
+    if np.ma.is_masked(given):
+        result = np.where(np.ma.getmaskarray(given), np.nan, result)
     return np.require(result, dtype=float, requirements=["C", "W"])
 
 
-def _refuse(rule: str, values: NDArray[np.float64], wrong: NDArray[np.bool_]) -> None:
+def refuse(rule: str, values: Floats, wrong: NDArray[np.bool_]) -> None:
     """Raise a ValueError that names the first entry that is wrong, if one is."""
     if wrong.any():
         row, column = divmod(int(wrong.argmax()), wrong.shape[1])

@@ -19,15 +19,13 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag, null_space
 
-from robsmooth._numerics.modes import Modes, modes, natural_units
+from robsmooth._numerics.modes import Modes, modes, natural_units, reaches
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.loop import drifting_output
-from robsmooth.estimators.problem import reaches
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import UncertainSystem
 
@@ -60,19 +58,17 @@ class Drift:
         found = modes(system.A, natural_units(system.A, system.B1), _SLOW * rate)
         rest = _unseen(found, system, rate)
         V, W = found.V @ rest, rest.T @ found.W
-        gain = np.zeros((system.n, system.l))
+        gain, taken_off = np.zeros((system.n, system.l)), plant.taken_off
         if V.size:
             noise = np.hstack([W @ system.B1, np.zeros((V.shape[1], system.q))])
             more = np.hstack([system.D21, _MORE * system.D21])
             parts = W @ system.A @ V, noise, system.C0 @ V, system.C2 @ V, more
             gain = V @ kalman_gain(UncertainSystem(*parts), without_delay)[1]
-        kept = np.ones(k + 3 * g, dtype=bool)
-        for i, channel in enumerate(system.nonlinearities, start=k):
-            kept[[i + g, i + 2 * g]] = not _sees(channel.C, V, found).any()
-        taken_off = plant.taken_off
-        if V.size:
             B, _, D = system.stacked(system.nonlinearities)
             taken_off = np.vstack([V @ W @ B - gain @ D, D])
+        kept = np.ones(k + 3 * g, dtype=bool)
+        for i, channel in enumerate(system.nonlinearities, start=k):
+            kept[[i + g, i + 2 * g]] = not replace(found, V=V).seen_by(channel.C).any()
         left = replace(plant, system=_left(system, gain), taken_off=taken_off)
         return cls(left, V, W, gain, kept)
 
@@ -108,12 +104,6 @@ class Drift:
         return {name: getattr(whole, name) for name in fields}
 
 
-def _sees(C: Matrix, V: Matrix, found: Modes) -> np.ndarray:
-    """Return which rows see which modes."""
-    sizes = np.linalg.norm(C * found.units, axis=1)[:, None]
-    return np.abs(C @ V) > _UNSEEN * sizes * np.linalg.norm(V / found.units[:, None], axis=0)
-
-
 def _unseen(found: Modes, system: UncertainSystem, rate: float) -> Matrix:
     """Return those combinations of the modes that no uncertainty sees; the others must decay."""
     rest = np.eye(len(found.A))
@@ -133,15 +123,10 @@ def _unseen(found: Modes, system: UncertainSystem, rate: float) -> Matrix:
 
 
 def _left(system: UncertainSystem, gain: Matrix) -> UncertainSystem:
-    """Return the system of what the observer leaves; its functions are of no account."""
-    return UncertainSystem(
-        A=system.A - gain @ system.C2,
-        B1=system.B1 - gain @ system.D21,
-        C0=system.C0,
-        C2=system.C2,
-        D21=system.D21,
-        uncertainties=[Uncertainty(c.B - gain @ c.D, c.C, c.D) for c in system.uncertainties],
-        nonlinearities=[
-            Nonlinearity(c.B - gain @ c.D, c.C, c.D, c.lipschitz) for c in system.nonlinearities
-        ],
-    )
+    """Return the system of what the observer leaves, all but functions and known inputs."""
+    channels = {
+        kind: [replace(c, B=c.B - gain @ c.D) for c in getattr(system, kind)]
+        for kind in ("uncertainties", "nonlinearities")
+    }
+    A, B1 = system.A - gain @ system.C2, system.B1 - gain @ system.D21
+    return replace(system, A=A, B1=B1, **channels)

@@ -69,17 +69,47 @@ this is the *nonlinear observer*, which takes the copy's output for the nonlinea
 robust against their difference alone.
 """
 
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 
 from robsmooth._numerics.lyapunov import square_root
-from robsmooth._numerics.riccati import RiccatiSolution, solve_riccati
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.estimators.problem import DesignProblem
+from robsmooth.systems.augmented import AugmentedSystem
 
 Equation = tuple[Matrix, Matrix, Matrix]  # the A, Q and S of A'Z + ZA + Q - ZSZ = 0
+
+
+@dataclass(frozen=True, eq=False)
+class DesignProblem:
+    """What the equations are made of, whatever tau and lambda."""
+
+    A: Matrix  # (n, n) the plant's drift
+    C: Matrix  # (m, n) the output that the cost is on
+    C2: Matrix  # (l, n) the measurement
+    B: Matrix  # (n, r + g) the channels' inputs into the state
+    D: Matrix  # (l, r + g) and into the measurement
+    C1: Matrix  # (h + g, n) their outputs, the nonlinearities' times their Lipschitz constants
+    channels: np.ndarray  # (r + g,) to which of the k + g channels an input belongs ...
+    rows: np.ndarray  # (h + g,) ... and an output
+    lipschitz: np.ndarray  # (g,)
+    k: int  # the first channels are those of the uncertainties, the others the nonlinearities'
+
+    @classmethod
+    def of(cls, plant: AugmentedSystem, cost: str) -> "DesignProblem":
+        """Return the problem of a plant and a cost."""
+        system, k, g = plant.system, plant.system.k, plant.system.g
+        channels, rows = (
+            np.repeat(np.arange(k + g), sizes[: k + g])
+            for sizes in (plant.input_sizes, plant.output_sizes)
+        )
+        B, D = plant.B1_tilde[:, : len(channels)], plant.D21_tilde[: system.l, : len(channels)]
+        lipschitz = np.array([c.lipschitz for c in system.nonlinearities])
+        scales = np.concatenate([np.ones(len(rows) - g), lipschitz])
+        C1 = scales[:, None] * plant.C1_tilde[: len(rows)]
+        C, C2 = plant.C_p0 if cost == "filtered" else plant.C_a, plant.C2_tilde[: system.l]
+        return cls(plant.A_p, C, C2, B, D, C1, channels, rows, lipschitz, k)
 
 
 class DesignEquations:
@@ -90,43 +120,32 @@ class DesignEquations:
         of_s, (d, o, c) = multipliers[: problem.k], multipliers[problem.k :].reshape(3, -1)
         self.d, self.a, self.b = d, d / (d + o), d / (d + c)
         of_Y, of_X = np.concatenate([of_s, d + o]), np.concatenate([of_s, o + self.b * c])
-        self.R = problem.C.T @ problem.C + self._output_cost(of_Y)
-        self.Q_X = self._output_cost(of_X)  # R - Gamma G^{-1} Gamma'
+        C1 = problem.C1
+        self.R = problem.C.T @ problem.C + tau * (C1.T * of_Y[problem.rows] @ C1)
+        self.Q_X = tau * (C1.T * of_X[problem.rows] @ C1)  # R - Gamma G^{-1} Gamma'
         # Diagonals of Lambda_Y^{-1} and Lambda_X^{-1}; zero for noise without bound.
         self.noise_Y = (1.0 / of_Y)[problem.channels]
         of_X = of_X[problem.channels]
         self.noise_X = np.divide(1.0, of_X, out=np.zeros_like(of_X), where=of_X > 0.0)
         self.E = problem.D * self.noise_Y @ problem.D.T
         self.L = problem.B * self.noise_Y @ problem.D.T
+        over_E = np.linalg.solve(self.E, np.hstack([problem.C2, self.L.T]))
+        self.information, self.gain = np.hsplit(over_E, 2)  # (l, n) E^{-1} C2 and E^{-1} L'
         self.worst_noise = problem.B * self.noise_X @ problem.B.T  # B1_tilde M^{-1} B1_tilde'
-
-    @cached_property
-    def over_E(self) -> tuple[Matrix, Matrix]:
-        """(l, n) E^{-1} C2 and E^{-1} L'."""
-        both = np.hstack([self.problem.C2, self.L.T])
-        return tuple(np.hsplit(np.linalg.solve(self.E, both), 2))
 
     @property
     def equation_Y(self) -> Equation:
         """The first Riccati equation of Assumption 3."""
-        problem, (information, gain) = self.problem, self.over_E
+        problem = self.problem
         return (
-            (problem.A - self.L @ information).T,
-            problem.B * self.noise_Y @ problem.B.T - self.L @ gain,
-            problem.C2.T @ information - self.R / self.tau,
+            (problem.A - self.L @ self.information).T,
+            problem.B * self.noise_Y @ problem.B.T - self.L @ self.gain,
+            problem.C2.T @ self.information - self.R / self.tau,
         )
 
     def equation_X(self, quadratic_sign: float = 1.0) -> Equation:
         """Return the second Riccati equation of Assumption 3; the theory has `quadratic_sign` 1."""
         return self.problem.A, self.Q_X, -quadratic_sign / self.tau * self.worst_noise
-
-    def solve_Y(self) -> RiccatiSolution:
-        """Return the solution of the first Riccati equation."""
-        return solve_riccati(*self.equation_Y)
-
-    def solve_X(self, quadratic_sign: float = 1.0) -> RiccatiSolution:
-        """Return the solution of the second one."""
-        return solve_riccati(*self.equation_X(quadratic_sign))
 
     def solution(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, Matrix, float, float]:
         """Return K, U, T, V and rho(YX), which must be below tau."""
@@ -141,8 +160,7 @@ class DesignEquations:
             )
         root = root @ directions
         T = np.eye(len(X)) + root / (self.tau - radii) @ root.T @ X
-        information, gain = self.over_E
-        K = Y @ information.T + gain.T
+        K = Y @ self.information.T + self.gain.T
         copies = self.problem.channels >= self.problem.k
         B, excess = self.problem.B[:, copies], self.a * self.b * self.noise_X[copies]  # 1/f - 1/e
         U = K @ self.E @ K.T + B * excess @ B.T
@@ -158,8 +176,3 @@ class DesignEquations:
         A_c = problem.A - K @ problem.C2 + Y @ (self.R + Gamma @ C_c) / self.tau
         copies = (problem.B - K @ problem.D)[:, problem.channels >= problem.k] * self.a
         return A_c, np.hstack([K, copies]), C_c, bound, radius
-
-    def _output_cost(self, weights: np.ndarray) -> Matrix:
-        """Return tau C1' Lambda C1."""
-        C1 = self.problem.C1
-        return self.tau * (C1.T * weights[self.problem.rows] @ C1)

@@ -9,18 +9,17 @@ with the copies :math:`\tilde\mu_i = \psi_i(\tilde\nu_i)` closing the loop aroun
 filter is the case where the copies' gains are zero.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robsmooth._support import notation, validation
-from robsmooth._support.tables import table_of_values
+from robsmooth._support import validation
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.statespace import state_space
+from robsmooth.systems.system import UncertainSystem, state_space
 
 if TYPE_CHECKING:
     import control
@@ -42,17 +41,14 @@ class Estimator:
         The read-outs of the smoothed estimate of w one delay back and of the filtered one of w now;
         the latter is w-hat for every design but one whose cost is on the smoothed error.
     cost : {None, "filtered", "smoothed"}, which error has a guarantee, where one has
-
-    See Also
-    --------
-    minimize_bound, fixed_lag_smoother : robust and classical designs.
-    error_covariance, simulate : the errors of any of them.
+    nominal : pair of UncertainSystem or None
+        The systems that a classical design runs as its model, and has its gain for.
 
     Examples
     --------
     >>> import robsmooth as rs
     >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
-    Estimator(3 states, delay=3.1e-06 s, order=2, 1 measurements, 1 outputs, 1 copies)
+    Estimator(3 states, 1 measurements, 1 outputs, 1 copies, delay=3.1e-06 s, order=2)
     """
 
     plant: AugmentedSystem
@@ -62,6 +58,8 @@ class Estimator:
     C_a: Matrix
     C_f: Matrix
     cost: str | None = None
+    # Not an argument: an estimator with other matrices is not that of the nominal system any more.
+    nominal: tuple[UncertainSystem, UncertainSystem] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         for value in vars(self).values():  # also of those with more to them
@@ -94,10 +92,6 @@ class Estimator:
         -------
         control.StateSpace
 
-        See Also
-        --------
-        UncertainSystem.to_statespace : the system, to be joined with it.
-
         Examples
         --------
         >>> import robsmooth as rs
@@ -120,7 +114,13 @@ class Estimator:
         return state_space(A, inputs, read_outs, {})
 
     def discretize(
-        self, dt: float, functions: Iterable[Callable[[Any], Any] | None] | None = None
+        self,
+        dt: float,
+        functions: Iterable[Callable[[Any], Any] | None] | None = None,
+        *,
+        delay: str | None = None,
+        mean: ArrayLike | None = None,
+        offset: ArrayLike | None = None,
     ) -> "DiscreteSmoother":
         """Return the estimator in discrete time, for a measured record.
 
@@ -131,6 +131,13 @@ class Estimator:
         functions : sequence of g callables, optional
             The nonlinearities' functions, instead of those of the plant; None keeps the plant's.
             One that numba has compiled for scalars is a hundred times as fast as others.
+        delay : {"exact", "model"}, optional
+            Whether the smoother of the nominal system in discrete time runs, which needs no delay
+            model, or the estimator's own equations, which are faster. By default the former where
+            there is a nominal system, for the classical and the tuned designs.
+        mean, offset : (n,) and (l,) arrays, optional
+            The mean of the system's state, which something that is not modelled keeps up, and
+            what is added to the measurements. Zero by default.
 
         Returns
         -------
@@ -141,10 +148,6 @@ class Estimator:
         ArithmeticError
             Where the estimator is unstable, and dt too long for it.
 
-        See Also
-        --------
-        smooth_record : smooths a record from file to file.
-
         Examples
         --------
         >>> import robsmooth as rs
@@ -154,41 +157,25 @@ class Estimator:
         """
         from robsmooth.estimators.discrete import DiscreteSmoother  # numba takes long to import
 
-        return DiscreteSmoother(self, dt, functions)
+        return DiscreteSmoother(self, dt, functions, delay, mean, offset)
+
+    def of_nominal(self, model: UncertainSystem, gain: UncertainSystem) -> Self:
+        """Return the same estimator as that of a nominal system, that of its model and its gain."""
+        result = replace(self)
+        vars(result).update(nominal=(model, gain))
+        return result
 
     def in_coordinates(self, to: Matrix, back: Matrix) -> Self:
         """Return the same estimator with the states `to` times x_hat; `back` is the inverse."""
         reads = {name: getattr(self, name) @ back for name in ("C_c", "C_a", "C_f")}
         return replace(self, A_c=to @ self.A_c @ back, B_c=to @ self.B_c, **reads)
 
-    def _summary(self, error: str) -> str:
-        """Return a repr with the one error that a design is about."""
-        return (
-            f"{type(self).__name__}({error}, cost={self.cost!r}, delay={self.plant.delay:g} s, "
-            f"order={self.plant.order})"
-        )
+    @property
+    def _figures(self) -> str:
+        """What the repr says of it, beside its delay."""
+        l, m, g = self.plant.system.l, self.plant.system.m, self.plant.system.g  # noqa: E741
+        return f"{len(self.A_c)} states, {l} measurements, {m} outputs, {g} copies"
 
     def __repr__(self) -> str:
-        plant = self.plant
-        return (
-            f"Estimator({len(self.A_c)} states, delay={plant.delay:g} s, order={plant.order}, "
-            f"{plant.system.l} measurements, {plant.system.m} outputs, {plant.system.g} copies)"
-        )
-
-    def _repr_html_(self) -> str:
-        return self._sheet("Estimator", ())
-
-    def _sheet(self, what: str, rows: Sequence[tuple]) -> str:
-        """Return a table of what is particular to a design, then of what all have."""
-        plant = self.plant
-        shared = [
-            ("poles (1/s)", f"${notation.poles(self.poles)}$"),
-            ("$A_c$ (1/s)", f"${notation.matrix(self.A_c)}$"),
-            (r"$\tilde B_c$", f"${notation.matrix(self.B_c)}$"),
-            (r"$\tilde C_c$", f"${notation.matrix(self.C_c)}$"),
-            ("$C_a$", f"${notation.matrix(self.C_a)}$"),
-        ]
-        caption = (
-            f"{what}: delay ${notation.number(plant.delay)}$ s, delay model of order {plant.order}."
-        )
-        return table_of_values([*rows, *shared], caption, digits=6).html()
+        model = f"delay={self.plant.delay:g} s, order={self.plant.order}"
+        return f"{type(self).__name__}({self._figures}, {model})"

@@ -1,4 +1,4 @@
-"""The gain of the Kalman-Bucy filter, and estimators that are a model and a gain."""
+"""The gain of the Kalman-Bucy filter, and why there is none."""
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -9,8 +9,7 @@ from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support import notation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
-from robsmooth.estimators.estimator import Estimator
-from robsmooth.systems.augmented import AugmentedSystem, check_noise
+from robsmooth.systems.augmented import check_noise
 from robsmooth.systems.delay import DelayModel
 from robsmooth.systems.system import UncertainSystem
 
@@ -83,23 +82,3 @@ def _named(pole: complex, direction: Matrix) -> str:
     shown = notation.array(direction.real if np.isreal(pole) else direction.round(4))
     value = f"{pole.real:.4g}" if np.isreal(pole) else f"{pole:.4g}"
     return f"the mode with the eigenvalue {value} 1/s and the direction {shown}"
-
-
-def classical(plant: AugmentedSystem, copies: bool = False) -> Estimator:
-    """Return the classical fixed-lag smoother of a plant's nominal system."""
-    _, gain = kalman_gain(plant.system, plant.delay_model)
-    A_c = plant.A_p - gain @ plant.C2_tilde[: plant.system.l]
-    return with_copies(plant, A_c, gain, plant.C_p0, copies)
-
-
-def with_copies(
-    plant: AugmentedSystem, A_c: Matrix, gain: Matrix, C_w: Matrix, copies: bool = False
-) -> Estimator:
-    """Return an estimator of w = C_w x that runs the nonlinearities at its estimate, or not."""
-    B, D = plant.known
-    _, C, _ = plant.system.stacked(plant.system.nonlinearities)
-    into, arguments = B - gain @ D, np.pad(C, ((0, 0), (0, plant.n - plant.system.n)))
-    if not copies:
-        into, arguments = np.zeros_like(into), np.zeros_like(arguments)
-    B_c, C_c = np.hstack([gain, into]), np.vstack([C_w, arguments])
-    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_w)

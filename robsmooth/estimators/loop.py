@@ -81,9 +81,7 @@ def matrices(
     """Return A, B, inputs and outputs of the loop, as `OpenLoop` has them, less a reference."""
     validation.choice("loop", loop, LOOPS)
     plant, gain = estimator.plant, estimator.B_c
-    noise = plant.D21_bar.copy()
-    if loop == "real":
-        noise[plant.system.l :] = 0.0
+    noise = plant.D21_bar if loop == "theory" else plant.real_noise
     none = np.zeros((plant.n, len(estimator.A_c)))
     copies = plant.D12_tilde @ estimator.C_c - reference_outputs(estimator, reference)
     return (

@@ -16,8 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
-from robsmooth._numerics.riccati import RiccatiError
-from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.estimators.bound import minimize_bound
@@ -25,22 +23,20 @@ from robsmooth.estimators.certificate import ConstraintProblem, certify, problem
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.descent import descend
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.kalman import classical
 from robsmooth.estimators.loop import open_loop
-from robsmooth.estimators.programme import NoSolution, copies_are_known, least_certified
-from robsmooth.estimators.tuned import tuned_fixed_lag_smoother
+from robsmooth.estimators.programme import copies_are_known, least_certified
+from robsmooth.estimators.tuned import classical, tuned_fixed_lag_smoother
 from robsmooth.estimators.units import Natural, in_plant_states
 from robsmooth.systems.augmented import AugmentedSystem
 
 LARGEST = 20  # states of a plant for the programme: it takes about 10 s there, and 0.1 s for 6
-CONDITION = "A finite guarantee"
 ROUTES = ("semidefinite programme", "descent")
 _STIFF = 1e3  # between a plant's rates
 _LOST = 1e-5  # relative
 _ROUNDS = 3  # of descent, each from coordinates balanced anew
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MinimaxSmoother(Estimator):
     """An estimator with the least certified error.
 
@@ -56,10 +52,6 @@ class MinimaxSmoother(Estimator):
     route : {"semidefinite programme", "descent"}
         How it was found: the first is the least over all linear estimators, with copies in the
         limit in which the multipliers of mu and mu-tilde vanish; the second is a local minimum.
-
-    See Also
-    --------
-    minimax_smoother : makes it.
 
     Examples
     --------
@@ -79,16 +71,9 @@ class MinimaxSmoother(Estimator):
         """The guarantee: `certified`, by the name that it has for a `RobustSmoother`."""
         return self.certified
 
-    def __repr__(self) -> str:
-        return self._summary(f"certified={self.certified:.5g}")
-
-    def _repr_html_(self) -> str:
-        rows = [
-            (f"certified {self.cost} error, (unit of $w$)²", self.certified),
-            (r"multipliers $\theta$, s (unit of $w$)²", f"${notation.vector(self.multipliers)}$"),
-            ("found by", self.route),
-        ]
-        return self._sheet("Minimax smoother", rows)
+    @property
+    def _figures(self) -> str:
+        return f"certified={self.certified:.5g}, cost={self.cost!r}"
 
 
 @one_thread
@@ -136,8 +121,8 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     natural = Natural.of(plant, output)
     route, found = ROUTES[0], None
     if is_convex(natural.plant):
-        with suppress(NoSolution, RiccatiError, LinAlgError):
-            estimator, theta = least_certified(natural.plant, natural.plant.C_a)
+        with suppress(ArithmeticError, LinAlgError):
+            estimator, theta = least_certified(natural.plant)
             positive = theta > 0.0
             found = problem_of(estimator, positive).at(theta[positive]).mean_square
             if found > (1.0 + _LOST) * _classical_error(natural):
@@ -180,10 +165,7 @@ def certified_error(smoother: MinimaxSmoother) -> float:
 def _by_descent(natural: Natural) -> tuple[Estimator, np.ndarray, float]:
     """Return a local minimum, with theta and its certified error, from the best candidate.
 
-    Raises
-    ------
-    InfeasibleDesignError
-        Where no candidate has a guarantee for all of the uncertainty.
+    An InfeasibleDesignError says that none has a guarantee for all of the uncertainty.
     """
     fraction, least, best = 0.0, math.inf, None
     kept = natural.drift.kept
@@ -197,15 +179,15 @@ def _by_descent(natural: Natural) -> tuple[Estimator, np.ndarray, float]:
             least, best = found, (candidate, multipliers)
     if best is None:
         raise InfeasibleDesignError(
-            CONDITION,
+            "A finite guarantee",
             "an uncertainty of this size, varying in time, could destabilise the plant, so that no "
             f"estimator has one; {fraction:.3g} of the uncertainty has one (scale its outputs C or "
             "the Lipschitz constants down)",
         )
     estimator, theta = best
     for _ in range(_ROUNDS):
-        objective = partial(_objective, kept)
-        estimator, logarithms, found = descend(estimator, objective, np.log(theta))
+        start = np.log(theta)
+        estimator, logarithms, found = descend(estimator, partial(_objective, kept), start)
         theta = np.exp(logarithms)
     return estimator, np.where(kept, theta, 0.0), math.exp(found)
 

@@ -45,19 +45,15 @@ Automatica 44(7), 2008.
 """
 
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
-from robsmooth._support.extras import convex_modelling
+from robsmooth._numerics.modes import reaches
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.problem import reaches
 from robsmooth.systems.augmented import AugmentedSystem
-
-
-class NoSolution(ArithmeticError):
-    """The solver found no solution of the programme."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,38 +90,32 @@ def copies_are_known(plant: AugmentedSystem) -> bool:
     return not reaches(plant.A_p, plant.known[0], seen)
 
 
-def least_certified(plant: AugmentedSystem, C_a: Matrix) -> tuple[Estimator, np.ndarray]:
+def least_certified(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray]:
     """Return the estimator of C_a x with the least certified error, and theta, (k + 3g,).
 
-    The plant is in natural units, and its copies are known.
-
-    Raises
-    ------
-    NoSolution
-        Where the solver finds none.
+    The plant is in natural units, and its copies are known. An ArithmeticError says that the solver
+    finds none.
     """
-    cp = convex_modelling()
+    import cvxpy as cp  # it takes long to import
 
-    system, n, m = plant.system, plant.n, len(C_a)
+    system, n, m, C_a = plant.system, plant.n, plant.system.m, plant.C_a
     A, B_w, C_2, D_w = plant.A_p, plant.B_p1[:, : system.q], plant.C2_tilde[: system.l], system.D21
     channels = _channels(plant)
     Z, X = (cp.Variable((n, n), symmetric=True) for _ in range(2))
     F, L, K = cp.Variable((n, n)), cp.Variable((n, system.l)), cp.Variable((m, n))
-    W, theta = (
-        cp.Variable((system.q,) * 2, symmetric=True),
-        [cp.Variable(nonneg=True) for _ in channels],
-    )
+    W = cp.Variable((system.q, system.q), symmetric=True)
+    theta = [cp.Variable(nonneg=True) for _ in channels]
     arguments = {c.constraint: cp.Variable((1, n)) for c in channels if c.copied}  # times theta
 
     Q = np.zeros((n, n))
     # the columns to the right of the first two, and the diagonal below these
-    right, diagonal = [(C_a.T - K.T, C_a.T)], [np.eye(m)]
+    right, diagonal = [(C_a.T - K.T, C_a.T)], [np.ones(m)]
     for weight, c in zip(theta, channels, strict=True):
         right.append((Z @ c.B, X @ c.B + L @ c.D))
-        diagonal.append(weight * np.eye(c.B.shape[1]))
+        diagonal.append(weight * np.ones(c.B.shape[1]))
         if c.copied:
             right.append((weight * c.C.T - arguments[c.constraint].T, weight * c.C.T))
-            diagonal.append(weight * np.eye(1))
+            diagonal.append(weight * np.ones(1))
         else:
             Q = Q + weight * (c.C.T @ c.C)
     measured = L @ C_2
@@ -133,20 +123,17 @@ def least_certified(plant: AugmentedSystem, C_a: Matrix) -> tuple[Estimator, np.
     middle = Z @ A + A.T @ X + measured.T + F.T + Q
     second = X @ A + A.T @ X + measured + measured.T + Q
     upper, lower = (cp.hstack([column[row] for column in right]) for row in (0, 1))
-    rest = -_block_diagonal(diagonal)
+    rest = -cp.diag(cp.hstack(diagonal))
     decay = cp.bmat([[first, middle, upper], [middle.T, second, lower], [upper.T, lower.T, rest]])
     in_Z, in_X = Z @ B_w, X @ B_w + L @ D_w
     energy = cp.bmat([[W, in_Z.T, in_X.T], [in_Z, Z, Z], [in_X, Z, X]])
-    conditions = [_symmetric(decay) << 0, _symmetric(energy) >> 0]
+    conditions = [(decay + decay.T) / 2 << 0, (energy + energy.T) / 2 >> 0]
     problem = cp.Problem(cp.Minimize(cp.trace(W)), conditions)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), suppress(cp.SolverError):
         warnings.simplefilter("ignore")  # of accuracy, which the certificate shows
-        try:
-            problem.solve(solver=cp.CLARABEL)
-        except cp.SolverError as error:
-            raise NoSolution(str(error)) from None
+        problem.solve(solver=cp.CLARABEL)
     if Z.value is None:
-        raise NoSolution(problem.status)
+        raise ArithmeticError(f"the solver found no estimator: {problem.status}")
 
     multipliers, rows = np.zeros(len(plant.M_i)), np.zeros((system.g, n))
     for weight, c in zip(theta, channels, strict=True):
@@ -157,16 +144,11 @@ def least_certified(plant: AugmentedSystem, C_a: Matrix) -> tuple[Estimator, np.
             rows[i] = c.size * argument / system.nonlinearities[i].lipschitz
     to_gains = np.linalg.inv(Z.value - X.value)
     rest = to_gains @ F.value, to_gains @ L.value, K.value
-    return _with_copies(plant, C_a, *rest, rows), multipliers
+    return _with_copies(plant, *rest, rows), multipliers
 
 
 def _with_copies(
-    plant: AugmentedSystem,
-    C_a: Matrix,
-    A_c: Matrix,
-    gain: Matrix,
-    read: Matrix,
-    arguments: Matrix,
+    plant: AugmentedSystem, A_c: Matrix, gain: Matrix, read: Matrix, arguments: Matrix
 ) -> Estimator:
     """Return the estimator of the rest, with what the copies' outputs do to plant and measurement.
 
@@ -180,21 +162,5 @@ def _with_copies(
     if B.any():
         A_c = np.block([[A_c, -gain @ plant.C2_tilde[: system.l]], [np.zeros((n, n)), plant.A_p]])
         B_c = np.vstack([B_c, np.hstack([np.zeros((n, system.l)), B])])
-        C_c = np.hstack([C_c, np.vstack([C_a, C])])
+        C_c = np.hstack([C_c, np.vstack([plant.C_a, C])])
     return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=C_c[:m], C_f=C_c[:m])
-
-
-def _symmetric(matrix):
-    return (matrix + matrix.T) / 2
-
-
-def _block_diagonal(blocks):
-    cp = convex_modelling()
-
-    sizes = [block.shape[0] for block in blocks]
-    return cp.bmat(
-        [
-            [block if i == j else np.zeros((sizes[i], size)) for j, size in enumerate(sizes)]
-            for i, block in enumerate(blocks)
-        ]
-    )

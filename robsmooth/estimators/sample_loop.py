@@ -102,11 +102,11 @@ def takes_numbers(function: Callable) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _compiled(functions: tuple[Callable, ...]) -> Callable:
+def compiled_copies(functions: tuple[Callable, ...]) -> Callable:
     """Return what writes the values of all functions: the same one for the same functions."""
     if not functions:
         return _no_copies
-    others, function, index = _compiled(functions[:-1]), functions[-1], len(functions) - 1
+    others, function, index = compiled_copies(functions[:-1]), functions[-1], len(functions) - 1
 
     @njit
     def copies(arguments, values):
@@ -124,8 +124,19 @@ def _no_copies(arguments, values):
 def sample_loop(functions: tuple[Callable[[Any], Any], ...], compiled: bool) -> Callable:
     """Return the loop over samples, a function of what follows `copies` in `_advance`."""
     if compiled:
-        return partial(_advance, _compiled(functions)) if functions else _advance_linear
-    return partial(_interpret, [f if takes_numbers(f) else partial(_value, f) for f in functions])
+        return partial(_advance, compiled_copies(functions)) if functions else _advance_linear
+    return partial(_interpret, Interpreted(functions))
+
+
+class Interpreted:
+    """Functions that are not compiled, called as compiled ones are."""
+
+    def __init__(self, functions: Iterable[Callable[[Any], Any]]) -> None:
+        self._functions = [f if takes_numbers(f) else partial(_value, f) for f in functions]
+
+    def __call__(self, arguments: Any, values: Any) -> None:  # noqa: D102
+        for i, function in enumerate(self._functions):
+            values[i] = function(arguments[i])
 
 
 def _value(function: Callable, argument: float) -> float:
@@ -193,17 +204,6 @@ def _advance_linear(sizes, steps, C_nu, readout, record, state, result):
     _advance(None, sizes, steps, C_nu, readout, record, state, result)
 
 
-def _interpret(functions, sizes, steps, C_nu, readout, record, state, result):
-    """Do as `_advance` with functions that are not compiled."""
-
-    def copies(x, k):
-        arguments = C_nu @ x - record.reference[k]
-        return np.array([f(v) for f, v in zip(functions, arguments, strict=True)])
-
-    for segment, p in enumerate(record.patterns):
-        transition, measurement, gain, correction = (matrices[p].T for matrices in steps)
-        for k in range(record.starts[segment], record.starts[segment + 1]):
-            mu = copies(state, k)
-            end = transition @ state + measurement @ record.y[k] + gain @ mu
-            state[:] = end + correction @ (copies(end, k) - mu)
-            result[k] = readout @ state
+def _interpret(copies, *others):
+    """Do as `_advance` with functions that are not compiled; this can be pickled by its name."""
+    getattr(_advance, "py_func", _advance)(copies, *others)

@@ -9,13 +9,12 @@ from robsmooth._numerics.riccati import RiccatiSolution
 from robsmooth._support import notation, validation
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators import conditions
-from robsmooth.estimators.equations import DesignEquations
+from robsmooth.estimators.equations import DesignEquations, DesignProblem
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.problem import DesignProblem
 from robsmooth.systems.augmented import AugmentedSystem
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class RobustSmoother(Estimator):
     """A robust fixed-lag smoother with its guarantee; `design_smoother` says what it is made of.
 
@@ -33,10 +32,6 @@ class RobustSmoother(Estimator):
         Where `minimize_bound` found no least bound: its infimum, and the design that attains it in
         the limit.
     spectral_radius : float, rho(YX), below tau
-
-    See Also
-    --------
-    error_covariance, worst_case : its errors under given and worst uncertainties.
 
     Examples
     --------
@@ -62,22 +57,11 @@ class RobustSmoother(Estimator):
         """The guarantee, 2V: no admissible uncertainty makes the mean square error larger."""
         return 2.0 * self.bound
 
-    def __repr__(self) -> str:
-        return (
-            f"RobustSmoother(bound={self.bound:.4g}, cost={self.cost!r}, tau={self.tau:.4g}, "
-            f"multipliers={notation.array(self.multipliers)}, delay={self.plant.delay:g} s, "
-            f"order={self.plant.order}, spectral_radius/tau={self.spectral_radius / self.tau:.3g})"
-        )
-
-    def _repr_html_(self) -> str:
-        rows = [
-            (f"bound $V$ on half the {self.cost} error, (unit of $w$)²", self.bound),
-            ("its infimum, which no design attains", self.bound_infimum),
-            (r"$\tau$, s (unit of $w$)²", self.tau),
-            (r"multipliers $\lambda$", f"${notation.vector(self.multipliers)}$"),
-            (r"$\rho(YX)/\tau$, below 1", self.spectral_radius / self.tau),
-        ]
-        return self._sheet("Robust smoother", rows)
+    @property
+    def _figures(self) -> str:
+        multipliers, radius = notation.array(self.multipliers), self.spectral_radius / self.tau
+        given = f"cost={self.cost!r}, tau={self.tau:.4g}, multipliers={multipliers}"
+        return f"bound={self.bound:.4g}, {given}, spectral_radius/tau={radius:.3g}"
 
 
 def design_smoother(
@@ -151,10 +135,6 @@ def limiting_smoother(
         Where Assumption 2 or 3 or the constraint (eqcons) fails in the limit, or other multipliers
         are zero.
 
-    See Also
-    --------
-    minimize_bound, design_smoother : the search for tau and lambda; a design.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -184,8 +164,8 @@ def design_equations(
 def _solved(plant: AugmentedSystem, equations: DesignEquations, cost: str) -> RobustSmoother:
     """Solve the equations of a design, after checking Assumption 3."""
     conditions.check_stable(plant)
-    Y = conditions.certified_solution(conditions.ASSUMPTION_Y, equations.solve_Y)
-    X = conditions.certified_solution(conditions.ASSUMPTION_X, equations.solve_X)
+    Y = conditions.certified_solution(conditions.ASSUMPTION_Y, equations.equation_Y)
+    X = conditions.certified_solution(conditions.ASSUMPTION_X, equations.equation_X())
     A_c, B_c, C_c, bound, radius = equations.gains(X.X, Y.X)
     C_f = C_c[: plant.system.m] if cost == "filtered" else plant.C_p0
     matrices = {"A_c": A_c, "B_c": B_c, "C_c": C_c, "C_a": plant.C_a, "C_f": C_f}

@@ -1,12 +1,12 @@
-r"""The classical smoother, tuned for the worst case: the strongest opponent of a robust design.
+r"""The classical smoother, also tuned: the strongest opponent of a robust design.
 
-The nominal system that it is made for is tuned, as an engineer would: the intensities of the
-measurement's noises, noise that enters as each uncertainty does, and the nominal values of those
-that are one number. The slope of a nonlinearity counts for the gain only: its copy is run as it is.
+For the worst case the nominal system that it is made for is tuned, as an engineer would. The slope
+of a nonlinearity counts for the gain only: its copy is run as it is.
 """
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
@@ -17,10 +17,11 @@ from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.validation import Matrix
 from robsmooth.estimators.certificate import certify, problem_of
 from robsmooth.estimators.constant import mean_square, worst_constant
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.kalman import kalman_gain, with_copies
+from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.loop import open_loop
 from robsmooth.estimators.units import Natural
 from robsmooth.systems.augmented import AugmentedSystem
@@ -38,6 +39,26 @@ _STARTS = 8  # of the search for the worst Delta
 _LOGARITHMS = (-15.0, 15.0)
 _STEP = 0.1  # of the box, at first
 _OPTIONS = {"maxfev": 300, "xatol": 1e-2, "fatol": 1e-5}
+
+
+def classical(plant: AugmentedSystem, copies: bool = False) -> Estimator:
+    """Return the classical fixed-lag smoother of a plant's nominal system."""
+    system = plant.system
+    _, gain = kalman_gain(system, plant.delay_model)
+    A_c = plant.A_p - gain @ plant.C2_tilde[: system.l]
+    nominal = UncertainSystem(system.A, system.B1, system.C0, system.C2, system.D21)
+    return with_copies(plant, A_c, gain, copies).of_nominal(nominal, nominal)
+
+
+def with_copies(plant: AugmentedSystem, A_c: Matrix, gain: Matrix, copies: bool) -> Estimator:
+    """Return an estimator of w that runs the nonlinearities at its estimate, or not."""
+    B, D = plant.known
+    _, C, _ = plant.system.stacked(plant.system.nonlinearities)
+    into, arguments = B - gain @ D, np.pad(C, ((0, 0), (0, plant.n - plant.system.n)))
+    if not copies:
+        into, arguments = np.zeros_like(into), np.zeros_like(arguments)
+    B_c, C_c = np.hstack([gain, into]), np.vstack([plant.C_p0, arguments])
+    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=plant.C_p0)
 
 
 @one_thread
@@ -68,8 +89,6 @@ def tuned_fixed_lag_smoother(
     ------
     InfeasibleDesignError
         As in `minimax_smoother`, but for a guarantee.
-    ValueError, TypeError
-        For an argument that is not as described.
 
     See Also
     --------
@@ -87,7 +106,9 @@ def tuned_fixed_lag_smoother(
     natural = Natural.of(plant, output)
     family = _Family(natural)
     search = _least_constant if against == "constant" else _least_certified
-    return Estimator(**natural.restored(family(search(family))))
+    found = family(search(family))
+    nominal = map(natural.units.back().system, found.nominal)
+    return Estimator(**natural.restored(found)).of_nominal(*nominal)
 
 
 def _least_constant(family: "_Family") -> np.ndarray:
@@ -176,18 +197,15 @@ class _Family:
         A[own, own], C2[:, own] = model
         levels = [np.exp(log / 2) * size for log, size in zip(noises, self.sizes, strict=True)]
         channels = list(zip(levels, self.uncertain, strict=True))
-        A_designed, C2_designed = designed
+        measured = np.exp(factors / 2)[:, None] * system.D21
         nominal = UncertainSystem(
-            A=A_designed,
+            A=designed[0],
             B1=np.hstack([system.B1, *(level * u.B for level, u in channels)]),
             C0=system.C0,
-            C2=C2_designed,
-            D21=np.hstack(
-                [
-                    np.exp(factors / 2)[:, None] * system.D21,
-                    *(level * u.D for level, u in channels),
-                ]
-            ),
+            C2=designed[1],
+            D21=np.hstack([measured, *(level * u.D for level, u in channels)]),
         )
         _, gain = kalman_gain(nominal, plant.delay_model)
-        return with_copies(plant, A - gain @ C2, gain, plant.C_p0, copies=system.g > 0)
+        run = replace(nominal, A=model[0], C2=model[1])
+        found = with_copies(plant, A - gain @ C2, gain, copies=system.g > 0)
+        return found.of_nominal(run, nominal)

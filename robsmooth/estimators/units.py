@@ -51,21 +51,20 @@ class Units:
             noise = np.hstack([system.B1, *(np.sqrt(time) * B for B in driven)])
         x = deviations(covariance)
         w = np.linalg.norm(system.C0 * x)
-        return cls(
-            time=time,
-            x=x,
-            y=np.linalg.norm(system.D21, axis=1),
-            w=float(w) or 1.0,
-        )
+        return cls(time, x, np.linalg.norm(system.D21, axis=1), float(w) or 1.0)
 
-    def plant(self, plant: AugmentedSystem) -> AugmentedSystem:
-        """Return a plant in these units; its nonlinearities are without functions."""
-        old, x, y, root = plant.system, self.x[:, None], self.y[:, None], np.sqrt(self.time)
+    def back(self) -> "Units":
+        """Return the units that lead back."""
+        return Units(1.0 / self.time, 1.0 / self.x, 1.0 / self.y, 1.0 / self.w)
+
+    def system(self, old: UncertainSystem) -> UncertainSystem:
+        """Return a system in these units; its nonlinearities are without functions."""
+        x, y, root = self.x[:, None], self.y[:, None], np.sqrt(self.time)
 
         def channel(c: Uncertainty | Nonlinearity) -> dict[str, Matrix]:
             return {"B": root * c.B / x, "C": root * c.C * self.x, "D": c.D / y}
 
-        system = UncertainSystem(
+        return UncertainSystem(
             A=self.time * old.A / x * self.x,
             B1=root * old.B1 / x,
             C0=old.C0 * self.x / self.w,
@@ -76,7 +75,11 @@ class Units:
                 Nonlinearity(**channel(c), lipschitz=c.lipschitz) for c in old.nonlinearities
             ],
         )
-        model = pade_delay(plant.delay / self.time, plant.order, old.m)
+
+    def plant(self, plant: AugmentedSystem) -> AugmentedSystem:
+        """Return a plant in these units."""
+        old, x, y, root = plant.system, self.x[:, None], self.y[:, None], np.sqrt(self.time)
+        system, model = self.system(old), pade_delay(plant.delay / self.time, plant.order, old.m)
         growth = frozen(plant.growth * self.x / self.w)
         taken_off = np.vstack([plant.taken_off[: old.n] * root / x, plant.taken_off[old.n :] / y])
         return AugmentedSystem(system, model, plant.J_21, growth, frozen(taken_off))
@@ -157,17 +160,11 @@ def _seen_by(output: str, plant: AugmentedSystem) -> AugmentedSystem:
 
 
 def in_plant_states(estimator: Estimator) -> Estimator:
-    """Return the same estimator with states of which the first n estimate those of the plant."""
-    to_plant = _to_plant_states(estimator)
-    return estimator.in_coordinates(to_plant, np.linalg.inv(to_plant))
+    """Return the same estimator with states of which the first n estimate those of the plant.
 
-
-def _to_plant_states(estimator: Estimator) -> Matrix:
-    """Return coordinates in which C_2 and C_p0 times the first n states are nominal estimates.
-
-    They are those of the measurement to come and of w. The other directions are of no account, and
-    make the coordinates as well conditioned as can be. What the copies' outputs do to the plant's
-    state, in the states behind the first n, is a part of them.
+    Then C_2 and C_p0 times these are nominal estimates of the measurement to come and of w. The
+    other directions are of no account, and make the coordinates as well conditioned as can be. A
+    part of them is what the copies' outputs do to the plant's state, in the states behind these.
     """
     plant, n = estimator.plant, estimator.plant.n
     A, B, _, _ = matrices(estimator, "real")
@@ -179,4 +176,5 @@ def _to_plant_states(estimator: Estimator) -> Matrix:
     known = U * np.maximum(sizes, _LEAST_SEEN * size) @ V
     to_plant = rows.T @ known + size * null_space(rows) @ null_space(known).T
     more = len(A) - 2 * n
-    return np.block([[to_plant, np.eye(n, more)], [np.zeros((more, n)), np.eye(more)]])
+    to_plant = np.block([[to_plant, np.eye(n, more)], [np.zeros((more, n)), np.eye(more)]])
+    return estimator.in_coordinates(to_plant, np.linalg.inv(to_plant))

@@ -1,96 +1,145 @@
-"""The explorer: what is drawn when.
-
-A little after the last event of a slider the newest settings are drawn, with what is found at once.
-The certified errors are found in a thread when the sliders rest, and drawn when they are there.
-"""
+"""The explorer: sliders, the figure, a sentence and code that follow them."""
 
 import asyncio
 import base64
-from concurrent.futures import ThreadPoolExecutor
+import math
+from dataclasses import asdict
+from functools import cached_property
+from html import escape
 
+import ipywidgets as widgets
 from IPython import get_ipython
 
-from robsmooth.explorer.controls import Controls
-from robsmooth.explorer.describe import code, summary
-from robsmooth.explorer.panels import Panels
-from robsmooth.explorer.snapshot import Settings, Snapshot, judge, take_snapshot
+from robsmooth.estimators.conditions import COSTS
+from robsmooth.explorer.panels import png
+from robsmooth.explorer.snapshot import DESIGNS, SLIDERS, Settings, Snapshot, take_snapshot
 
 DEBOUNCE = 0.004  # s without an event, before the newest settings are drawn
 REST = 0.2  # s without an event, before the certified errors are sought
-
-_thread = ThreadPoolExecutor(1, "robsmooth-explorer")
+JUDGING = "being prepared"
+_COLUMNS = {
+    "The smoother": ("lag", "order", "design", "cost"),
+    "The light and the uncertainty": ("noise", "lam", "kappa", "gamma"),
+    "A design by hand": ("tau", "lambda1", "lambda2", "lambda3", "lambda4"),
+}
+_CHOICES = {"design": DESIGNS, "cost": COSTS}
+_LABELS = {"design": "design", "cost": "error to keep low"}
+_LABELS |= {name: slider.label for name, slider in SLIDERS.items()}
 
 
 class Explorer:
-    """Panels that show what a design does at some settings, and sliders for these.
+    """What a design does at some settings, and sliders for these.
 
     As the value of a notebook's cell it shows itself, with its sliders where they can be moved.
     """
 
     def __init__(self, settings: Settings | None = None):
-        self.controls: Controls | None = None
-        self._settings = settings or Settings()
-        self._panels = Panels()
+        self._start = settings or Settings()
         self._following: asyncio.Task | None = None
-        self._draw(take_snapshot(self._settings))
+        self.inputs: dict[str, widgets.Widget] = {}  # by their settings, once they are shown
 
     @property
     def settings(self) -> Settings:
         """What the sliders say."""
-        return self.controls.settings if self.controls else self._settings
+        if not self.inputs:
+            return self._start
+        values = {name: each.value for name, each in self.inputs.items()}
+        return Settings(**values | {name: SLIDERS[name].si(values[name]) for name in SLIDERS})
 
     @property
-    def snapshot(self) -> Snapshot:
-        """What is shown, with all that there is to see."""
-        self._draw(judge(take_snapshot(self.settings)))
-        return self._snapshot
-
-    def show_controls(self) -> Controls:
-        """Return the sliders, which from now on say what is shown."""
-        if self.controls is None:
-            self.controls = Controls(self._settings, self._redraw)
-            self._draw(self._snapshot)  # what is displayed has its image from the start
-            self._redraw()
-        return self.controls
+    def snapshot(self) -> Snapshot | str:
+        """All that there is to see, or why there is nothing."""
+        return take_snapshot(self.settings)
 
     def __repr__(self) -> str:
         return f"Explorer({self.settings})"
 
     def _repr_mimebundle_(self, **_) -> dict[str, object]:
-        live = self.show_controls().widget._repr_mimebundle_() if can_show_widgets() else {}
-        shown = self._snapshot if live else self.snapshot
-        image = base64.b64encode(self._panels.png()).decode()
-        return {**live, "image/png": image, "text/plain": summary(shown)}
+        live = self.widget._repr_mimebundle_() if can_show_widgets() else {}
+        found = self.snapshot
+        image = base64.b64encode(png(found)).decode()
+        return {**live, "image/png": image, "text/plain": summary(found)}
 
-    def _redraw(self) -> None:
-        """Have the newest settings drawn: soon, or at once where there is no event loop."""
-        if self.controls is None:  # they are being made
-            return
+    @cached_property
+    def widget(self) -> widgets.Widget:
+        """The sliders and what follows them."""
+        self.inputs = {name: _input(name) for names in _COLUMNS.values() for name in names}
+        self._image = widgets.Image(format="png", layout={"width": "auto"})
+        self._summary = widgets.HTML(layout={"min_height": "4.5em"})  # the figure stays in place
+        self._code = widgets.Textarea(layout={"width": "auto", "height": "24em"})
+        reset = widgets.Button(description="Reset", tooltip="back to the settings at the start")
+        reset.on_click(self._reset)
+        columns = [self._column(title) for title in _COLUMNS]
+        self._by_hand = columns[-1]
+        parts = {"panels": self._image, "summary": self._summary, "code": self._code}
+        for name, part in {**self.inputs, **parts, "reset": reset}.items():
+            part.add_class(f"robsmooth-{name}")
+        self._reset()
+        self._show(self._start, self.snapshot)
+        for each in self.inputs.values():
+            each.observe(self._follow_soon, "value")
+        row = widgets.HBox(columns, layout={"flex_flow": "row wrap", "min_height": "196px"})
+        whole = [row, reset, self._summary, self._image, self._code]
+        return widgets.VBox(whole, layout={"max_width": "1000px"}).add_class("robsmooth-explorer")
+
+    def _column(self, title: str) -> widgets.Widget:
+        labels = {name: widgets.Label(_LABELS[name]) for name in _COLUMNS[title]}
+        cells = [cell for name in labels for cell in (labels[name], self.inputs[name])]
+        grid = {"grid_template_columns": "max-content minmax(12em, 1fr)"}  # in any font
+        parts = [widgets.HTML(f"<b>{title}</b>"), widgets.GridBox(cells, layout=grid)]
+        return widgets.VBox(parts, layout={"flex": "1 1 0", "min_width": "min-content"})
+
+    def _reset(self, _=None) -> None:
+        for name, value in asdict(self._start).items():
+            self.inputs[name].value = SLIDERS[name].shown(value) if name in SLIDERS else value
+
+    def _follow_soon(self, _=None) -> None:
         if self._following:
             self._following.cancel()
-        try:
-            loop = asyncio.get_running_loop()
-        except RuntimeError:
-            self._draw(judge(take_snapshot(self.settings)))
-        else:
-            self._following = loop.create_task(self._follow(loop))
+        self._following = asyncio.ensure_future(self._follow())
 
-    async def _follow(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Draw what is found at once, and later all; newer settings cancel this."""
+    async def _follow(self) -> None:
+        """Show what is found at once, and later all; newer settings cancel this."""
         await asyncio.sleep(DEBOUNCE)
-        self._draw(take_snapshot(self.settings))
+        settings = self.settings
+        self._show(settings, take_snapshot(settings, certified=False))
         await asyncio.sleep(REST)
-        self._draw(await loop.run_in_executor(_thread, judge, self._snapshot))
+        self._show(settings, await asyncio.to_thread(take_snapshot, settings))
 
-    def _draw(self, snapshot: Snapshot) -> None:
-        self._snapshot = snapshot
-        self._panels.update(snapshot)
-        if self.controls:
-            settings = snapshot.settings
-            self.controls.update(self._panels.png(), summary(snapshot), code(settings))
+    def _show(self, settings: Settings, found: Snapshot | str) -> None:
+        self._image.value, self._summary.value = png(found), escape(summary(found))
+        self._code.value = settings.code()
+        self._by_hand.layout.display = "flex" if settings.design == "by hand" else "none"
+
+
+def summary(found: Snapshot | str) -> str:
+    """Return what there is to learn, in a sentence."""
+    if isinstance(found, str):
+        return f"There is no design. {found}"
+    filtered, smoothed = found.own.with_sine.filtered, found.own.with_sine.smoothed
+    share = f"{abs(1.0 - smoothed / filtered):.1%} {'below' if smoothed < filtered else 'above'}"
+    own, classical = found.own.judged.certified, found.classical.judged.certified
+    certified = f"at most {own:.4f} rad², and the classical smoother's at most {classical:.4f} rad²"
+    return (
+        f"With the sine in the loop, smoothing has a mean square error of {smoothed:.4f} rad², "
+        f"{share} the filter's {filtered:.4f} rad²; whatever the uncertainty in the sector, the "
+        f"{found.settings.cost} error is {JUDGING if math.isnan(own) else certified}."
+    )
 
 
 def can_show_widgets() -> bool:
     """Tell whether a frontend could show sliders: in a batch it could answer no question either."""
     kernel = getattr(get_ipython(), "kernel", None)
     return bool(kernel and kernel.get_parent("shell").get("content", {}).get("allow_stdin"))
+
+
+def _input(name: str) -> widgets.Widget:
+    common = {"layout": {"width": "auto"}}
+    if name in _CHOICES:
+        return widgets.Dropdown(options=_CHOICES[name], **common)
+    _, tooltip, low, high, step, _ = SLIDERS[name]
+    common |= {"tooltip": tooltip, "min": low, "max": high, "step": step}
+    if name == "order":
+        return widgets.IntSlider(**common)
+    decimals = len(f"{step:g}".partition(".")[2])
+    return widgets.FloatSlider(readout_format=f".{decimals}f", **common)

@@ -1,63 +1,64 @@
-"""From settings to everything that the panels show: pure functions, quick enough for a slider.
-
-Where the theory, or the loop itself, does not allow something, its place is taken by the sentence
-that says so.
-"""
+"""What the explorer can be set to, and what there is to see at some settings."""
 
 import math
-from collections import namedtuple
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from typing import NamedTuple, TypeVar
+from functools import cached_property, lru_cache, partial
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
 import robsmooth as rs
 from robsmooth._support import validation
+from robsmooth._support.validation import Matrix
 from robsmooth.estimators.bound import best_tau
 from robsmooth.estimators.conditions import COSTS
+from robsmooth.homodyne.loop import StatisticalLinearisation
 from robsmooth.paper.published import DELAY, ORDER, printed
-from robsmooth.simulation.integrator import ExponentialIntegrator
-from robsmooth.simulation.loop import nonlinear_loop
+from robsmooth.simulation.loop import ExponentialIntegrator, nonlinear_loop
 
 # Where the least bound of the example is, whatever the parameters, unless it pays to ignore the
 # measurement: tau is all that is left to search for.
-BEST_MULTIPLIERS = (1.0, 0.5, 0.0, 0.0)
+BEST_MULTIPLIERS = [1.0, 0.5, 0.0, 0.0]
 SLOPES = np.linspace(-1.0, 0.0, 21)  # Delta_2 of the sweep
 STEP, SHOWN, BEFORE = 0.4e-6, 100, 25  # of the sample path: s, steps that are shown, and before
 SEED = 11  # of the sample path
+_MOST_STATES = 2 + 5  # the phase and an estimator of the largest order
 DESIGNS = ("robust", "minimax", "classical", "tuned classical", "by hand")
 _PAPER = rs.homodyne.PAPER
 
 
-class Range(NamedTuple):
-    """The values of a setting in the unit of its slider; its default must be one of them."""
+class Slider(NamedTuple):
+    """A slider of a setting, whose default must be one of its values."""
 
+    label: str
+    tooltip: str
     low: float
     high: float
     step: float
-    exponent: int = 0  # the slider's unit is 10^exponent of SI
+    unit: float = 1.0  # of what it shows, in SI
 
     def si(self, shown: float) -> float:
         """Return in SI what the slider shows, to the digits that it shows."""
-        return float(f"{shown:.4g}e{self.exponent}")
+        return float(f"{shown * self.unit:.4g}")
 
     def shown(self, value: float) -> float:
         """Return a value in the unit of the slider."""
-        return round(value / 10.0**self.exponent, 12)
+        return round(value / self.unit, 9)
 
 
-RANGES = {
-    "lag": Range(0.2, 15.0, 0.1, -6),
-    "order": Range(1, 5, 1),
-    "gamma": Range(0.05, 0.8, 0.01),
-    "noise": Range(0.1, 5.0, 0.1),
-    "lam": Range(1.0, 50.0, 0.02, 3),
-    "kappa": Range(4.0, 250.0, 2.0, 3),
-    "tau": Range(0.2, 10.0, 0.01, -6),
-    **dict.fromkeys(("lambda1", "lambda2"), Range(0.0, 1.0, 0.0001)),
-    **dict.fromkeys(("lambda3", "lambda4"), Range(0.0, 0.02, 0.0001)),
+SLIDERS = {
+    "lag": Slider("lag (µs)", "how far back the smoothed estimate looks", 0.2, 15.0, 0.1, 1e-6),
+    "order": Slider("order", "states of the lag's model: more follow it more closely", 1, 5, 1),
+    "gamma": Slider("uncertainty γ", "half width of the sector of the sine", 0.05, 0.8, 0.01),
+    "noise": Slider("noise (paper: 1)", "power of the light's shot noise", 0.1, 5.0, 0.1),
+    "lam": Slider("decay λ (10³/s)", "how fast the phase forgets", 1.0, 50.0, 0.02, 1e3),
+    "kappa": Slider("wander κ (10³/s)", "how far it moves: rad² a second", 4.0, 250.0, 2.0, 1e3),
+    "tau": Slider("τ (µs rad²)", "the scale of the paper's design", 0.2, 10.0, 0.01, 1e-6),
+    "lambda1": Slider("λ₁", "of the process noise's constraint", 0.0, 1.0, 0.0001),
+    "lambda2": Slider("λ₂", "of the difference of the sine and its copy", 0.0, 1.0, 0.0001),
+    "lambda3": Slider("λ₃", "of the sine's own constraint", 0.0, 0.02, 0.0001),
+    "lambda4": Slider("λ₄", "of the copy's own constraint", 0.0, 0.02, 0.0001),
 }
 
 
@@ -65,7 +66,7 @@ RANGES = {
 class Settings:
     """What the explorer shows; by default the paper's example."""
 
-    lag: float = DELAY  # how far back the smoothed estimate looks, s
+    lag: float = DELAY  # s
     order: int = ORDER  # of the Pade model of the lag
     gamma: float = _PAPER.gamma  # half width of the sector that the sine is taken to stay in
     noise: float = 1.0  # power of the shot noise, relative to the paper's; the design knows of it
@@ -80,8 +81,8 @@ class Settings:
     lambda4: float = printed("lambda_4")
 
     def __post_init__(self):
-        for name, allowed in RANGES.items():
-            low, high = allowed.si(allowed.low), allowed.si(allowed.high)
+        for name, slider in SLIDERS.items():
+            low, high = slider.si(slider.low), slider.si(slider.high)
             value = validation.real(name, getattr(self, name), low=low, high=high)
             object.__setattr__(self, name, value)
         if not self.order.is_integer():
@@ -91,26 +92,71 @@ class Settings:
         validation.choice("design", self.design, DESIGNS)
 
     @property
-    def classical(self) -> "Settings":
-        """The same loop with the classical smoother."""
-        return replace(self, design="classical")
-
-    @property
     def parameters(self) -> rs.homodyne.HomodyneParameters:
         """The optical loop: more noise is that of a weaker beam."""
         alpha = _PAPER.alpha / self.noise**0.5
         return replace(_PAPER, lam=self.lam, kappa=self.kappa, alpha=alpha, gamma=self.gamma)
 
+    @property
+    def plant(self) -> rs.AugmentedSystem:
+        """The loop as the theory has it, with the model of the lag."""
+        return rs.augment(self.parameters.uncertain_system(), self.lag, self.order)
 
-_MOST_STATES = 2 + int(RANGES["order"].high)  # the phase and an estimator of the largest order
-T = TypeVar("T")
+    @cached_property
+    def _call(self) -> tuple[str, str, dict[str, object]]:
+        """The function of robsmooth that finds the design, of what, and its options."""
+        match self.design:
+            case "minimax":
+                return "minimax_smoother", "plant", {"output": self.cost}
+            case "tuned classical":
+                return "baselines.tuned_fixed_lag_smoother", "plant", {"output": self.cost}
+            case "classical":
+                options = {"delay": self.lag, "order": self.order, "copies": True}
+                return "baselines.fixed_lag_smoother", "plant.system", options
+            case "robust":
+                tau, weights = best_tau(self.plant, BEST_MULTIPLIERS, self.cost), BEST_MULTIPLIERS
+            case "by hand":
+                tau, weights = self.tau, [getattr(self, f"lambda{i}") for i in (1, 2, 3, 4)]
+        options = {"tau": float(f"{tau:.6g}"), "multipliers": weights, "cost": self.cost}
+        return "limiting_smoother", "plant", options
 
-# What is found of the settings' design and of the classical smoother.
-Pair = namedtuple("Pair", "own classical")
-# Mean square errors at each of `SLOPES`, rad^2, in a loop without the fictitious noise.
-Sweep = namedtuple("Sweep", "filtered smoothed")
-# A path of the phase, rad, and its estimates, made at the same times.
-Path = namedtuple("Path", "time phase filtered smoothed")
+    def estimator(self) -> rs.Estimator:
+        """Return the design."""
+        function, given, options = self._call
+        return attrgetter(function)(rs)(attrgetter(given)(self), **options)
+
+    def code(self) -> str:
+        """Return code that finds the numbers of the panels by the public API."""
+        p, (function, given, options) = self.parameters, self._call
+        arguments = ", ".join([given, *(f"{name}={value!r}" for name, value in options.items())])
+        return f"""\
+import numpy as np
+import robsmooth as rs
+
+parameters = rs.homodyne.HomodyneParameters(
+    lam={p.lam!r}, kappa={p.kappa!r}, alpha={p.alpha!r}, beta={p.beta!r}, gamma={p.gamma!r}
+)
+plant = rs.augment(parameters.uncertain_system(), delay={self.lag!r}, order={self.order})
+smoother = rs.{function}({arguments})
+
+slopes = np.linspace({SLOPES[0]}, {SLOPES[-1]}, {len(SLOPES)})
+filtered = rs.delta_sweep(smoother, slopes, "filtered", loop="real")[:, 0, 0]
+smoothed = rs.delta_sweep(smoother, slopes, "smoothed", loop="real")[:, 0, 0]
+judged = rs.judge(smoother, {self.cost!r})
+with_sine = rs.statistical_linearisation(parameters, smoother)
+print(smoother, filtered, smoothed, judged, with_sine, sep="\\n")
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What is found of an estimator: mean square errors, rad^2."""
+
+    estimator: rs.Estimator
+    filtered: Matrix  # at each of `SLOPES`, in a loop without the fictitious noise
+    smoothed: Matrix
+    with_sine: StatisticalLinearisation
+    judged: rs.Judgement  # of the error that is kept low; NaN for what is not certified yet
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,97 +166,47 @@ class Snapshot:
     settings: Settings
     filtering: float  # the Kalman-Bucy filter's error without uncertainty, rad^2
     optimum: float  # what no smoother with this lag can beat then
-    estimator: rs.Estimator | str
-    sweeps: Pair | str  # of `Sweep`
-    predicted: Pair | str  # of `StatisticalLinearisation`: the errors with the sine
-    path: Path | str
-    judged: Pair | str  # of `Judgement`; before `judge` with the worst of the sweep, and NaN
-
-
-def take_snapshot(settings: Settings) -> Snapshot:
-    """Return what there is to see at some settings at once."""
-    parameters = settings.parameters
-    least = partial(rs.baselines.optimal_fixed_lag_error, parameters.uncertain_system())
-    both = estimator, _ = [_found(design, each) for each in (settings, settings.classical)]
-    sweeps = _pair(_sweep, both)
-    return Snapshot(
-        settings=settings,
-        filtering=least(0.0).item(),
-        optimum=least(settings.lag).item(),
-        estimator=estimator,
-        sweeps=sweeps,
-        predicted=_pair(partial(rs.statistical_linearisation, parameters), both),
-        path=_found(_path, estimator),
-        judged=sweeps if isinstance(sweeps, str) else _pair(_worst, sweeps, output=settings.cost),
-    )
-
-
-def judge(snapshot: Snapshot) -> Snapshot:
-    """Return a snapshot with the certified errors, which take longer."""
-    settings = snapshot.settings
-    return replace(snapshot, judged=_pair(_judgement, (settings, settings.classical)))
+    own: Findings
+    classical: Findings
+    path: Matrix  # each `STEP`, of the phase and its filtered and smoothed estimates, rad
 
 
 @lru_cache(maxsize=8)
-def _judgement(settings: Settings) -> rs.Judgement:
-    return rs.judge(design(settings), settings.cost)
+def take_snapshot(settings: Settings, certified: bool = True) -> Snapshot | str:
+    """Return what there is to see, or the sentence that says why there is nothing.
 
-
-def _worst(sweep: Sweep, output: str) -> rs.Judgement:
-    errors = getattr(sweep, output)
-    return rs.Judgement(errors[-1], errors.max(), math.nan)
-
-
-@lru_cache(maxsize=8)
-def design(settings: Settings) -> rs.Estimator:
-    """Return the estimator that the settings ask for."""
-    plant, cost = _plant(settings), settings.cost
-    match settings.design:
-        case "minimax":
-            return rs.minimax_smoother(plant, cost)
-        case "classical":
-            arguments = plant.system, plant.delay, plant.order
-            return rs.baselines.fixed_lag_smoother(*arguments, copies=True)
-        case "tuned classical":
-            return rs.baselines.tuned_fixed_lag_smoother(plant, output=cost)
-    return rs.limiting_smoother(plant, *robust_arguments(settings), cost)
-
-
-@lru_cache(maxsize=1)
-def robust_arguments(settings: Settings) -> tuple[float, tuple[float, ...]]:
-    """Return tau and the multipliers of the paper's design: as set, or with the least bound."""
-    if settings.design == "by hand":
-        multipliers = settings.lambda1, settings.lambda2, settings.lambda3, settings.lambda4
-        return settings.tau, multipliers
-    tau = best_tau(_plant(settings), BEST_MULTIPLIERS, settings.cost)
-    return float(f"{tau:.6g}"), BEST_MULTIPLIERS
-
-
-def _plant(settings: Settings) -> rs.AugmentedSystem:
-    return rs.augment(settings.parameters.uncertain_system(), settings.lag, settings.order)
-
-
-def _pair(find: Callable, both: Iterable, **options: object) -> Pair | str:
-    return _found(Pair, *(_found(find, each, **options) for each in both))
-
-
-def _found(find: Callable[..., T], *given: object, **options: object) -> T | str:
-    """What is found; or the sentence that stands for something given, or says what is amiss."""
-    for each in given:
-        if isinstance(each, str):
-            return each
+    The certified errors take longer than all else.
+    """
+    least = partial(rs.baselines.optimal_fixed_lag_error, settings.plant.system)
     try:
-        return find(*given, **options)
-    except (rs.InfeasibleDesignError, rs.UnstableLoopError, ArithmeticError, RuntimeError) as error:
-        return str(error)
+        design = settings.estimator()
+        classical = replace(settings, design="classical").estimator()
+        return Snapshot(
+            settings=settings,
+            filtering=least(0.0).item(),
+            optimum=least(settings.lag).item(),
+            own=_findings(design, settings, certified),
+            classical=_findings(classical, settings, certified),
+            path=_path(design),
+        )
+    except (ValueError, ArithmeticError, RuntimeError) as refusal:
+        return f"{refusal}."
 
 
-def _sweep(estimator: rs.Estimator) -> Sweep:
-    found = (rs.delta_sweep(estimator, SLOPES, output, loop="real") for output in Sweep._fields)
-    return Sweep(*(errors[:, 0, 0] for errors in found))
+def _findings(estimator: rs.Estimator, settings: Settings, certified: bool) -> Findings:
+    sweeps = {
+        output: rs.delta_sweep(estimator, SLOPES, output, loop="real")[:, 0, 0] for output in COSTS
+    }
+    with_sine = rs.statistical_linearisation(settings.parameters, estimator)
+    if certified:
+        judged = rs.judge(estimator, settings.cost)
+    else:
+        errors = sweeps[settings.cost]
+        judged = rs.Judgement(errors[-1], errors.max(), math.nan)
+    return Findings(estimator, **sweeps, with_sine=with_sine, judged=judged)
 
 
-def _path(estimator: rs.Estimator) -> Path:
+def _path(estimator: rs.Estimator) -> Matrix:
     """Simulate one path, on the same noise whatever the loop, unlike `rs.sample_paths`."""
     loop = nonlinear_loop(estimator)
     integrator = ExponentialIntegrator(loop, STEP)
@@ -221,5 +217,4 @@ def _path(estimator: rs.Estimator) -> Path:
     for normals in steps:
         z = integrator.advance(0.0, z, loop.arguments @ z, integrator.noise @ normals)
         states.append(z[:, 0])
-    time = STEP * np.arange(1, SHOWN + 1)
-    return Path(time, *loop.readout @ np.array(states[BEFORE:]).T)  # w and its two estimates
+    return loop.readout @ np.array(states[BEFORE:]).T

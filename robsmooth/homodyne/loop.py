@@ -35,11 +35,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 
 from robsmooth._numerics import linearisation
 from robsmooth._numerics.lyapunov import covariances, stationary_root
+from robsmooth._numerics.modes import rates
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
@@ -85,7 +85,7 @@ class Loop:
     def covariance(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
         r"""Stationary covariance of :math:`(\varphi, \hat x)`, each sine replaced by a slope."""
         drift = self.linearised_drift(sine_slope, copy_slope)
-        check_stationary(np.linalg.eigvals(drift))
+        decay_rate(drift)
         return covariances(drift, self.noise).stationary
 
     def stationary_root(self, slopes: Sequence[float], S: Matrix, inverse: Matrix) -> Matrix:
@@ -94,7 +94,7 @@ class Loop:
         It tells small deviations from none, down to rounding; the covariance only their squares.
         """
         drift = self.linearised_drift(*slopes)
-        check_stationary(np.linalg.eigvals(drift))
+        decay_rate(drift)
         try:
             return stationary_root(inverse @ drift @ S, inverse @ self.noise)
         except UnstableLoopError:  # the eigenvalues are stable
@@ -149,14 +149,15 @@ class Loop:
         return 1.0 / float(rate) if rate else math.inf
 
 
-def check_stationary(eigenvalues: NDArray[np.complexfloating]) -> None:
-    """Raise an UnstableLoopError unless a drift with these eigenvalues, 1/s, is stable."""
-    slowest = 0.0 - eigenvalues.real.max()  # and not minus zero
-    if not slowest > 0:
+def decay_rate(drift: Matrix) -> float:
+    """Return that of the slowest mode, 1/s; an UnstableLoopError says that it is not positive."""
+    slowest = 0.0 + rates(drift)[0]  # and not minus zero
+    if not slowest > 0.0:
         raise UnstableLoopError(
             "the loop has no stationary state: linearised, its slowest mode has the decay rate "
             f"{slowest:.3g} 1/s"
         )
+    return slowest
 
 
 def homodyne_loop(
@@ -260,10 +261,6 @@ def statistical_linearisation(
     ------
     UnstableLoopError
         Where no self-consistent variance exists: the linearised loop loses lock.
-
-    See Also
-    --------
-    stationary_errors, simulate : a better approximation; for any system, its equivalent slopes.
 
     Examples
     --------

@@ -52,7 +52,6 @@ from scipy.sparse.linalg import expm_multiply, splu
 from robsmooth._numerics.hermite import HermiteBasis, multiplication_matrix
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import ILL_CONDITIONED, Loop, homodyne_loop
@@ -84,20 +83,15 @@ class StationaryErrors:
         Mean square errors, rad^2.
     smoothed_truncation, filtered_truncation : float
         Estimates of the error that the finite degree, and rounding, make in them, rad^2.
-    degree, unknowns : int
-        Total degree of the polynomials, and the moments that were solved for.
-
-    See Also
-    --------
-    stationary_errors, MonteCarloResult : what returns them; the same by simulation.
+    degree : int, total, of the polynomials
 
     Examples
     --------
     >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
     >>> errors = rs.stationary_errors(rs.homodyne.PAPER, kalman)
-    >>> errors.degree, errors.unknowns
-    (14, 63)
+    >>> errors.degree
+    14
     """
 
     smoothed: float
@@ -105,7 +99,6 @@ class StationaryErrors:
     smoothed_truncation: float
     filtered_truncation: float
     degree: int
-    unknowns: int
 
     @property
     def _relative_truncation(self) -> float:
@@ -114,20 +107,10 @@ class StationaryErrors:
         larger = max(smoothed, self.filtered_truncation / self.filtered)
         return math.inf if math.isnan(larger) else larger
 
-    def _rows(self) -> list[tuple[str, str, float]]:
-        return [
-            ("smoothed", f"{self.smoothed:.10g}", self.smoothed_truncation),
-            ("filtered", f"{self.filtered:.10g}", self.filtered_truncation),
-        ]
-
     def __repr__(self) -> str:
-        errors = ", ".join(f"{name} {e} +- {error:.1g} rad^2" for name, e, error in self._rows())
-        return f"StationaryErrors({errors}; degree {self.degree}, {self.unknowns} unknowns)"
-
-    def _repr_html_(self) -> str:
-        columns = ("estimate", "mean square error (rad²)", "truncation (rad²)")
-        caption = f"The loop in lock: degree {self.degree}, {self.unknowns} unknowns."
-        return Table(columns, self._rows(), caption, digits=1).html()
+        smoothed = f"smoothed {self.smoothed:.10g} +- {self.smoothed_truncation:.1g} rad^2"
+        filtered = f"filtered {self.filtered:.10g} +- {self.filtered_truncation:.1g} rad^2"
+        return f"StationaryErrors({smoothed}, {filtered}; degree {self.degree})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +163,6 @@ def stationary_errors(
         Where the loop is so noisy that the expansion does not converge to 2%, or its rates are so
         far apart that the linear loop's covariance is lost in rounding.
 
-    See Also
-    --------
-    monte_carlo, statistical_linearisation : by simulation, and a first approximation.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -233,8 +212,7 @@ def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> Statio
         steps = np.abs(np.diff(errors[-3:], axis=0))
         steps[:-1] /= GAIN_OF_A_STEP
         truncation = steps.max(axis=0) + problem.rounding * errors[-1]
-    unknowns = _unknowns(len(problem.drift), degree)
-    return StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree, unknowns)
+    return StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree)
 
 
 def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:

@@ -27,7 +27,7 @@ from robsmooth.systems.system import UncertainSystem
 
 @dataclass(frozen=True)
 class HomodyneParameters:
-    r"""The parameters of Table I.
+    r"""The parameters of Table I; `PAPER` has their values there.
 
     Attributes
     ----------
@@ -38,11 +38,6 @@ class HomodyneParameters:
         :math:`\alpha > 0`, amplitude of the coherent beam, s^(-1/2).
     beta, gamma : float
         :math:`\beta > 0`, :math:`\gamma` in (0, 1): tangent of the sine, half width of the sector.
-
-    See Also
-    --------
-    PAPER : the values of Table I.
-    robsmooth.monte_carlo, robsmooth.stationary_errors : errors of an estimator in the loop.
 
     Examples
     --------
@@ -154,15 +149,11 @@ def fraction_inside(error_range: float, variance: float) -> float:
     Parameters
     ----------
     error_range, variance : float
-        In rad, as of `HomodyneParameters.sector_range`, and in rad^2.
+        In rad, as of `HomodyneParameters.sector_range` or `lipschitz_range`, and in rad^2.
 
     Returns
     -------
     float
-
-    See Also
-    --------
-    HomodyneParameters.sector_range, HomodyneParameters.lipschitz_range : ranges to ask for.
 
     Examples
     --------

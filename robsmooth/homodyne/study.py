@@ -42,7 +42,7 @@ QUANTITIES += ("filtered", "filtered_error", "smoothed", "smoothed_error", "slip
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What a parameter study found, an array for each quantity.
+    """What `parameter_study` found, an array for each quantity.
 
     Attributes
     ----------
@@ -55,10 +55,6 @@ class Study:
         "filtered_error", "smoothed_error" their standard errors; "slip_rate" (1/s). Not a number
         without a design or a path in lock.
     failures : dict of (gamma, noise) to str, why there is no design
-
-    See Also
-    --------
-    parameter_study : makes it.
 
     Examples
     --------
@@ -127,20 +123,11 @@ def parameter_study(
         Power of the shot noise relative to that of `parameters`: of the amplitude
         alpha / sqrt(noise).
     runs, seed, client, checkpoint, progress
-        As in `monte_carlo`, of the ergodic protocol.
+        As in `monte_carlo`, of the ergodic protocol, and what it raises, too.
 
     Returns
     -------
     Study
-
-    Raises
-    ------
-    TypeError, ValueError, ConnectionError
-        As `monte_carlo`.
-
-    See Also
-    --------
-    monte_carlo, best_lag : what is done for each point of the grid; the lag alone.
 
     Examples
     --------
@@ -216,6 +203,7 @@ def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[s
             result = monte_carlo(loop, smoother, runs=runs, seed=seed)
     except UnstableLoopError:
         return found
-    for name, error in zip(("filtered", "smoothed"), result.in_lock(), strict=True):
+    for name in ("filtered", "smoothed"):
+        error = getattr(result, f"{name}_in_lock" if result.slips else name)
         found |= {name: error.mean_square, f"{name}_error": error.standard_error}
     return found | {"slip_rate": result.slip_rate}

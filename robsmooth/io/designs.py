@@ -68,10 +68,6 @@ def save(
     OSError
         Where the file cannot be written.
 
-    See Also
-    --------
-    load : reads the file.
-
     Examples
     --------
     >>> import tempfile
@@ -124,10 +120,6 @@ def load(
         For functions that are not a mapping of names to callables.
     OSError
         Where the file cannot be read.
-
-    See Also
-    --------
-    save : writes the file.
 
     Examples
     --------
@@ -192,14 +184,14 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
             if field not in known:
                 raise ValueError(f"{path}{field} is not a field: these are {', '.join(known)}")
         for field in known:
-            if field not in table and field not in _OPTIONAL:
+            if field not in table and field not in _OPTIONAL.split():
                 raise ValueError(f"{path}{field} is missing")
         fields = {field: of_field(field, part, f"{path}{field}") for field, part in table.items()}
         with _within(path[:-1]), np.errstate(over="raise", invalid="raise", divide="raise"):
             return make(**fields)
 
     def of_field(name: str, value: object, path: str) -> Any:
-        if name in ("uncertainties", "nonlinearities"):
+        if name in ("uncertainties", "nonlinearities", "nominal"):
             if not isinstance(value, list):
                 raise ValueError(f"{path} must be a list of tables, got {reprlib.repr(value)}")
             return [of_table(name, table, f"{path}[{i}].") for i, table in enumerate(value)]
@@ -255,8 +247,11 @@ def _gains(plant: AugmentedSystem, **gains: Any) -> dict[str, Matrix]:
     }
 
 
-def _estimator(plant: AugmentedSystem, **gains: Any) -> Estimator:
-    return Estimator(plant=plant, **_gains(plant, **gains))
+def _estimator(plant: AugmentedSystem, nominal: list | None = None, **gains: Any) -> Estimator:
+    if nominal is not None and len(nominal) != 2:
+        raise ValueError(f"nominal must be two systems, of model and gain, got {len(nominal)}")
+    result = Estimator(plant=plant, **_gains(plant, **gains))
+    return result if nominal is None else result.of_nominal(*nominal)
 
 
 def _minimax_smoother(
@@ -291,13 +286,14 @@ _KINDS = {  # the classes by what files call them, the particular ones first
 _TABLES = {
     "robust smoother": (limiting_smoother, "tau multipliers cost plant"),
     "minimax smoother": (_minimax_smoother, f"{_GAINS} certified multipliers cost route plant"),
-    "estimator": (_estimator, f"{_GAINS} plant"),
+    "estimator": (_estimator, f"{_GAINS} nominal plant"),
     "plant": (augment, "system delay order J_21"),
-    "system": (UncertainSystem, "A B1 C0 C2 D21 uncertainties nonlinearities"),
+    "system": (UncertainSystem, "A B1 C0 C2 D21 B2 D22 uncertainties nonlinearities"),
+    "nominal": (UncertainSystem, "A B1 C0 C2 D21"),
     "uncertainties": (_uncertainty, "B C D"),
     "nonlinearities": (Nonlinearity, "B C D lipschitz function reference"),
 }
-_OPTIONAL = ("uncertainties", "nonlinearities", "function", "reference", "J_21")
+_OPTIONAL = "uncertainties nonlinearities function reference J_21 nominal B2 D22"
 
 
 def _fields(kind: str, value: Any) -> dict:
@@ -309,13 +305,13 @@ def _fields(kind: str, value: Any) -> dict:
             _check_names([c.function for c in part])
         if isinstance(part, tuple):
             part = [_fields(name, member) for member in part]
-        elif name in _TABLES:
+        elif name in _TABLES and part is not None:
             part = _fields(name, part)
         elif name == "function":
             part = part and name_of(part)
         else:
             part = np.asarray(part).tolist()
-        if name not in _OPTIONAL or part not in (None, []):
+        if name not in _OPTIONAL.split() or (part is not None and np.size(part)):
             fields[name] = part
     return fields
 

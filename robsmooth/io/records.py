@@ -122,7 +122,7 @@ def smooth_record(
     timed = time is not None and time is not False
     shift = smoother.dt - (smoother.delay if output == "smoothed" else 0.0)
     ends = [smoother.l, smoother.l + (0 if reference is None else smoother.g)]
-    before = smoother.state, smoother.samples
+    before = smoother._checkpoint()
     bar = progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress)
     rows, date = 0, record.dates.get(chosen[-1]) if timed else None
     try:
@@ -134,7 +134,7 @@ def smooth_record(
                 rows += len(y)
                 bar.update(record.read - bar.n)
     except BaseException:
-        smoother.reset(*before)
+        smoother._restore(before)
         raise
     return rows
 

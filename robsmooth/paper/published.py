@@ -8,7 +8,6 @@ term of the X equation negated, as a standard Riccati solver has it.
 import itertools
 import json
 import math
-import re
 import time
 import tomllib
 from collections.abc import Mapping
@@ -21,6 +20,7 @@ from types import MappingProxyType
 import numpy as np
 
 from robsmooth import homodyne
+from robsmooth._numerics.riccati import solve_riccati
 from robsmooth._support import files
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators import baselines
@@ -40,7 +40,6 @@ NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that ver
 # From the name of a design to its "smoothed" and its "filtered" error.
 SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]
 LAMBDA = ("lambda_1", "lambda_2", "lambda_3", "lambda_4")
-_NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 
 
 def data_folder() -> Path:
@@ -53,30 +52,7 @@ def data_folder() -> Path:
 @cache
 def published() -> dict:
     """Return the content of the project's published.toml."""
-    return read_published(data_folder() / "published.toml")
-
-
-def read_published(path: Path) -> dict:
-    """Read a file of published values; a ValueError names the field that it lacks or has wrong."""
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path.name} cannot be read: {error}") from None
-    for section, words in {"quantity": "printed", "statement": "text"}.items():
-        if not content.get(section):
-            raise ValueError(f"{path.name} has no [[{section}]]")
-        for entry in content[section]:
-            name, required = entry.get("id", "without id"), ("id", "place", "kind", words)
-            if missing := [field for field in required if field not in entry]:
-                raise ValueError(f"{path.name}: [[{section}]] {name} lacks {missing[0]!r}")
-            texts = {f"{key} of {name}": entry[key] for key in entry if key not in required}
-            if section == "quantity":
-                printed = np.ndenumerate(np.array(entry["printed"], dtype=object))
-                texts = {f"{name}{list(at)}": text for at, text in printed}
-            for key, text in texts.items():
-                if not (isinstance(text, str) and _NUMBER.fullmatch(text)):
-                    raise ValueError(f"{path.name}: {key} must be a number in quotes, got {text!r}")
-    return content
+    return tomllib.loads((data_folder() / "published.toml").read_text(encoding="utf-8"))
 
 
 def printed_text(name: str) -> str | list:
@@ -95,10 +71,7 @@ def printed(name: str) -> float | Matrix:
 
 def stated(name: str, field: str) -> str:
     """Return a number that a statement is about, with the printed digits."""
-    for statement in published()["statement"]:
-        if statement["id"] == name and field in statement:
-            return statement[field]
-    raise ValueError(f"published.toml: [[statement]] {name} lacks {field!r}")
+    return next(each[field] for each in published()["statement"] if each["id"] == name)
 
 
 def printed_multipliers() -> np.ndarray:
@@ -147,7 +120,8 @@ def signed_design(tau: float, multipliers: Matrix, sign: float = -1.0) -> tuple[
     """Return estimator and V with this sign of the X equation's quadratic term: -1 flips it."""
     plant = paper_plant()
     equations = design_equations(plant, tau, multipliers)
-    X, Y = equations.solve_X(quadratic_sign=sign), equations.solve_Y()
+    X = solve_riccati(*equations.equation_X(quadratic_sign=sign))
+    Y = solve_riccati(*equations.equation_Y)
     A_c, B_c, C_c, bound, _ = equations.gains(X.X, Y.X)
     # the paper prints no C_a: that of the plant reads out the smoothed estimate
     return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_c[:1]), bound

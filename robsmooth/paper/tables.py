@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import wraps
 from inspect import signature
 from typing import Any
@@ -15,10 +16,14 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne import HomodyneParameters, fraction_inside
+from robsmooth.homodyne.loop import homodyne_loop, linearised, statistical_linearisation
+from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
-from robsmooth.paper import predictions, published
+from robsmooth.paper import published
 
 Records = Iterator[dict[str, Any]]  # the cells of each row, by their columns
+Results = Mapping[str, MonteCarloResult]
+ErrorsByMethod = dict[str, dict[str, MeanSquare]]  # by the name of an error, and the method
 
 
 def _table(digits: int = 4) -> Callable[[Callable[..., Records]], Callable[..., Table]]:
@@ -102,7 +107,7 @@ def designs(compared: Mapping[str, Estimator]) -> Records:
 
 
 @_table()
-def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Records:
+def simulations(results: Results, caption: str) -> Records:
     """{caption}"""
     for name, found in results.items():
         record = {"case": name, "filtered (rad²)": _estimate(found.filtered)}
@@ -111,8 +116,26 @@ def simulations(results: Mapping[str, MonteCarloResult], caption: str) -> Record
         yield record | {"in how many runs": found.slipped_paths}
 
 
+def predicted_errors(
+    compared: Mapping[str, Estimator], paper: Results, ergodic: Results, of: HomodyneParameters
+) -> ErrorsByMethod:
+    """Return the errors by each method, where the standard error of moments is their truncation."""
+    found = {}
+    for name, design in compared.items():
+        moments, approximate = stationary_errors(of, design), statistical_linearisation(of, design)
+        for output in ("filtered", "smoothed") if design.plant.delay > 0.0 else ("filtered",):
+            truncation = getattr(moments, f"{output}_truncation")
+            found[f"{name}, {output}"] = {
+                "paper's protocol": getattr(paper[name], output),
+                "ergodic": getattr(ergodic[name], output),
+                "moments": MeanSquare(getattr(moments, output), truncation),
+                "statistical linearisation": MeanSquare(getattr(approximate, output), 0.0),
+            }
+    return found
+
+
 @_table()
-def errors_by_method(found: predictions.ErrorsByMethod) -> Records:
+def errors_by_method(found: ErrorsByMethod) -> Records:
     """Three routes, one number: simulation (± one standard error), moments without sampling (±
     estimated truncation), and statistical linearisation.
     """
@@ -147,13 +170,16 @@ def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParamete
     """Return how far one number of the loop must change for the printed errors to be predicted."""
     smoothed = published.printed("error covariance, smoother")
     filtered, runs = published.printed("error covariance, NGCF"), published.printed("runs")
+    changes = ("power of the shot noise", "power of the phase noise", "detector gain")
     cases = {"smoother": (smoother, "smoothed", smoothed), "NGCF": (ngcf, "filtered", filtered)}
 
     def excess(factor: float, change: str, design: Estimator, output: str, target: float) -> float:
-        return predictions.predicted(design, output, change, factor, values) - target
+        shot, phase, gain = (factor if change == each else 1.0 for each in changes)
+        loop = homodyne_loop(replace(values, kappa=phase * values.kappa), design, shot_noise=shot)
+        return getattr(linearised(replace(loop, gains=gain * loop.gains)), output) - target
 
     records = []
-    for change in predictions.CHANGES:
+    for change in changes:
         factors = {
             f"factor for the {name}": brentq(excess, 0.7, 2.0, (change, *case), xtol=1e-10)
             for name, case in cases.items()

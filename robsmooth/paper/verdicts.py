@@ -95,10 +95,6 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     ------
     ValueError
         Where a data file is missing or corrupt.
-
-    See Also
-    --------
-    robsmooth.homodyne.HomodyneParameters : the example that the numbers are of.
     """
     for kind in kinds:
         validation.choice("kinds", kind, KINDS)

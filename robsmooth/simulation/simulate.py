@@ -1,7 +1,6 @@
 """Simulated errors, sample paths, and whether the loop stays where the theory holds."""
 
 import math
-import time
 import warnings
 from collections.abc import Iterator, Sequence
 
@@ -14,13 +13,16 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.simulation.integrator import ExponentialIntegrator
-from robsmooth.simulation.loop import NonlinearLoop, Uncertainties, nonlinear_loop
+from robsmooth.simulation.loop import (
+    ExponentialIntegrator,
+    NonlinearLoop,
+    Uncertainties,
+    nonlinear_loop,
+)
 from robsmooth.simulation.statistics import (
     InadmissibleWarning,
     Moments,
     SamplePaths,
-    SimulatedError,
     SimulationResult,
 )
 from robsmooth.systems.augmented import AugmentedSystem
@@ -90,10 +92,6 @@ def simulate(
     RuntimeError
         Where a path diverges; it names the path and the time.
 
-    See Also
-    --------
-    sample_paths, monte_carlo : the paths, and a faster simulation of the paper's example.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -104,30 +102,29 @@ def simulate(
     >>> bool(abs(result.smoothed.mean_square - exact) < 4 * result.smoothed.standard_error)
     True
     """
-    started = time.perf_counter()
     joined = nonlinear_loop(smoother, uncertainties)
     progress = validation.boolean("progress", progress)
-    duration = _default(joined, TIME_CONSTANTS) if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed)
     checks = np.zeros((3, len(run.plant.M_i)))
-    products = traces = Moments()
+    errors = Moments()
     path_steps = run.runs * (run.before + run.steps)
     with progress_bar(total=path_steps, unit="step", unit_scale=True, shown=progress) as bar:
         for first in range(0, run.runs, BLOCK):
             paths = range(first, min(first + BLOCK, run.runs))
             of_errors, of_checks = run.averages(paths, bar)
-            products += Moments.of(of_errors)
-            traces += Moments.of(np.einsum("eiip->ep", of_errors))
+            errors += Moments.of(of_errors)
             checks += of_checks.sum(axis=2) / run.runs
 
     used, allowed, violated = checks
     constraints = np.divide(used, allowed, out=0.0 * used, where=used > 0.0)
     result = SimulationResult(
-        *(_error(products, traces, which) for which in (1, 0)),
-        *map(frozen, (constraints, violated, joined.delta.copy())),
+        smoothed=errors.mean_square(1),
+        filtered=errors.mean_square(0),
+        constraints=frozen(constraints),
+        violated=frozen(violated),
+        equivalent_delta=frozen(joined.delta.copy()),
         runs=run.runs,
         path_steps=path_steps,
-        wall_time=time.perf_counter() - started,
         duration=run.steps * run.step,
         warm_up=run.before * run.step,
         step=run.step,
@@ -158,10 +155,6 @@ def sample_paths(
     -------
     SamplePaths
 
-    See Also
-    --------
-    simulate, DiscreteSmoother.run : averages, and other estimates from the record y of a path.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -170,19 +163,12 @@ def sample_paths(
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
     joined = nonlinear_loop(smoother, uncertainties)
-    duration = _default(joined, TIME_CONSTANTS / 5) if duration is None else duration
     run = _Run(smoother.plant, joined, runs, duration, step, seed, measured=True)
     parts = list(run.records(range(run.runs)))
     names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
     times, *series = (np.concatenate([part[name] for part in parts]) for name in ("time", *names))
     by_path = (frozen(np.moveaxis(values, 2, 0)) for values in series)
     return SamplePaths(times, *by_path, run.step, smoother.plant.delay)
-
-
-def _default(loop: NonlinearLoop, time_constants: float) -> float:
-    """Return the default duration, s: less for a system that grows."""
-    duration = time_constants / loop.slowest_rate
-    return min(duration, MOST_GROWTH / 2 / loop.growth_rate) if loop.growth_rate else duration
 
 
 class _Run:
@@ -193,7 +179,7 @@ class _Run:
         plant: AugmentedSystem,
         loop: NonlinearLoop,
         runs: int,
-        duration: float,
+        duration: float | None,
         step: float | None,
         seed: int,
         measured: bool = False,
@@ -201,6 +187,10 @@ class _Run:
         self.plant, delay = plant, plant.delay
         self.runs = validation.integer("runs", runs, low=1)
         self.seed = validation.integer("seed", seed, low=0)
+        if duration is None:
+            duration = TIME_CONSTANTS / (5 if measured else 1) / loop.slowest_rate
+            if loop.growth_rate:
+                duration = min(duration, MOST_GROWTH / 2 / loop.growth_rate)
         duration = validation.positive("duration", duration)
         response_time = 1.0 / loop.argument_rate()
         default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
@@ -239,17 +229,16 @@ class _Run:
                 bar.update(len(records) * len(paths))
 
     def averages(self, paths: range, bar) -> tuple[NDArray, NDArray]:
-        """Return averages over time: of errors' products, (2, m, m, paths), and of checks."""
-        m, samples = self.plant.system.m, 0
-        products = np.zeros((2, m, m, len(paths)))
+        """Return averages over time: of squared errors, (2, paths), and of checks."""
+        squares, samples = np.zeros((2, len(paths))), 0
         checks = np.zeros((3, len(self.plant.M_i), len(paths)))
         for part in self.records(paths, bar):
             errors = part["w"] - part["filtered"], part["delayed"] - part["smoothed"]
-            products += [np.einsum("tip,tjp->ijp", error, error) for error in errors]
+            squares += [np.einsum("tip,tip->p", error, error) for error in errors]
             for k in range(0, len(part["time"]), CHECK_EVERY):
                 checks += self._constraints(*(part[n][k] for n in ("time", "zeta", "subtracted")))
                 samples += 1
-        return products / self.steps, checks / samples
+        return squares / self.steps, checks / samples
 
     def _constraints(self, time: float, zeta: NDArray, subtracted: NDArray) -> NDArray:
         """Return xi' M_i xi, zeta' N_i zeta, and whether the former is larger: (3, k + 3g, paths).
@@ -267,13 +256,6 @@ def _energies(forms: Sequence[Matrix], values: NDArray) -> NDArray[np.float64]:
     """Return quadratic forms of values, (., paths): (forms, paths)."""
     energies = [(values * (form @ values)).sum(axis=0) for form in forms]
     return np.reshape(energies, (len(forms), values.shape[1]))
-
-
-def _error(products: Moments, traces: Moments, which: int) -> SimulatedError:
-    trace = traces.mean_square(which)
-    covariance, error = map(frozen, (products.means[which], products.standard_errors[which]))
-    found = {"covariance": covariance, "covariance_error": error}
-    return SimulatedError(trace.mean_square, trace.standard_error, **found)
 
 
 def _warn(plant: AugmentedSystem, result: SimulationResult) -> None:

@@ -10,12 +10,13 @@ Simulation", Springer, 2007, Section V.2).
 
 import math
 from dataclasses import astuple, dataclass
+from operator import add
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
-from robsmooth._support import notation, validation
+from robsmooth._support import notation
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
 
@@ -36,9 +37,8 @@ class MeanSquare:
     Examples
     --------
     >>> import robsmooth as rs
-    >>> error = rs.MeanSquare(0.1, standard_error=0.002)
-    >>> print(error, [round(end, 4) for end in error.interval(0.95)])
-    0.1 +- 0.002 [0.0961, 0.1039]
+    >>> print(rs.MeanSquare(0.1, standard_error=0.002))
+    0.1 +- 0.002
     """
 
     mean_square: float
@@ -50,12 +50,6 @@ class MeanSquare:
 
     def _repr_latex_(self) -> str:
         return f"${notation.estimate(self.mean_square, self.standard_error)}$"
-
-    def interval(self, confidence: float = 0.95) -> tuple[float, float]:
-        """Return the interval that holds the mean with this probability."""
-        validation.real("confidence", confidence, low=0.0, high=1.0, without=[0.0, 1.0])
-        reach = float(ndtri((1 + confidence) / 2)) * self.standard_error
-        return self.mean_square - reach, self.mean_square + reach
 
 
 class InadmissibleWarning(RuntimeWarning):
@@ -70,38 +64,13 @@ class InadmissibleWarning(RuntimeWarning):
     """
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SimulatedError(MeanSquare):
-    """An error's covariance over the paths of `simulate`; its trace is the mean square.
-
-    Attributes
-    ----------
-    covariance, covariance_error : (m, m) arrays
-        Of the error, about zero, and the standard error of each entry, in the squared unit of w.
-
-    Examples
-    --------
-    >>> import robsmooth as rs
-    >>> system = rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.1]])
-    >>> result = rs.simulate(rs.baselines.kalman_bucy(system), runs=8, duration=5.0)
-    >>> result.filtered.covariance.shape, result.filtered.covariance_error.shape
-    ((1, 1), (1, 1))
-    """
-
-    covariance: Matrix
-    covariance_error: Matrix
-
-    def __repr__(self) -> str:
-        return f"SimulatedError({self}, covariance={notation.array(self.covariance)})"
-
-
 @dataclass(frozen=True, eq=False)
 class SimulationResult:
     """Errors of an estimator in the nonlinear loop, as `simulate` measures them.
 
     Attributes
     ----------
-    smoothed, filtered : SimulatedError
+    smoothed, filtered : MeanSquare
         Of the estimates of w one lag back, and of w now, in the squared unit of w.
     constraints : (k + 3g,) array
         E[xi' M_i xi] / E[zeta' N_i zeta], with whole arguments in zeta, in the order of the
@@ -114,8 +83,8 @@ class SimulationResult:
         it, and the same reference, `error_covariance` predicts the errors.
     runs, path_steps, seed : int
         Independent paths, and the steps of all of them, the warm-up included.
-    duration, warm_up, step, wall_time : float
-        What of a path is averaged, what is simulated before, a step, and the time it took, s.
+    duration, warm_up, step : float
+        What of a path is averaged, what is simulated before, and a step, s.
 
     Examples
     --------
@@ -126,14 +95,13 @@ class SimulationResult:
     (True, 8)
     """
 
-    smoothed: SimulatedError
-    filtered: SimulatedError
+    smoothed: MeanSquare
+    filtered: MeanSquare
     constraints: Floats
     violated: Floats
     equivalent_delta: Matrix
     runs: int
     path_steps: int
-    wall_time: float
     duration: float
     warm_up: float
     step: float
@@ -145,11 +113,8 @@ class SimulationResult:
         )
 
     def _repr_html_(self) -> str:
-        rows = [
-            (name, error._repr_latex_(), f"${notation.matrix(error.covariance)}$")
-            for name, error in (("smoothed", self.smoothed), ("filtered", self.filtered))
-        ]
-        columns = ("estimate", "mean square error", "covariance")
+        rows = [(name, getattr(self, name)._repr_latex_()) for name in ("smoothed", "filtered")]
+        columns = ("estimate", "mean square error")
         caption = f"The nonlinear loop, in the squared unit of $w$; {self._setting}."
         return Table(columns, rows, caption).html()
 
@@ -159,7 +124,7 @@ class SimulationResult:
             f"constraints used to {self.constraints.max(initial=0.0):.3g}, violated for "
             f"{self.violated.max(initial=0.0):.2%} of the time; {self.runs} runs of "
             f"{self.duration:.4g} s, step {self.step:.4g} s, seed {self.seed}; "
-            f"{self.path_steps:.3g} path-steps in {self.wall_time:.2g} s"
+            f"{self.path_steps:.3g} path-steps"
         )
 
 
@@ -226,18 +191,13 @@ class Moments:
         squares = self.squares + (other.squares + shift**2 * (self.count * share))
         return Moments(count, self.means + shift * share, squares)
 
-    @property
-    def standard_errors(self) -> Floats:
-        """Of the means; not numbers where there are less than two values."""
-        return np.sqrt(self.squares / (self.count - 1 if self.count > 1 else math.nan) / self.count)
-
     def mean_square(self, variable: int, plain: int | None = None) -> MeanSquare:
         """Return that of a variable; `plain` is the same one without control variates."""
         if self.count == 0:
             return MeanSquare(math.nan, math.nan)
         squares = self.squares[variable]
         gain = 1.0 if plain is None or squares == 0 else self.squares[plain] / squares
-        error = self.standard_errors[variable]
+        error = np.sqrt(squares / (self.count - 1 if self.count > 1 else math.nan) / self.count)
         return MeanSquare(float(self.means[variable]), float(error), float(gain))
 
 
@@ -252,8 +212,7 @@ def control_weights(values: Floats, controls: Floats) -> Floats:
     return (weights / scale[:, None]).T
 
 
-@dataclass(frozen=True, eq=False)
-class Tally:
+class Tally(NamedTuple):
     """All that is kept of the paths: moments of all and of those that never slipped, and slips."""
 
     all: Moments = Moments()
@@ -267,18 +226,12 @@ class Tally:
 
     def __add__(self, other: "Tally") -> "Tally":
         """Return that of the paths of both."""
-        all_paths, locked = self.all + other.all, self.locked + other.locked
-        return Tally(all_paths, locked, self.slips + other.slips)
-
-    @property
-    def slipped_paths(self) -> int:
-        """Number of paths that slipped."""
-        return self.all.count - self.locked.count
+        return Tally(*map(add, self, other))
 
     def state(self) -> tuple[list, int]:
         """All of it as JSON values, every bit."""
-        *moments, slips = astuple(self)
-        return [[np.asarray(part).tolist() for part in each] for each in moments], slips
+        moments = [[np.asarray(part).tolist() for part in astuple(each)] for each in self[:2]]
+        return moments, self.slips
 
     @classmethod
     def from_state(cls, moments: list, slips: int) -> "Tally":

@@ -23,9 +23,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgError, block_diag, expm, solve_sylvester
 
 from robsmooth._numerics.modes import modes, natural_units, rates
-from robsmooth._support import notation, validation
+from robsmooth._support import validation
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth._support.tables import table_of_values
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.system import UncertainSystem
@@ -60,10 +59,6 @@ class AugmentedSystem:
         State, channel inputs and noise in the extended measurement: y, then the copies' outputs.
     M_i, N_i : tuples of k + 3g arrays
         The matrices of the quadratic constraints on the channel inputs and outputs.
-
-    See Also
-    --------
-    augment, minimize_bound : make it, and the robust design for it.
 
     Examples
     --------
@@ -167,6 +162,11 @@ class AugmentedSystem:
             )
         return frozen(J)
 
+    @property
+    def real_noise(self) -> Matrix:
+        """(l + g, q + g) array, D21_bar without the noise of the copies, which is fictitious."""
+        return np.pad(self.system.D21, (0, self.system.g))
+
     @cached_property
     def known(self) -> tuple[Matrix, Matrix]:
         """(n, g) and (l, g) arrays, what the copies' outputs are known to do to state and y."""
@@ -198,10 +198,6 @@ class AugmentedSystem:
         ValueError, TypeError
             For an entry too few or many, or one that is no number or block of its channel's size.
 
-        See Also
-        --------
-        error_covariance : the errors of an estimator under it.
-
         Examples
         --------
         >>> import robsmooth as rs
@@ -218,23 +214,6 @@ class AugmentedSystem:
     def __repr__(self) -> str:
         model = f"delay={self.delay:g} s, order={self.order}, n={self.n} states"
         return f"AugmentedSystem({self.system!r}, {model})"
-
-    def _repr_html_(self) -> str:
-        matrices = {
-            "$A_p$ (1/s)": self.A_p,
-            r"$\tilde B_1$": self.B1_tilde,
-            "$B_{p1}$": self.B_p1,
-            "$C_{p0}$": self.C_p0,
-            "$C_a$": self.C_a,
-            r"$\tilde C_1$": self.C1_tilde,
-            r"$\tilde C_2$": self.C2_tilde,
-            r"$\tilde D_{21}$": self.D21_tilde,
-            r"$\bar D_{21}$": self.D21_bar,
-        }
-        rows = [(name, f"${notation.matrix(value)}$") for name, value in matrices.items()]
-        model = f"model the delay of ${notation.number(self.delay)}$ s with order {self.order}"
-        caption = f"Augmented system: {self.n} states, of which {self.n - self.system.n} {model}."
-        return table_of_values(rows, caption).html()
 
 
 def augment(

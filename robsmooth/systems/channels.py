@@ -33,10 +33,6 @@ class Uncertainty:
     ValueError, TypeError
         For a matrix that is not 2-D, real and finite.
 
-    See Also
-    --------
-    Nonlinearity, UncertainSystem : the other channels, and what they are part of.
-
     Examples
     --------
     A rate of decay that is known to 10%, in a system of one state:
@@ -55,10 +51,6 @@ class Uncertainty:
 
     def __repr__(self) -> str:
         return f"Uncertainty({_text(self)})"
-
-    def _repr_latex_(self) -> str:
-        B, C, D = map(notation.matrix, (self.B, self.C, self.D))
-        return rf"$$B_1 = {B},\quad C_1 = {C},\quad D_{{21}} = {D}$$"
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -153,11 +145,6 @@ class Nonlinearity:
         given = "" if self.function is None else f", function={function}"
         given += "" if self.reference is None else f", reference={self.reference!r}"
         return f"Nonlinearity({_text(self)}, {slopes}{given})"
-
-    def _repr_latex_(self) -> str:
-        B, C, D = map(notation.matrix, (self.B, self.C, self.D))
-        channel = rf"\bar B_1 = {B},\quad \bar C_1 = {C},\quad \bar D_{{21}} = {D}"
-        return rf"$${channel},\quad \beta = {notation.number(self.lipschitz)}$$"
 
 
 Channel = Uncertainty | Nonlinearity

@@ -1,6 +1,6 @@
 """The sector of a function: between which slopes it lies up to a given argument."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,8 +27,7 @@ class Sector:
     reach, lower, upper : float
         The largest argument, and the least and the largest slope up to it.
     slope, half_width : float
-        The slope in the middle, and the Lipschitz constant of the remainder.
-    remainder : callable, f less the slope times its argument
+        The slope in the middle, and the Lipschitz constant of f less its line.
 
     Examples
     --------
@@ -45,15 +44,9 @@ class Sector:
     upper: float
     slope: float
     half_width: float
-    remainder: Function = field(repr=False)
 
     def nonlinearity(
-        self,
-        B: ArrayLike,
-        C: ArrayLike,
-        D: ArrayLike,
-        noise: float = 1.0,
-        reference: str | None = None,
+        self, B: ArrayLike, C: ArrayLike, D: ArrayLike, noise: float = 1.0
     ) -> Nonlinearity:
         """Return f(C x), which drives the state through B and y through D, as a `Nonlinearity`.
 
@@ -68,12 +61,11 @@ class Sector:
             C=given.C / argument,
             D=noise * given.D,
             function=compiled(Combination(self.function, argument, value=1.0 / noise)),
-            reference=reference,
             sector=(self.lower / self.half_width, self.upper / self.half_width),
         )
 
 
-def sector(function: Function, reach: float, chords: bool = False) -> Sector:
+def sector(function: Function, reach: float) -> Sector:
     """Find between which slopes a function lies up to a given size of its argument.
 
     Parameters
@@ -82,10 +74,6 @@ def sector(function: Function, reach: float, chords: bool = False) -> Sector:
         f, vectorised or compiled by numba, and zero at zero.
     reach : float
         The largest argument. Where it is exceeded, nothing is guaranteed.
-    chords : bool
-        Whether to take the slopes f(x)/x instead of the derivative's. The sector is smaller, and
-        enough where f acts on the difference to a reference that is the argument of the copy in the
-        estimator, so that the copy's output is zero.
 
     Returns
     -------
@@ -122,33 +110,31 @@ def sector(function: Function, reach: float, chords: bool = False) -> Sector:
     if not np.isfinite(values).all():
         first = int(np.argmin(np.isfinite(values)))
         raise ValueError(f"function must be finite, got {values[first]} at {x[first]:.5g}")
-    slopes = values / x if validation.boolean("chords", chords) else np.diff(values) / np.diff(x)
+    slopes = np.diff(values) / np.diff(x)
     if np.ptp(slopes) > _STEEPENING * np.ptp(slopes[2:] + slopes[:-2]) / 2:
         at = f"near {x[np.abs(slopes).argmax()]:.5g}"
         raise ValueError(f"function must have slopes within bounds, got ever larger ones {at}")
-    half = 0.0 if chords else 0.5
-    lower, upper = 0.0 - _largest(-slopes, half), _largest(slopes, half)
+    lower, upper = 0.0 - _largest(-slopes), _largest(slopes)
     if not upper - lower > _FLAT * max(abs(lower), abs(upper)):
         line = f"a line of slope {upper:.5g}, which belongs into A and C2"
         raise ValueError(f"function must not be linear, got {line}")
     middle = (lower + upper) / 2
-    remainder = compiled(Combination(function, slope=middle))
-    return Sector(function, reach, lower, upper, middle, (upper - lower) / 2, remainder)
+    return Sector(function, reach, lower, upper, middle, (upper - lower) / 2)
 
 
-def _largest(slopes: Matrix, half: float) -> float:
-    """Return the largest slope between the given ones: at points (half 0) or means (half 0.5).
+def _largest(slopes: Matrix) -> float:
+    """Return the largest slope where the given ones are means over equal intervals.
 
     Where they are smooth, it is that of the parabola through the three around the largest.
     """
     best = int(slopes.argmax())
     around = slopes[max(best - 2, 0) :][:5] if best < len(slopes) - 3 else slopes[-5:]
-    bends, end = np.diff(around, 2), 1 + half
+    bends = np.diff(around, 2)
     if np.ptp(bends) > _UNEVEN * np.abs(bends).max() + _ROUNDING * np.abs(slopes).max():
         return float(slopes[best])  # a corner
     middle = min(max(best, 1), len(slopes) - 2)
     first, second, third = slopes[middle - 1 : middle + 2]
     bend = first - 2 * second + third
-    t = np.clip([-end, (first - third) / (2 * bend or 1.0), end], -end, end)
-    parabola = second + t * (third - first) / 2 + (t**2 - half**2 / 3) * bend / 2
+    t = np.clip([-1.5, (first - third) / (2 * bend or 1.0), 1.5], -1.5, 1.5)
+    parabola = second + t * (third - first) / 2 + (t**2 - 1 / 12) * bend / 2
     return float(parabola.max())

@@ -20,7 +20,7 @@ A nonlinearity whose slopes lie in a sector around another slope than zero, :mat
 :math:`C_2`, and :math:`\psi_i(\nu) - c_i\nu` is kept, whose constant is half the sector's width.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
+from robsmooth._support.extras import extra
 from robsmooth._support.validation import Matrix, frozen
-from robsmooth.systems import statespace
 from robsmooth.systems.channels import (
     Channel,
     Nonlinearity,
@@ -39,7 +39,7 @@ from robsmooth.systems.channels import (
     with_feedback,
 )
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # it takes half a second to import, and few functions need it
     import control
 
 _SHOWN = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
@@ -64,6 +64,10 @@ class UncertainSystem:
         The k channels :math:`(B_{1s}, C_{1,s}, D_{21,s})`.
     nonlinearities : sequence of `Nonlinearity`
         The g channels :math:`(\bar B_{1i}, \bar C_{1,i}, \bar D_{21,i}, \beta_i)`, centred.
+    B2, D22 : (n, p) and (l, p) arrays, optional
+        How known inputs u enter: :math:`B_2u` adds to the drift, :math:`D_{22}u` to the
+        measurement. An estimator that is told them has the same error as without, but for what
+        uncertainty makes of the states that they move: its outputs :math:`C_1x` are larger.
 
     Raises
     ------
@@ -90,8 +94,10 @@ class UncertainSystem:
     C0: Matrix
     C2: Matrix
     D21: Matrix
-    uncertainties: tuple[Uncertainty, ...] = ()
-    nonlinearities: tuple[Nonlinearity, ...] = ()
+    uncertainties: tuple[Uncertainty, ...]
+    nonlinearities: tuple[Nonlinearity, ...]
+    B2: Matrix
+    D22: Matrix
 
     def __init__(
         self,
@@ -102,6 +108,8 @@ class UncertainSystem:
         D21: ArrayLike,
         uncertainties: Iterable[Uncertainty] = (),
         nonlinearities: Iterable[Nonlinearity] = (),
+        B2: ArrayLike | None = None,
+        D22: ArrayLike | None = None,
     ) -> None:
         A = validation.matrix("A", A, (None, None))
         n = A.shape[0]
@@ -121,7 +129,18 @@ class UncertainSystem:
             kept.append(channel)
             if slope:
                 A, C2 = map(frozen, with_feedback(A, C2, channel, slope * channel.C))
-        vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21)
+        given = {"B2": (B2, n), "D22": (D22, len(C2))}
+        inputs = {
+            name: validation.matrix(name, value, (rows, None))
+            for name, (value, rows) in given.items()
+            if value is not None
+        }
+        p = next((value.shape[1] for value in inputs.values()), 0)
+        B2, D22 = (
+            validation.matrix(name, inputs.get(name, np.zeros((rows, p))), (rows, p))
+            for name, (_, rows) in given.items()
+        )
+        vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21, B2=B2, D22=D22)
         vars(self).update(uncertainties=uncertainties, nonlinearities=tuple(kept))
 
     @classmethod
@@ -134,8 +153,6 @@ class UncertainSystem:
         outputs: ArrayLike | None = None,
         process_uncertainty: ArrayLike | None = None,
         measurement_uncertainty: ArrayLike | None = None,
-        uncertainties: Iterable[Uncertainty] = (),
-        nonlinearities: Iterable[Nonlinearity] = (),
     ) -> "UncertainSystem":
         r"""Make the system of a python-control plant and its noises, as ``control.lqe`` has them.
 
@@ -157,11 +174,11 @@ class UncertainSystem:
         process_uncertainty, measurement_uncertainty : (h, n) arrays, optional
             :math:`C_{1,0}` and :math:`C_{1,1}`: :math:`\xi_0` and :math:`\xi_1` are no larger than
             these times x. Default: zero, no uncertainty.
-        uncertainties, nonlinearities : sequences, further channels
 
         Returns
         -------
         UncertainSystem
+            `dataclasses.replace` puts further channels in.
 
         Raises
         ------
@@ -176,23 +193,21 @@ class UncertainSystem:
         >>> rs.UncertainSystem.from_plant(plant, process_noise=1.0, measurement_noise=0.01).D21
         array([[0. , 0.1]])
         """
-        statespace.check_continuous("plant", plant)
+        check_continuous("plant", plant)
         n, l = plant.nstates, plant.noutputs  # noqa: E741 - the paper's letter
-        process = _noise_factor("process_noise", process_noise, plant.ninputs)
-        measurement = _noise_factor("measurement_noise", measurement_noise, l)
+        process = covariance_root("process_noise", process_noise, plant.ninputs)
+        measurement = covariance_root("measurement_noise", measurement_noise, l)
         B, D = plant.B @ process, plant.D @ process
         no_B, none = np.zeros((n, l)), np.zeros((1, n))
         C_0 = none if process_uncertainty is None else process_uncertainty
         C_1 = none if measurement_uncertainty is None else measurement_uncertainty
-        channels = (Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement))
         return cls(
             A=plant.A,
             B1=np.hstack([B, no_B]),
             C0=plant.C if outputs is None else outputs,
             C2=plant.C,
             D21=np.hstack([D, measurement]),
-            uncertainties=channels + fitting("uncertainties", uncertainties, Uncertainty, n, l),
-            nonlinearities=nonlinearities,
+            uncertainties=[Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement)],
         )
 
     def to_statespace(self) -> "control.StateSpace":
@@ -220,7 +235,7 @@ class UncertainSystem:
         inputs = {name: B for name, _, B, _, _ in channels}
         outputs = {"w": self.C0, "y": self.C2} | {name: C for _, name, _, C, _ in channels}
         feedthrough = {("y", name): D for name, _, _, _, D in channels}
-        return statespace.state_space(self.A, inputs, outputs, feedthrough)
+        return state_space(self.A, inputs, outputs, feedthrough)
 
     def stacked(self, channels: Sequence[Channel]) -> tuple[Matrix, Matrix, Matrix]:
         """Return B, C and D of some of the system's channels side by side."""
@@ -249,6 +264,11 @@ class UncertainSystem:
     def q(self) -> int:
         """Number of noises."""
         return self.B1.shape[1]
+
+    @property
+    def p(self) -> int:
+        """Number of known inputs."""
+        return self.B2.shape[1]
 
     @property
     def k(self) -> int:
@@ -302,8 +322,8 @@ class UncertainSystem:
         return "$$\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}$$"
 
 
-def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
-    """Return the symmetric square root of a noise's intensity."""
+def covariance_root(name: str, intensity: ArrayLike, size: int) -> Matrix:
+    """Return the symmetric square root of a covariance, or of a noise's intensity."""
     if np.ndim(intensity) == 0:
         return np.sqrt(validation.real(name, intensity, low=0.0)) * np.eye(size)
     intensity = validation.matrix(name, intensity, (size, size))
@@ -317,3 +337,47 @@ def _noise_factor(name: str, intensity: ArrayLike, size: int) -> Matrix:
         got = f"one whose correlation matrix has the eigenvalue {eigenvalues.min():.3g}"
         raise ValueError(f"{name} must be nonnegative definite, got {got}")
     return unit[:, None] * (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T)
+
+
+def state_space(
+    A: Matrix,
+    inputs: Mapping[str, Matrix],
+    outputs: Mapping[str, Matrix],
+    feedthrough: Mapping[tuple[str, str], Matrix],
+) -> "control.StateSpace":
+    """Return a python-control object with signals by name: inputs (n, .) and outputs (., n).
+
+    Component i of a signal is called ``name[i]`` there: python-control connects by name. The
+    feedthrough is by (output, input), zero if left out.
+    """
+    with extra("control", "to_statespace"):
+        import control
+
+    D = [
+        [feedthrough.get((y, u), np.zeros((len(C), B.shape[1]))) for u, B in inputs.items()]
+        for y, C in outputs.items()
+    ]
+    return control.StateSpace(
+        A.copy(),
+        np.hstack(list(inputs.values())),
+        np.vstack(list(outputs.values())),
+        np.block(D),
+        0,
+        inputs=[f"{u}[{i}]" for u, B in inputs.items() for i in range(B.shape[1])],
+        outputs=[f"{y}[{i}]" for y, C in outputs.items() for i in range(len(C))],
+        remove_useless_states=False,
+    )
+
+
+def check_continuous(name: str, sys: "control.StateSpace") -> None:
+    """Check that `sys` is a state-space system in continuous time, with a state."""
+    with extra("control", "a python-control system"):
+        import control
+
+    if not isinstance(sys, control.StateSpace):
+        hint = "; control.ss(...) makes it one" if isinstance(sys, control.TransferFunction) else ""
+        raise TypeError(f"{name} must be a control.StateSpace, got {type(sys).__name__}{hint}")
+    if sys.isdtime(strict=True):
+        raise ValueError(f"{name} must be in continuous time, got one in steps of dt={sys.dt!r}")
+    if sys.nstates == 0:
+        raise ValueError(f"{name} must have a state, got a static gain")

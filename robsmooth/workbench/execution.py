@@ -11,7 +11,7 @@ import time
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # the extra [notebooks]
     from nbformat import NotebookNode
@@ -19,16 +19,6 @@ if TYPE_CHECKING:  # the extra [notebooks]
 _ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 _LAST_ERROR = re.compile(r".*^([\w.]*(?:Error|Exception|Exit)\b.*)", re.DOTALL | re.MULTILINE)
 _ADDED_BY_PAPERMILL = {"injected-parameters", "papermill-error-cell-tag"}
-
-
-class Failure(NamedTuple):
-    """Why a notebook failed: the cell, numbered from 1 as in its source, and the traceback."""
-
-    cell: int | None
-    text: str
-
-    def __str__(self) -> str:
-        return self.text if self.cell is None else f"cell {self.cell}\n{self.text}"
 
 
 class Execution:
@@ -83,8 +73,8 @@ class Execution:
         self._process.wait()
         psutil.wait_procs(family, timeout=10)
 
-    def failure(self) -> Failure | None:
-        """Why the finished run failed, or None where every cell was run and none failed."""
+    def failure(self) -> str:
+        """Why the finished run failed: the cell, numbered from 1, and its traceback; "" if not."""
         limit = ""
         if self._timed_out:
             limit = f"the time limit of {self._time_limit:g} s for the notebook was reached"
@@ -100,11 +90,11 @@ class Execution:
             # papermill marks even the cell that its kernel died in as completed: go by the reply
             if traceback or "shell.execute_reply" not in cell.metadata.get("execution", {}):
                 reason = limit or error or traceback or "the cell was not run to its end"
-                return Failure(number, reason)
+                return f"cell {number}\n{reason}"
         if limit or self._process.returncode or not cells:
             last = "\n".join(log.splitlines()[-20:])
-            return Failure(None, limit or error or last or "its process died")
-        return None
+            return limit or error or last or "its process died"
+        return ""
 
     def _cells(self) -> "list[tuple[int, NotebookNode]]":
         """Code cells of the executed copy that hold code, with their numbers in the source."""

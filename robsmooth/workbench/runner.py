@@ -22,7 +22,7 @@ from robsmooth._support import cluster, files
 from robsmooth._support.extras import check_installed, extra
 from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
-from robsmooth.workbench.execution import Execution, Failure
+from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineError, unknown
 from robsmooth.workbench.provenance import sha256
 
@@ -55,7 +55,8 @@ class Request:
     @property
     def work(self) -> Path:
         """Where the run works."""
-        return (self.build or self.root / "build") / ("custom" if self.parameters else self.profile)
+        build = self.build or self.root / "build"
+        return build.absolute() / ("custom" if self.parameters else self.profile)
 
     @property
     def results(self) -> Path:
@@ -75,7 +76,6 @@ class Task:
     key: str  # hash of all that its results depend on
     notebook: Path
     executed: Path  # its executed copy
-    about: Path  # its provenance
     staging: Path  # folder that it writes to
     stamp: Path  # key and files of its last run
     checkpoints: Path  # folder that it resumes from: another one for each state of its inputs
@@ -89,7 +89,7 @@ class NotebookResult:
     status: str  # "done", "fresh" or "failed"
     files: tuple[str, ...] = ()  # as in "figures/name.pdf"
     seconds: float = 0.0
-    failure: Failure | None = None
+    failure: str = ""  # why it failed
 
 
 def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResult]:
@@ -153,7 +153,6 @@ def _task(
     return Task(
         *(run, name, values, seed, optional, key, notebook),
         executed=run.work / "notebooks" / notebook.name,
-        about=run.results / "figures" / f"{name}.provenance.json",
         staging=run.work / "staging" / name,
         stamp=run.work / "stamps" / f"{name}.json",
         checkpoints=run.work / "checkpoints" / name / key[:16],
@@ -245,8 +244,8 @@ def _finish(task: Task, execution: Execution) -> NotebookResult:
     about = {"notebook": task.notebook.name, "profile": task.run.profile}
     about |= {"parameters": task.values, "files": produced}
     place = task.run.results / "figures" / task.name
-    provenance.write(place, **about, seed=task.seed, started=execution.started)
-    produced[f"figures/{task.about.name}"] = sha256(task.about)
+    written = provenance.write(place, **about, seed=task.seed, started=execution.started)
+    produced[f"figures/{written.name}"] = sha256(written)
     for file in before.keys() - produced.keys():  # it no longer produces it
         (task.run.results / file).unlink(missing_ok=True)
     files.write_json(task.stamp, {"key": task.key, "files": produced})

@@ -321,3 +321,11 @@ def test_waiting_that_makes_the_error_larger_is_warned_of():
     with warnings.catch_warnings(action="error"):
         rs.best_smoother(rs.augment(cancelling(), 1.0, 2), output="filtered")
         rs.best_smoother(rs.augment(of_gain(0.2), 0.2, 2))
+
+
+@pytest.mark.parametrize(("B1", "C0"), [([[1, 0]], [[0]]), ([[0, 0]], [[1]])])
+def test_an_error_that_nothing_drives_is_zero(B1, C0):
+    gain = rs.Uncertainty([[0]], [[0.1]], [[1]])
+    system = rs.UncertainSystem([[-1]], B1, C0, [[1]], [[0, 0.1]], [gain])
+    judged = rs.judge(rs.baselines.fixed_lag_smoother(system, 0.1, 2))
+    assert vars(judged) == {"nominal": 0.0, "worst_constant": 0.0, "certified": 0.0}

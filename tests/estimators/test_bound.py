@@ -19,10 +19,9 @@ from robsmooth import (
     homodyne,
     minimize_bound,
 )
-from robsmooth.estimators.bound import VANISHING, best_tau
-from robsmooth.estimators.bound_function import log_bound
+from robsmooth.estimators.bound import VANISHING, best_tau, log_bound
 from robsmooth.estimators.conditions import multiplier_level
-from robsmooth.estimators.problem import DesignProblem
+from robsmooth.estimators.equations import DesignProblem
 from robsmooth.estimators.smoother import limiting_smoother
 from robsmooth.estimators.units import Units
 from tests.helpers.loops import two_channels

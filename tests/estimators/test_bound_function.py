@@ -6,8 +6,8 @@ from scipy.integrate import quad_vec
 from scipy.linalg import sqrtm
 
 from robsmooth import InfeasibleDesignError, augment, design_smoother, homodyne
-from robsmooth.estimators.bound_function import log_bound
-from robsmooth.estimators.problem import DesignProblem
+from robsmooth.estimators.bound import log_bound
+from robsmooth.estimators.equations import DesignProblem
 from robsmooth.estimators.smoother import limiting_smoother
 from robsmooth.estimators.units import Units
 from tests.helpers.limits import CASES, limit_of

@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 
 import robsmooth as rs
 from robsmooth._numerics.lyapunov import covariances
-from robsmooth._support import extras
 from robsmooth.estimators import minimax
 from robsmooth.estimators.loop import matrices
 from tests.helpers.attacks import all_pass_error
@@ -180,13 +179,3 @@ def test_an_estimate_goes_on_where_samples_are_missing():
     # it decays as the signal does, one lag later
     later = estimates[230:258, 0]
     assert_allclose(np.diff(np.log(np.abs(later))) / 0.01, -1.0, atol=0.05)
-
-
-@pytest.mark.parametrize("module, package", [("cvxpy", "cvxpy-base"), ("clarabel", "clarabel")])
-def test_what_is_not_installed_is_named(monkeypatch, module, package):
-    found = extras.find_spec
-    missing = {module: None}
-    monkeypatch.setattr(extras, "find_spec", lambda name: missing.get(name, found("math")))
-    plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), 0.0, 0)
-    with pytest.raises(ImportError, match=f"^convex optimisation needs the package {package}: pip"):
-        rs.minimax_smoother(plant)

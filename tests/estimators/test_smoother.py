@@ -19,6 +19,7 @@ from robsmooth import (
     design_smoother,
     homodyne,
 )
+from robsmooth._numerics.riccati import solve_riccati
 from robsmooth.estimators import baselines
 from robsmooth.estimators.smoother import design_equations
 from robsmooth.systems.delay import DelayModel
@@ -157,7 +158,8 @@ def test_gains_and_bound_follow_the_papers_formulas(design):
 
 def test_printed_gains_follow_with_the_sign_of_the_quadratic_term_flipped(example):
     equations = design_equations(example, *PRINTED)
-    X, Y = equations.solve_X(quadratic_sign=-1).X, equations.solve_Y().X
+    X = solve_riccati(*equations.equation_X(quadratic_sign=-1)).X
+    Y = solve_riccati(*equations.equation_Y).X
     A_c, B_c, C_c, bound, _ = equations.gains(X, Y)
     # Entries that do not depend on the coordinates of the delay states, to their printed digits
     # and, for the two of the copy, to what the rounding of tau and lambda allows.
@@ -533,7 +535,8 @@ def test_a_spectral_radius_above_tau_is_refused_by_assumption_3_3():
     multipliers = random_multipliers(rng, plant)
     tau = 0.2848035868435802
     equations = design_equations(plant, tau, multipliers, "smoothed")
-    X, Y = equations.solve_X().X, equations.solve_Y().X
+    X = solve_riccati(*equations.equation_X()).X
+    Y = solve_riccati(*equations.equation_Y).X
     assert min(np.linalg.eigvalsh(X).min(), np.linalg.eigvalsh(Y).min()) > -1e-9
     radius = np.abs(np.linalg.eigvals(Y @ X)).max()
     assert radius > tau

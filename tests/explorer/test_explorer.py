@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib.text import Text
 
 import robsmooth as rs
-from robsmooth.explorer import Explorer, Settings, describe, explorer
-from robsmooth.explorer import snapshot as model
-from robsmooth.explorer.panels import NO_DESIGN, Panels
-from robsmooth.explorer.snapshot import DESIGNS, RANGES
+from robsmooth.explorer import Explorer, Settings, explorer, panels
+from robsmooth.explorer.explorer import JUDGING, summary
+from robsmooth.explorer.snapshot import DESIGNS, SLIDERS, STEP, take_snapshot
+from robsmooth.paper.figures import use_style
 from robsmooth.workbench import parameters
 from tests.helpers import looks
 from tests.helpers.waiting import PATIENCE
@@ -40,11 +39,6 @@ DESIGNED = {
 }
 
 
-def whole(chosen):
-    """A snapshot with all that there is to see."""
-    return model.judge(model.take_snapshot(chosen))
-
-
 def pixels(png):
     return matplotlib.image.imread(io.BytesIO(png))
 
@@ -52,9 +46,9 @@ def pixels(png):
 # --- settings -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", RANGES)
+@pytest.mark.parametrize("name", SLIDERS)
 def test_a_slider_can_stand_at_its_default(name):
-    allowed = RANGES[name]
+    allowed = SLIDERS[name]
     steps = (allowed.shown(getattr(PAPER, name)) - allowed.low) / allowed.step
     assert steps == pytest.approx(round(steps), abs=1e-9)
     assert allowed.si(allowed.shown(getattr(PAPER, name))) == getattr(PAPER, name)
@@ -89,8 +83,8 @@ def test_bad_settings_are_refused_with_a_sentence(wrong, sentence):
 
 def test_the_notebook_allows_what_the_sliders_do():
     given = parameters.read(NOTEBOOK)
-    for name in given.keys() & RANGES.keys():
-        allowed, interval = RANGES[name], given[name].interval
+    for name in given.keys() & SLIDERS.keys():
+        allowed, interval = SLIDERS[name], given[name].interval
         limits = {"low": allowed.si(allowed.low), "high": allowed.si(allowed.high)}
         assert interval == {**limits, "without": []}
     for name in given.keys() & asdict(PAPER).keys():
@@ -102,31 +96,28 @@ def test_the_notebook_allows_what_the_sliders_do():
 
 @pytest.mark.parametrize("name", DESIGNED)
 def test_the_code_finds_the_numbers_of_the_panels(name):
-    snapshot = whole(DESIGNED[name])
-    found = {"print": lambda *_: None}
-    exec(describe.code(snapshot.settings), found)
-    assert np.array_equal(found["filtered"], snapshot.sweeps.own.filtered)
-    assert np.array_equal(found["smoothed"], snapshot.sweeps.own.smoothed)
-    assert found["with_sine"] == snapshot.predicted.own
-    assert found["judged"] == snapshot.judged.own
+    own = take_snapshot(DESIGNED[name]).own
+    found = {"print": lambda *_, **__: None}
+    exec(DESIGNED[name].code(), found)
+    assert np.array_equal(found["filtered"], own.filtered)
+    assert np.array_equal(found["smoothed"], own.smoothed)
+    assert found["with_sine"] == own.with_sine
+    assert found["judged"] == own.judged
     for matrix in ("A_c", "B_c", "C_c"):
-        own = getattr(snapshot.estimator, matrix)
-        assert np.array_equal(getattr(found["smoother"], matrix), own)
+        assert np.array_equal(getattr(found["smoother"], matrix), getattr(own.estimator, matrix))
 
 
-def test_where_there_is_no_design_the_code_raises_what_the_panels_say():
-    snapshot = whole(INFEASIBLE)
+def test_where_there_is_no_design_the_code_raises_what_is_said():
     with pytest.raises(rs.InfeasibleDesignError) as refusal:
-        exec(describe.code(INFEASIBLE), {})
-    assert str(refusal.value) == snapshot.estimator == snapshot.sweeps
-    assert snapshot.predicted == snapshot.path == snapshot.judged == snapshot.estimator
-    assert snapshot.estimator in describe.summary(snapshot)
+        exec(INFEASIBLE.code(), {})
+    assert f"{refusal.value}." == take_snapshot(INFEASIBLE)
+    assert f"{refusal.value}." in summary(take_snapshot(INFEASIBLE))
 
 
 @pytest.mark.parametrize("cost", ["filtered", "smoothed"])
 @pytest.mark.parametrize("change", [{}, {"gamma": 0.7, "lag": 1e-6}, {"noise": 3.0, "order": 1}])
 def test_the_robust_design_has_the_least_bound(cost, change):
-    design = model.design(Settings(**change, cost=cost))
+    design = Settings(**change, cost=cost).estimator()
     least = rs.minimize_bound(design.plant, cost)
     assert design.bound == pytest.approx(least.bound_infimum, rel=1e-6)
 
@@ -134,159 +125,133 @@ def test_the_robust_design_has_the_least_bound(cost, change):
 @pytest.mark.parametrize("cost", ["filtered", "smoothed"])
 @pytest.mark.parametrize("design", ["robust", "minimax", "classical", "tuned classical"])
 def test_the_three_errors_are_in_their_order_and_below_the_papers_bound(cost, design):
-    snapshot = whole(Settings(cost=cost, design=design))
-    own, classical = snapshot.judged
+    chosen = Settings(cost=cost, design=design)
+    snapshot = take_snapshot(chosen)
+    own = snapshot.own.judged
     assert own.nominal < own.worst_constant < own.certified * (1 + 1e-6)
-    assert own.nominal == pytest.approx(getattr(snapshot.sweeps.own, cost)[-1], rel=1e-9)
-    assert own.worst_constant == pytest.approx(getattr(snapshot.sweeps.own, cost)[0], rel=1e-3)
+    assert own.nominal == pytest.approx(getattr(snapshot.own, cost)[-1], rel=1e-9)
+    assert own.worst_constant == pytest.approx(getattr(snapshot.own, cost)[0], rel=1e-3)
     if design == "robust":
-        assert own.certified < snapshot.estimator.mean_square_bound
-    assert classical == whole(snapshot.settings.classical).judged.own
+        assert own.certified < snapshot.own.estimator.mean_square_bound
+    classical = take_snapshot(replace(chosen, design="classical")).own
+    assert snapshot.classical.judged == classical.judged
+    assert np.array_equal(snapshot.classical.smoothed, classical.smoothed)
 
 
 def test_the_new_designs_are_ahead_in_what_they_are_for():
     judged = {
-        design: whole(Settings(cost="smoothed", design=design)).judged for design in DESIGNS[:4]
+        design: take_snapshot(Settings(cost="smoothed", design=design)).own.judged
+        for design in DESIGNS[:4]
     }
-    certified = {design: found.own.certified for design, found in judged.items()}
-    constant = {design: found.own.worst_constant for design, found in judged.items()}
+    certified = {design: found.certified for design, found in judged.items()}
+    constant = {design: found.worst_constant for design, found in judged.items()}
     assert min(certified, key=certified.get) == "minimax"
     assert min(constant, key=constant.get) == "tuned classical"
 
 
 def test_what_is_judged_at_once_stays_nearly_as_it_is_when_the_certificate_is_there():
-    quick = model.take_snapshot(PAPER)
-    for before, after in zip(quick.judged, model.judge(quick).judged, strict=True):
+    quick, whole = take_snapshot(PAPER, certified=False), take_snapshot(PAPER)
+    for name in ("own", "classical"):
+        before, after = getattr(quick, name).judged, getattr(whole, name).judged
         assert np.isnan(before.certified)
         assert np.isfinite(after.certified)
         assert before.nominal == pytest.approx(after.nominal, rel=1e-9)
         assert before.worst_constant == pytest.approx(after.worst_constant, rel=1e-3)
-    assert describe.JUDGING in describe.summary(quick)
+    assert JUDGING in summary(quick)
+    assert JUDGING not in summary(whole)
 
 
 def test_references_are_the_best_that_there_are():
-    classical = model.take_snapshot(Settings(design="classical", order=5))
-    own = classical.sweeps.own
-    assert classical.filtering == pytest.approx(own.filtered[-1], rel=1e-6)
-    assert classical.optimum == pytest.approx(own.smoothed[-1], rel=2e-3)
-    assert classical.optimum < own.smoothed[-1]
-    robust = model.take_snapshot(Settings(order=5))
-    assert np.array_equal(robust.sweeps.classical.smoothed, own.smoothed)
+    classical = take_snapshot(Settings(design="classical", order=5))
+    assert classical.filtering == pytest.approx(classical.own.filtered[-1], rel=1e-6)
+    assert classical.optimum == pytest.approx(classical.own.smoothed[-1], rel=2e-3)
+    assert classical.optimum < classical.own.smoothed[-1]
 
 
 @pytest.mark.parametrize("name", ["paper", "other light", "minimax"])
 def test_the_errors_with_the_sine_are_those_of_its_stationary_density(name):
-    chosen = DESIGNED[name]
-    found = model.take_snapshot(chosen)
-    for loop, each in zip(found.predicted, (chosen, chosen.classical), strict=True):
-        exact = rs.stationary_errors(chosen.parameters, model.design(each))
-        assert loop.filtered == pytest.approx(exact.filtered, rel=0.01)
-        assert loop.smoothed == pytest.approx(exact.smoothed, rel=0.01)
+    snapshot = take_snapshot(DESIGNED[name])
+    for found in (snapshot.own, snapshot.classical):
+        exact = rs.stationary_errors(DESIGNED[name].parameters, found.estimator)
+        assert found.with_sine.filtered == pytest.approx(exact.filtered, rel=0.01)
+        assert found.with_sine.smoothed == pytest.approx(exact.smoothed, rel=0.01)
 
 
 def test_the_path_is_one_of_the_loop():
     """Averaged over time, its errors are those of the simulation, as far as chance lets them."""
-    path = model.take_snapshot(PAPER).path
-    then = path.time - PAPER.lag
-    filtered = np.mean((path.phase - path.filtered) ** 2)
-    delayed = np.interp(then, path.time, path.phase)
-    smoothed = np.mean((delayed - path.smoothed)[then > 0.0] ** 2)
-    assert 0.03 < smoothed < filtered < 0.2
-    moved = model.take_snapshot(replace(PAPER, lag=3.2e-6, order=3)).path
-    assert np.allclose(moved.phase, path.phase, rtol=1e-9, atol=1e-9)
-    assert np.abs(moved.smoothed - path.smoothed).max() < 0.2
+    phase, filtered, smoothed = take_snapshot(PAPER).path
+    steps = np.arange(len(phase))
+    then = steps - PAPER.lag / STEP
+    delayed = np.interp(then, steps, phase)
+    late = np.mean((delayed - smoothed)[then > 0.0] ** 2)
+    assert 0.03 < late < np.mean((phase - filtered) ** 2) < 0.2
+    moved = take_snapshot(replace(PAPER, lag=3.2e-6, order=3)).path
+    assert np.allclose(moved[0], phase, rtol=1e-9, atol=1e-9)
+    assert np.abs(moved[2] - smoothed).max() < 0.2
 
 
-def positions(allowed):
+def positions(slider):
     """What a slider can be at."""
-    steps = round((allowed.high - allowed.low) / allowed.step)
-    return st.integers(0, steps).map(lambda k: allowed.si(allowed.low + k * allowed.step))
+    steps = round((slider.high - slider.low) / slider.step)
+    return st.integers(0, steps).map(lambda k: slider.si(slider.low + k * slider.step))
 
 
 all_settings = st.builds(
     Settings,
-    **{name: positions(allowed) for name, allowed in RANGES.items()},
+    **{name: positions(slider) for name, slider in SLIDERS.items()},
     cost=st.sampled_from(["filtered", "smoothed"]),
     design=st.sampled_from(DESIGNS),
 )
 
 
-@pytest.fixture(scope="module")
-def panels():
-    return Panels()
-
-
 @settings(max_examples=40)
 @given(all_settings)
-def test_every_setting_gives_panels_or_a_sentence(panels, chosen):
-    snapshot = whole(chosen)
-    panels.update(snapshot)
-    assert pixels(panels.png()).shape == (585, 910, 3)
-    assert describe.summary(snapshot).endswith(".")
-    if isinstance(snapshot.estimator, str):
-        shown = [text.get_text().replace("\n", " ") for text in panels.figure.findobj(Text)]
-        assert snapshot.estimator in shown
-        assert shown.count(NO_DESIGN) == 2
-
-
-def test_words_say_where_theory_ends():
-    for chosen, share in ((PAPER, "2e-08"), (Settings(kappa=2e5, noise=2.0), "3e-03")):
-        assert f"a share of {share} of the time" in describe.summary(whole(chosen))
-    weak = whole(Settings(kappa=4e3, lam=5e4, noise=5.0, gamma=0.8, cost="smoothed", lag=15e-6))
-    assert "not to measure at all is as good, 0.0400 rad²" in describe.summary(weak)
-    classical = whole(Settings(design="classical"))
-    assert "a filtered error of at most 0.1388 rad²." in describe.summary(classical)
-    own = replace(classical.judged.own, certified=np.inf)
-    without = replace(classical, judged=classical.judged._replace(own=own))
-    assert "Nothing is certified" in describe.summary(without)
+def test_every_setting_gives_panels_or_a_sentence(chosen):
+    found = take_snapshot(chosen)
+    assert pixels(panels.png(found)).shape[:2] == (585, 910)
+    assert summary(found).endswith(".")
 
 
 def test_too_long_a_lag_is_said_to_be_worse_than_none():
-    snapshot = whole(Settings(lag=15e-6, order=1))
-    assert snapshot.predicted.own.smoothed > snapshot.predicted.own.filtered
-    assert "above the filter's" in describe.summary(snapshot)
+    found = take_snapshot(Settings(lag=15e-6, order=1))
+    assert found.own.with_sine.smoothed > found.own.with_sine.filtered
+    assert "above the filter's" in summary(found)
 
 
 # --- the figure -----------------------------------------------------------------------------------
 
 
-def test_the_figure_fits_a_page_and_nothing_is_in_the_way_of_its_words(panels):
-    panels.update(whole(PAPER))
-    figure = panels.figure
-    assert figure.get_figwidth() <= 7.0
-    assert looks.flaws(figure) == []
+def test_the_figure_fits_a_page_and_nothing_is_in_the_way_of_its_words():
+    with mpl.rc_context():
+        use_style()
+        figure = panels.draw(take_snapshot(PAPER))
+        assert figure.get_figwidth() <= 7.0
+        assert looks.flaws(figure) == []
 
 
-def test_a_figure_depends_on_the_settings_alone(panels):
-    snapshot = whole(PAPER)
-    panels.update(snapshot)
-    first = panels.png()
-    panels.update(whole(INFEASIBLE))
-    assert panels.png() != first
+def test_a_figure_depends_on_the_settings_alone():
+    first = panels.png(take_snapshot(PAPER))
+    assert panels.png(take_snapshot(replace(PAPER, gamma=0.5))) != first
     with mpl.rc_context({"axes.prop_cycle": mpl.cycler(color=["k"]), "font.size": 20}):
-        panels.update(snapshot)
-        assert panels.png() == first
+        assert panels.png(take_snapshot(PAPER)) == first
 
 
-def test_without_a_prediction_the_other_errors_are_drawn(panels):
-    panels.update(replace(whole(PAPER), predicted="no stationary variance"))
-    (axes,) = [each for each in panels.figure.axes if "errors of" in each.get_title()]
-    drawn = [line.get_ydata() for line in axes.lines if line.get_label() != "the paper's bound 2V"]
-    assert np.isfinite(drawn).tolist() == [[True, True, True, False]] * 2
+def test_an_error_that_is_infinite_is_absent_and_the_others_are_drawn():
+    found = take_snapshot(PAPER)
+    judged = replace(found.own.judged, certified=np.inf)
+    figure = panels.draw(replace(found, own=replace(found.own, judged=judged)))
+    drawn = {
+        line.get_label(): np.isfinite(line.get_ydata()).tolist() for line in figure.axes[2].lines
+    }
+    assert drawn["this design"] == [True, True, False, True]
+    assert drawn["classical smoother"] == [True] * 4
 
 
-def test_without_a_design_only_what_depends_on_it_changes(panels):
-    panels.update(whole(PAPER))
-    with_design = pixels(panels.png())
-    panels.update(whole(INFEASIBLE))
-    changed = (pixels(panels.png()) != with_design).any(axis=2)
-    for axes in panels.figure.axes:
-        box = axes.get_window_extent()
-        rows = slice(round(585 - box.y1), round(585 - box.y0))
-        inside = changed[rows, round(box.x0) : round(box.x1)]
-        assert inside.any()
-        changed[rows, round(box.x0) - 2 : round(box.x1) + 9] = False  # the star is on the edge
-    assert not changed.any()
+def test_where_there_is_no_design_the_sentence_takes_the_place_of_the_panels():
+    sentence = take_snapshot(INFEASIBLE)
+    figure = panels.draw(sentence)
+    assert not figure.axes
+    assert [text.get_text().replace("\n", " ") for text in figure.texts] == [sentence]
 
 
 # --- controls, and what is drawn when -------------------------------------------------------------
@@ -296,120 +261,138 @@ def test_without_a_design_only_what_depends_on_it_changes(panels):
 def drawn(monkeypatch):
     """The settings that were drawn, in order."""
     seen = []
-    monkeypatch.setattr(
-        explorer, "take_snapshot", lambda chosen: seen.append(chosen) or model.take_snapshot(chosen)
-    )
+
+    def take(chosen, certified=True):
+        seen.append(chosen)
+        return take_snapshot(chosen, certified)
+
+    monkeypatch.setattr(explorer, "take_snapshot", take)
     return seen
 
 
-def test_the_controls_have_their_panels_from_the_start():
-    async def show():
-        controls = Explorer().show_controls()
-        return controls.panels.value, controls.summary.value, controls.code.value
-
-    assert all(asyncio.run(show()))
+def values(shown):
+    """What the picture, the summary and the code are."""
+    shown.widget  # noqa: B018 - they are made with it
+    return shown._image.value, shown._summary.value, shown._code.value
 
 
-def test_a_slider_changes_the_panels_and_reset_brings_them_back():
-    shown = Explorer(replace(PAPER, lag=2e-6))
-    controls = shown.show_controls()
-    first = {name: getattr(controls, name).value for name in ("panels", "summary", "code")}
-    controls.inputs["lag"].value = 4.0
-    assert shown.settings == replace(PAPER, lag=4e-6) == shown.snapshot.settings
-    for name, value in first.items():
-        assert getattr(controls, name).value != value
-    controls.reset.click()
-    for name, value in first.items():
-        assert getattr(controls, name).value == value
+async def until(condition):
+    """Wait for something."""
+    async with asyncio.timeout(PATIENCE):
+        while not condition():
+            await asyncio.sleep(0.001)
 
 
-def test_reset_is_one_change(drawn):
-    shown = Explorer()
-    controls = shown.show_controls()
-    for name in ("lag", "gamma", "noise"):
-        controls.inputs[name].value *= 1.5
-    del drawn[:]
-    controls.reset.click()
-    assert drawn == [PAPER]
+def test_a_slider_changes_the_panels_and_reset_brings_them_back(drawn):
+    async def use():
+        shown = Explorer(replace(PAPER, lag=2e-6))
+        first = values(shown)
+        assert all(first)
+        shown.inputs["lag"].value = 4.0
+        assert shown.settings == replace(PAPER, lag=4e-6)
+        await until(lambda: values(shown)[0] != first[0])
+        for old, new in zip(first, values(shown), strict=True):
+            assert old != new
+        shown.inputs["gamma"].value = 0.5
+        del drawn[:]
+        (reset,) = [
+            each for each in shown.widget.children if isinstance(each, explorer.widgets.Button)
+        ]
+        reset.click()
+        await until(lambda: values(shown) == first)
+        assert set(drawn) == {replace(PAPER, lag=2e-6)}  # it is one change
+
+    asyncio.run(use())
 
 
 def test_only_controls_that_matter_are_there():
-    controls = Explorer().show_controls()
-    *always, by_hand = controls.widget.children[0].children
-    assert controls.inputs["tau"] in by_hand.children[1].children
-    shown = {}
-    for design in ("robust", "by hand", "classical"):
-        controls.inputs["design"].value = design
-        shown[design] = by_hand.layout.display != "none"
-        assert all(column.layout.display != "none" for column in always)
-    assert shown == {"robust": False, "by hand": True, "classical": False}
+    async def use():
+        shown = Explorer()
+        *always, by_hand = shown.widget.children[0].children
+        assert shown.inputs["tau"] in by_hand.children[1].children
+        for design in ("classical", "by hand", "robust"):
+            shown.inputs["design"].value = design
+            hidden = "flex" if design == "by hand" else "none"
+            await until(lambda hidden=hidden: by_hand.layout.display == hidden)
+            assert all(column.layout.display != "none" for column in always)
+
+    asyncio.run(use())
 
 
 def test_without_a_design_the_reason_is_said_and_escaped():
-    controls = Explorer().show_controls()
-    controls.inputs["design"].value = "by hand"
-    assert "Assumption 3.2 (Riccati equation for X) fails" in controls.summary.value
-    controls.inputs["lambda2"].value = 1.0
-    assert "M(lambda)^-1 &gt;= J J&#x27;" in controls.summary.value
-
-
-def test_the_code_is_copied_by_the_browser():
-    controls = Explorer().show_controls()
-    controls.copy.click()
-    controls.copy.click()
-    (output,) = controls._script.outputs  # not one more for each click
-    script = output["data"]["application/javascript"]
-    assert "clipboard.writeText" in script
-    (own,) = [name for name in controls.widget._dom_classes if f".{name} textarea" in script]
-    assert own != Explorer().show_controls().widget._dom_classes[-1]
+    assert "Assumption 3.2 (Riccati equation for X) fails" in values(Explorer(INFEASIBLE))[1]
+    refused = values(Explorer(replace(INFEASIBLE, lambda2=1.0)))[1]
+    assert "M(lambda)^-1 &gt;= J J&#x27;" in refused
 
 
 def test_of_many_events_the_newest_only_is_drawn(drawn):
     async def drag():
         shown = Explorer()
-        controls = shown.show_controls()
+        values(shown)
         del drawn[:]
         for lag in np.linspace(4.0, 5.0, 11):
-            controls.inputs["lag"].value = lag
-        while not drawn:
-            await asyncio.sleep(0.001)
-        return shown.settings
+            shown.inputs["lag"].value = lag
+        await until(lambda: drawn)
 
-    assert asyncio.run(drag()) == replace(PAPER, lag=5e-6)
+    asyncio.run(drag())
     assert drawn == [replace(PAPER, lag=5e-6)]
 
 
 def test_the_certificate_keeps_nothing_else_waiting(monkeypatch):
     may_go_on = threading.Event()
-    monkeypatch.setattr(
-        explorer, "judge", lambda snapshot: may_go_on.wait(PATIENCE) and model.judge(snapshot)
-    )
 
-    async def explore():
-        controls = Explorer().show_controls()
-        before = controls.panels.value
-        controls.inputs["design"].value = "minimax"
-        while controls.panels.value == before:
-            await asyncio.sleep(0.001)
-        assert controls.summary.value.count("With the sine in the loop") == 1
-        assert describe.JUDGING in controls.summary.value
-        drawn = controls.panels.value
+    def take(chosen, certified=True):
+        assert not certified or chosen == PAPER or may_go_on.wait(PATIENCE)
+        return take_snapshot(chosen, certified)
+
+    monkeypatch.setattr(explorer, "take_snapshot", take)
+
+    async def use():
+        shown = Explorer()
+        before = values(shown)
+        shown.inputs["design"].value = "minimax"
+        await until(lambda: values(shown)[0] != before[0])
+        drawn = values(shown)
+        assert JUDGING in drawn[1]
         may_go_on.set()
-        while describe.JUDGING in controls.summary.value:
-            await asyncio.sleep(0.001)
-        assert "Certified" in controls.summary.value
-        assert controls.panels.value != drawn
+        await until(lambda: JUDGING not in values(shown)[1])
+        assert values(shown)[0] != drawn[0]
 
-    asyncio.run(explore())
+    asyncio.run(use())
+
+
+def test_a_certificate_that_is_late_is_not_shown(monkeypatch):
+    asked, may_go_on = threading.Event(), threading.Event()
+
+    def take(chosen, certified=True):
+        if certified and chosen.lag == 4e-6:
+            asked.set()
+            assert may_go_on.wait(PATIENCE)
+        return take_snapshot(chosen, certified)
+
+    monkeypatch.setattr(explorer, "take_snapshot", take)
+
+    async def use():
+        shown = Explorer()
+        values(shown)
+        shown.inputs["lag"].value = 4.0
+        await until(asked.is_set)
+        shown.inputs["lag"].value = 5.0
+        may_go_on.set()
+        await until(lambda: "delay=5e-06" in values(shown)[2])
+        await until(lambda: JUDGING not in values(shown)[1])
+        assert values(shown)[0] == panels.png(take_snapshot(replace(PAPER, lag=5e-6)))
+
+    asyncio.run(use())
 
 
 def test_an_explorer_shows_itself_as_an_image_where_nobody_is():
     shown = Explorer()
     bundle = shown._repr_mimebundle_()
     assert set(bundle) == {"image/png", "text/plain"}
-    assert pixels(base64.b64decode(bundle["image/png"])).shape == (585, 910, 3)
-    assert bundle["text/plain"] == describe.summary(shown.snapshot)
-    assert shown.controls is None
+    assert pixels(base64.b64decode(bundle["image/png"])).shape[:2] == (585, 910)
+    assert bundle["text/plain"] == summary(shown.snapshot)
+    assert not shown.inputs
 
 
 @pytest.mark.parametrize("answers", [True, False])

@@ -372,10 +372,9 @@ def test_large_estimators_get_a_lower_degree_and_say_how_good_it_is():
 
 
 def test_repr_tells_values_truncation_and_degree():
-    result = StationaryErrors(0.05, 0.09, 1e-9, 2e-9, 12, 1035)
+    result = StationaryErrors(0.05, 0.09, 1e-9, 2e-9, 12)
     assert repr(result) == (
-        "StationaryErrors(smoothed 0.05 +- 1e-09 rad^2, filtered 0.09 +- 2e-09 rad^2; "
-        "degree 12, 1035 unknowns)"
+        "StationaryErrors(smoothed 0.05 +- 1e-09 rad^2, filtered 0.09 +- 2e-09 rad^2; degree 12)"
     )
 
 

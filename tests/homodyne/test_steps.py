@@ -129,7 +129,7 @@ def test_an_undamped_mode_and_an_unstable_one_set_no_limit_to_the_step():
     )
     assert longest_stable_step(still) == still.response_time() == np.inf
     assert longest_stable_step(replace(still, drift=np.diag([0.0, 1.0]))) == np.inf
-    assert PROTOCOLS["paper"].default_step(still, 1e-3) == 1e-8
+    assert run.plan(still, "paper").step == 1e-8
 
 
 @settings(max_examples=60)

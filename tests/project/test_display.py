@@ -97,7 +97,7 @@ OBJECTS = {
     ),
     "LagSweep": (
         lambda: rs.lag_sweep(PAPER.uncertain_system(), [1e-6, 2e-6], [1, 2]),
-        ["2 orders x 2 lags", "filtering=0.08", "two_sided=0.04"],
+        ["2 orders x 2 lags", "error 0.0496"],
     ),
     "CoarseDelayWarning": (lambda: rs.CoarseDelayWarning("coarse"), ["coarse"]),
     "LongStepWarning": (lambda: rs.LongStepWarning("long"), ["long"]),
@@ -115,16 +115,18 @@ OBJECTS = {
         lambda: PAPER.uncertain_system().nonlinearities[0],
         ["C=[[929.6]]", "lipschitz=1", "function=channel"],
     ),
+    "RecordCheck": (
+        lambda: rs.check_record(
+            rs.baselines.kalman_bucy(PAPER.uncertain_system()).discretize(1e-7), np.zeros((30, 1))
+        ),
+        ["mean_square=0", "p_white="],
+    ),
     "RobustSmoother": (smoother, ["bound=0.12", "cost='filtered'", "delay=3.1e-06 s"]),
     "SamplePaths": (
         lambda: rs.sample_paths(linear_loop(), runs=2, duration=1e-5),
         ["2 paths", "lag=3.1e-06 s", "1 outputs"],
     ),
     "Sector": (lambda: rs.sector(np.sin, 1.2), ["sin", "reach=1.2", "upper=1.0"]),
-    "SimulatedError": (
-        lambda: rs.simulate(linear_loop(), runs=16, duration=1e-5).smoothed,
-        [" +- ", "covariance=[[0.0"],
-    ),
     "SimulationResult": (
         lambda: rs.simulate(linear_loop(), runs=16, duration=1e-5),
         ["smoothed 0.0", "constraints used", "16 runs"],
@@ -144,7 +146,7 @@ OBJECTS = {
     # public by the modules of the package, or what functions return
     "HomodyneParameters": (lambda: PAPER, ["lam=9140.0", "gamma=0.4"]),
     "DelayModel": (lambda: smoother().plant.delay_model, ["order=2", "2 states", "1 channels"]),
-    "RiccatiSolution": (lambda: smoother().certificates["Y"], ["3 states", "residual="]),
+    "RiccatiSolution": (lambda: smoother().certificates["Y"], ["residual=", "error="]),
     "Verdicts": (lambda: rs.verdicts(kinds=("model",)), ["reproduced", "3 not reproduced"]),
     "Verdict": (
         lambda: rs.verdicts(kinds=("model",))[0],
@@ -231,19 +233,9 @@ def test_an_object_says_what_it_is(name):
 
 
 RICH = {
-    "AugmentedSystem": [r"\(A_p\)", r"\begin{bmatrix}1 &amp; 0 &amp; 3.464\end{bmatrix}"],
-    "Estimator": [r"\(\tilde B_c\)", "poles (1/s)"],
-    "RobustSmoother": ["half the filtered error", "0.12", r"\lambda", r"\pm"],
     "AnalysisBound": ["largest mean square error", r"\theta"],
-    "WorstCase": [r"-1 &amp; 0 \\ 0 &amp; 0 &amp; -1\end{bmatrix}", "nominal"],
-    "ConstantMinimaxSmoother": ["worst constant smoothed error", "0.083", r"\Delta\) 1"],
-    "MinimaxSmoother": ["certified smoothed error", "0.0886", r"\theta"],
     "Choice": ["certified worst", "classical", "best"],
-    "MonteCarloResult": ["rad²", r"\pm", "no slips"],
     "SimulationResult": [r"\pm", "constraints used"],
-    "StationaryErrors": ["rad²", "×10<sup>"],
-    "LagSweep": ["nominal error", "×10<sup>-6</sup>"],
-    "LagChoice": ["chosen", "×10<sup>-6</sup>"],
     "Study": ["smoothed / filtered", "2 designs"],
     "HomodyneParameters": [r"\(\kappa\)", "rad²/s", "40000"],
     "Verdicts": ["relative difference", "A_p[0, 0]", "zeros"],
@@ -257,21 +249,14 @@ def test_a_notebook_shows_key_figures(name):
         assert part in text
 
 
-def test_a_design_shows_the_infimum_that_no_design_attains():
-    limit = rs.limiting_smoother(smoother().plant, 1.1e-6, [1.0, 0.5, 0.0, 0.0])
-    text = replace(smoother(), limit=limit, bound_infimum=limit.bound)._repr_html_()
-    assert "infimum" in text and f"{limit.bound:.6g}" in text
-    assert "infimum" not in smoother()._repr_html_()
-
-
 def test_a_loop_that_slips_shows_the_errors_of_paths_in_lock():
     with pytest.warns(rs.LossOfLockWarning):
         result = rs.monte_carlo(
             replace(PAPER, kappa=1.5e6), rs.baselines.kalman_bucy(PAPER.uncertain_system()), runs=64
         )
     found = check_display(result)
-    assert f"{result.slips} slips in {result.slipped_paths} of 64 paths" in found["html"]
-    assert found["html"].count("paths in lock") == 2
+    assert f"{result.slips} slips in {result.slipped_paths} of 64 paths" in found["text"]
+    assert f"in lock {result.smoothed_in_lock} and {result.filtered_in_lock} rad^2" in found["text"]
 
 
 def test_a_system_is_shown_as_its_equations():
@@ -299,11 +284,10 @@ def test_a_large_system_stays_short():
     estimator = rs.baselines.kalman_bucy(replace(system, nonlinearities=()))
     channel = system.uncertainties[0]
     for shown in (system, plant, estimator):
-        found = check_display(shown)
-        rich = found.get("html") or found["latex"]
-        assert r"\ddots" in rich or r"\cdots" in rich
-        assert len(rich) < 6000
+        check_display(shown)
     text = system._repr_latex_()
+    assert r"\ddots" in text and r"\cdots" in text
+    assert len(text) < 6000
     assert text.count(r"\psi_") == text.count(r"\zeta_") // 2 == 4  # of nine
     assert repr(channel) == "Uncertainty(B=<100 x 1>, C=<1 x 100>, D=[[0]])"
 
@@ -324,7 +308,7 @@ def test_systems_of_any_size_show_themselves(plant, seed):
 @given(designs())
 @settings(max_examples=10)
 def test_designs_of_any_size_show_themselves(design):
-    for shown in (design, design.certificates["Y"], rs.worst_case(design, starts=1)):
+    for shown in (design, design.certificates["Y"], rs.worst_case(design)):
         check_display(shown)
 
 
@@ -334,7 +318,7 @@ def test_a_loop_without_a_bound_shows_itself():
     bound, worst = rs.analysis_bound(estimator, "filtered"), rs.worst_case(estimator, "filtered")
     assert math.isinf(bound.mean_square) and math.isinf(worst.mean_square)
     assert "guarantee" not in check_display(bound)["html"]
-    assert "inf" in check_display(worst)["html"]
+    assert "inf" in check_display(worst)["text"]
 
 
 def test_a_single_path_shows_a_mean_without_an_error():
@@ -442,16 +426,7 @@ def test_sums_leave_out_what_is_zero():
     assert notation.total(["", ""]) == "0"
 
 
-def test_poles_are_shown_once_a_pair():
-    pair, double = np.array([-1 + 2j, -1 - 2j]), np.array([-3 + 1e-14j, -3 - 1e-14j])
-    assert notation.poles(pair) == r"-1 \pm 2\,i"
-    assert notation.poles(double) == r"-3,\ -3"
-    assert notation.poles(-np.arange(1.0, 10.0)) == r"-1,\ -2,\ -3,\ -4,\ \dots,\ -9"
-
-
-def test_vectors_and_arrays_are_elided():
-    assert notation.vector([1.0, 1e-6]) == "(1, 10^{-6})"
-    assert notation.vector(range(9)) == r"(0, 1, 2, 3, \dots, 8)"
+def test_arrays_are_elided():
     assert notation.array(range(9)) == "[0, 1, 2, 3, ..., 8]"
     assert notation.array(np.eye(2)) == "[[1, 0], [0, 1]]"
     assert notation.array(np.eye(3)) == "<3 x 3>"
@@ -459,7 +434,7 @@ def test_vectors_and_arrays_are_elided():
 
 def test_a_solution_says_its_certificate():
     solution = solve_riccati(-np.eye(2), np.eye(2), np.eye(2))
-    assert re.fullmatch(r"RiccatiSolution\(2 states, residual=.*, error=.*\)", repr(solution))
+    assert re.fullmatch(r"RiccatiSolution\(residual=.*, error=.*\)", repr(solution))
 
 
 def test_a_table_shows_itself_in_a_terminal_as_markdown():

@@ -22,6 +22,14 @@ def test_the_examples_on_ones_own_system_run_as_printed(capsys, tmp_path, monkey
     assert np.load("smoothed.npy").shape == (100, 1)
 
 
+def test_the_example_of_the_page_on_data_runs_as_printed(capsys):
+    text = (ROOT / "docs" / "source" / "data.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    exec(compile(example, "data.md", "exec"), {})
+    (printed,) = re.findall(r"```text\n(.*?)```", text, flags=re.DOTALL)
+    assert capsys.readouterr().out == printed
+
+
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md"])
 def test_links_and_images_lead_to_files_of_the_project(name):
     text = (ROOT / name).read_text(encoding="utf-8")

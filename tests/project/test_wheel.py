@@ -123,7 +123,7 @@ def test_in_a_checkout_the_command_says_what_is_not_installed(run):
 @pytest.mark.parametrize(
     ("program", "said"),
     [
-        ("import robsmooth.explorer", "the explorer needs the package IPython: [notebooks]"),
+        ("import robsmooth.explorer", "the explorer needs the package ipywidgets: [notebooks]"),
         ("import robsmooth.paper.figures", "a figure needs the package matplotlib: [plot]"),
         (
             "import robsmooth as rs; rs.UncertainSystem.from_plant(None, 1.0, 1.0)",
@@ -156,7 +156,7 @@ def test_without_a_terminal_or_jupyter_nothing_of_them_is_asked_for(run):
     program = """
 import robsmooth as rs
 sweep = rs.lag_sweep(rs.homodyne.PAPER.uncertain_system(), [1e-6], [2], progress=True)
-print(sweep._repr_html_()[:6])
+print(rs.homodyne.PAPER._repr_html_()[:6])
 """
     ended = run("python", "-c", program)
     assert ended.stderr == ""

@@ -54,42 +54,35 @@ def test_slopes_of_an_odd_curve_are_between_its_end_and_one(name, reach):
     f, derivative = CURVES[name]
     found, end = rs.sector(f, reach), float(reach)
     assert_allclose([found.lower, found.upper], [derivative(end), 1.0], atol=DIGITS)
-    chords = rs.sector(f, reach, chords=True)
-    assert_allclose([chords.lower, chords.upper], [f(end) / end, 1.0], atol=DIGITS)
     assert isinstance(found.reach, float)
     assert (found.reach, found.function) == (end, f)
 
 
 def test_slopes_are_least_and_largest_where_the_function_turns_within_the_reach():
-    # sin(x)/x is least where tan x = x, its derivative at pi; both are well within 6
-    turning = 4.493409457909064
-    assert rs.sector(np.sin, 6.0).lower == pytest.approx(-1.0, abs=DIGITS)
-    least = rs.sector(np.sin, 6.0, chords=True).lower
-    assert least == pytest.approx(math.sin(turning) / turning, abs=DIGITS)
+    assert rs.sector(np.sin, 6.0).lower == pytest.approx(-1.0, abs=DIGITS)  # at pi
 
 
-def test_the_sine_of_the_example_is_above_three_fifths_of_a_line_up_to_its_range():
-    found = rs.sector(np.sin, rs.homodyne.PAPER.sector_range(), chords=True)
+def test_the_sine_of_the_example_has_slopes_above_three_fifths_up_to_its_range_of_slopes():
+    found = rs.sector(np.sin, rs.homodyne.PAPER.centred().lipschitz_range)
     assert_allclose([found.slope, found.half_width], [0.8, 0.2], atol=DIGITS)
 
 
 @pytest.mark.parametrize(
-    ("f", "slopes", "chords"),
+    ("f", "slopes"),
     [
-        (np.expm1, (math.exp(-2), math.exp(2)), (math.expm1(-2) / -2, math.expm1(2) / 2)),
-        (lambda x: x + x**2, (-3.0, 5.0), (-1.0, 3.0)),
-        (lambda x: x**2 - 3 * x, (-7.0, 1.0), (-5.0, -1.0)),
-        (hardening, (1.0, 13.0), (1.0, 5.0)),
-        (lambda x: np.clip(x, -0.5, 0.75), (0.0, 1.0), (0.25, 1.0)),
-        (lambda x: np.maximum(x, 0.0), (0.0, 1.0), (0.0, 1.0)),
-        (lambda x: x + np.abs(x - 1) - 1, (0.0, 2.0), (0.0, 1.0)),
+        (np.expm1, (math.exp(-2), math.exp(2))),
+        (lambda x: x + x**2, (-3.0, 5.0)),
+        (lambda x: x**2 - 3 * x, (-7.0, 1.0)),
+        (hardening, (1.0, 13.0)),
+        (lambda x: np.clip(x, -0.5, 0.75), (0.0, 1.0)),
+        (lambda x: np.maximum(x, 0.0), (0.0, 1.0)),
+        (lambda x: x + np.abs(x - 1) - 1, (0.0, 2.0)),
     ],
     ids=["exponential", "parabola", "falling", "cubic", "limits", "half", "corner"],
 )
-def test_slopes_of_curves_that_are_not_odd_or_have_corners(f, slopes, chords):
-    for given_chords, wanted in ((False, slopes), (True, chords)):
-        found = rs.sector(f, 2.0, given_chords)
-        assert_allclose([found.lower, found.upper], wanted, rtol=DIGITS, atol=DIGITS)
+def test_slopes_of_curves_that_are_not_odd_or_have_corners(f, slopes):
+    found = rs.sector(f, 2.0)
+    assert_allclose([found.lower, found.upper], slopes, rtol=DIGITS, atol=DIGITS)
 
 
 @given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
@@ -101,8 +94,7 @@ def test_the_slopes_are_free_of_units(length, height):
 
 def test_what_is_left_of_the_function_has_slopes_of_at_most_half_the_width():
     found, x = rs.sector(np.tanh, 0.6), np.linspace(-0.6, 0.6, 1001)
-    assert_allclose(found.remainder(x), np.tanh(x) - found.slope * x)
-    slopes = np.diff(found.remainder(x)) / np.diff(x)
+    slopes = np.diff(np.tanh(x) - found.slope * x) / np.diff(x)
     assert_allclose([slopes.min(), slopes.max()], [-found.half_width, found.half_width], rtol=1e-2)
     assert found.half_width == pytest.approx(0.5 * (1.0 - math.cosh(0.6) ** -2), abs=DIGITS)
 
@@ -126,15 +118,9 @@ def test_what_is_left_of_the_function_has_slopes_of_at_most_half_the_width():
         (lambda x: np.sign(x) * np.sqrt(np.abs(x)), 1.0, ValueError, "slopes within bounds"),
     ],
 )
-@pytest.mark.parametrize("chords", [False, True])
-def test_a_function_without_a_sector_is_one_error(f, reach, error, words, chords):
+def test_a_function_without_a_sector_is_one_error(f, reach, error, words):
     with raises(error, words):
-        rs.sector(f, reach, chords)
-
-
-def test_chords_is_true_or_false():
-    with raises(TypeError, "chords must be True or False"):
-        rs.sector(np.sin, 1.0, chords=1)
+        rs.sector(f, reach)
 
 
 # --- the nonlinearity that is made of it ----------------------------------------------------------
@@ -174,17 +160,17 @@ def test_what_a_made_nonlinearity_is_made_of_is_checked():
         found.nonlinearity(**CHANNEL, noise=0.0)
     with raises(ValueError, "Nonlinearity B must have 2 dimension"):
         found.nonlinearity(**{**CHANNEL, "B": [1.0, 2.0]})
-    with raises(ValueError, "reference must be one of"):
-        found.nonlinearity(**CHANNEL, reference="w")
 
 
 def test_functions_made_of_a_compiled_one_are_compiled():
     found = rs.sector(compiled, 0.9)
-    (kept,) = system_of(found.nonlinearity(**CHANNEL)).nonlinearities
-    for function in (found.remainder, kept.function):
+    made = found.nonlinearity(**CHANNEL)
+    (kept,) = system_of(made).nonlinearities
+    for function in (made.function, kept.function):
         assert isinstance(function, numba.core.dispatcher.Dispatcher)
         assert isinstance(pickle.loads(pickle.dumps(function))(0.5), float)
-    assert found.remainder(0.5) == pytest.approx(math.sin(0.5) - 0.5 * found.slope, rel=1e-15)
+    of_kept = math.sin(0.5) - 0.5 * found.slope
+    assert kept.function(0.5 * found.half_width) == pytest.approx(of_kept, rel=1e-14)
 
 
 @pytest.mark.parametrize("f", [np.sin, compiled])

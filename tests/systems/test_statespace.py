@@ -13,7 +13,6 @@ from scipy.linalg import expm
 
 from robsmooth import (
     UncertainSystem,
-    Uncertainty,
     augment,
     error_covariance,
     homodyne,
@@ -153,11 +152,8 @@ def test_a_plant_comes_with_its_noises_and_their_channels(seed):
     rng = np.random.default_rng(seed)
     plant = random_plant(rng, D=True)
     Q, R = random_intensity(rng, 2), random_intensity(rng, 2)
-    bound, own = (
-        rng.standard_normal((4, 3)),
-        Uncertainty(np.ones((3, 1)), np.ones((1, 3)), [[0.0]] * 2),
-    )
-    system = UncertainSystem.from_plant(plant, Q, R, process_uncertainty=bound, uncertainties=[own])
+    bound = rng.standard_normal((4, 3))
+    system = UncertainSystem.from_plant(plant, Q, R, process_uncertainty=bound)
     for name, expected in (("A", plant.A), ("C0", plant.C), ("C2", plant.C)):
         assert_array_equal(getattr(system, name), expected)
     joint = np.vstack([system.B1, system.D21])
@@ -165,10 +161,9 @@ def test_a_plant_comes_with_its_noises_and_their_channels(seed):
     expected = into @ Q @ into.T
     expected[3:, 3:] += R
     assert_allclose(joint @ joint.T, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
-    process, measurement, third = system.uncertainties
+    process, measurement = system.uncertainties
     assert_array_equal(process.C, bound)
     assert_array_equal(measurement.C, np.zeros((1, 3)))
-    assert third is own
     channels = np.hstack([np.vstack([c.B, c.D]) for c in (process, measurement)])
     assert_array_equal(channels, joint)
     augment(system, 0.0, 0)  # Assumption 1 holds
@@ -214,7 +209,6 @@ PLANT = control.ss(-1.0, [[1.0, 2.0]], 1.0, [[0.0, 0.0]])
         (dict(outputs=[[1.0, 0.0]]), ValueError, r"C0 must have shape \(any, 1\)"),
         (dict(process_uncertainty=[[1, 2]]), ValueError, r"uncertainties\[0\]\.C must have shape"),
         (dict(measurement_uncertainty=[[1, 2]]), ValueError, r"uncertainties\[1\]\.C must have"),
-        (dict(uncertainties=[3]), TypeError, r"uncertainties\[0\] must be an Uncertainty"),
         (dict(plant=control.ss(-1, 1, 1, 0, True)), ValueError, "plant must be in continuous"),
         (dict(plant=control.ss([], [], [], [[1.0]])), ValueError, "plant must have a state"),
     ],

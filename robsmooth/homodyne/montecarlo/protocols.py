@@ -23,9 +23,8 @@ from robsmooth._numerics.steps import (
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.cluster import ALONE, worker_threads
-from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
-from robsmooth.homodyne.loop import Loop
+from robsmooth.homodyne.loop import Loop, decay_rate
 from robsmooth.homodyne.montecarlo import euler, splitting
 from robsmooth.homodyne.montecarlo.noise import BLOCK
 from robsmooth.simulation.statistics import control_weights
@@ -87,7 +86,6 @@ class Simulation:
     schedule: tuple[int, ...]  # as the kernel takes it
     kernel: ClassVar[ModuleType]
     default_runs: ClassVar[int]
-    silent: ClassVar[float]  # the longest step without a warning, in response times of the loop
     compiled_for: ClassVar[tuple] = ()  # besides the order and the precision
     weights: ClassVar[Matrix | None] = None  # of controls
 
@@ -131,29 +129,23 @@ class PaperSimulation(Simulation):
 
     kernel = euler
     default_runs = 50_000
-    silent = SILENT_EULER
-
-    @classmethod
-    def default_step(cls, loop: Loop, duration: float) -> float:
-        """Return the published step, or a shorter one for a faster loop than the paper's."""
-        longest = STABLE_PART * euler.longest_stable_step(loop)
-        longest = min(PAPER_STEP, SILENT_EULER * loop.response_time(), longest)
-        return dividing_step(loop.delay, longest, duration)
 
     @classmethod
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
-        """Fill in the published numbers."""
+        """Fill in the published numbers, or a shorter step for a faster loop than the paper's."""
         duration = duration or max(PAPER_DURATION, loop.delay)
-        default = cls.default_step(loop, duration)
+        response, longest = loop.response_time(), euler.longest_stable_step(loop)
+        default = min(PAPER_STEP, SILENT_EULER * response, STABLE_PART * longest)
+        default = dividing_step(loop.delay, default, duration)
         step = step or default
         delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
-        longest = euler.longest_stable_step(loop)
         if step >= longest:
             raise ValueError(
                 f"step must be below {longest:.4g} s, at which the Euler-Maruyama scheme becomes "
-                f"unstable in this loop of response time {loop.response_time():.4g} s, got "
-                f"{step:g} s; {default:.8g} s is fine"
+                f"unstable in this loop of response time {response:.4g} s, got {step:g} s; "
+                f"{default:.8g} s is fine"
             )
+        warn_of_long_step(step, response, SILENT_EULER, default, stacklevel=5)
         return cls(
             **numbers,
             step=step,
@@ -174,28 +166,20 @@ class ErgodicSimulation(Simulation):
 
     kernel = splitting
     default_runs = 1024
-    silent = SILENT_SPLITTING
-
-    @classmethod
-    def default_step(cls, loop: Loop, duration: float) -> float:
-        """Return a fifth of the loop's response time, or a shorter step."""
-        return dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * loop.response_time(), duration)
 
     @classmethod
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
         """Fill in numbers by the time constants of the linearised loop, which must be stable."""
         slopes = splitting.control_slopes(loop)
-        slowest = -np.linalg.eigvals(loop.linearised_drift(*slopes)[1:, 1:]).real.max()
-        if not slowest > 0:
-            raise UnstableLoopError(
-                "the ergodic protocol needs a stationary state, and the linearised estimator is "
-                f"not stable in the loop: its slowest mode has the decay rate {slowest:.3g} 1/s"
-            )
+        slowest = decay_rate(loop.linearised_drift(*slopes)[1:, 1:])
         duration = duration or max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
-        step = step or cls.default_step(loop, duration)
+        longest = STEP_OF_TIME_CONSTANT * loop.response_time()
+        default = dividing_step(loop.delay, longest, duration)
+        step = step or default
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
-        stride = int(STEP_OF_TIME_CONSTANT * loop.response_time() / step + MULTIPLE_TOLERANCE)
+        stride = int(longest / step + MULTIPLE_TOLERANCE)
         steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
+        warn_of_long_step(step, loop.response_time(), SILENT_SPLITTING, default, stacklevel=5)
         filtered, lagged = loop.linear_errors(*slopes)
         schedule = time_average(warm_up, steps, delay, longest_stride=stride)
         return cls(
@@ -266,7 +250,4 @@ def plan(
     if seed >= 2**64:
         raise ValueError(f"seed must be below 2**64, got {seed}")
     validation.choice("precision", precision, tuple(PRECISIONS))
-    simulation = kind.plan(loop, duration, step, runs=runs, seed=seed, precision=precision)
-    fine = kind.default_step(loop, simulation.duration)
-    warn_of_long_step(simulation.step, loop.response_time(), kind.silent, fine, stacklevel=4)
-    return simulation
+    return kind.plan(loop, duration, step, runs=runs, seed=seed, precision=precision)

@@ -134,11 +134,6 @@ def test_explore_follows_its_settings(lab, page, complaints, screenshot, record_
     assert panels.picture() != first
     screenshot("lag")
 
-    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
-    page.locator(".robsmooth-copy").click()
-    copied, wanted = "navigator.clipboard.readText()", panels.code.input_value()
-    assert eventually(page, lambda: page.evaluate(copied), wanted) == wanted
-
     by_hand = page.locator(".robsmooth-design option", has_text="by hand").inner_text()
     page.locator(".robsmooth-design select").select_option(label=by_hand)
     expect(panels.summary).to_contain_text("Assumption 3.2")

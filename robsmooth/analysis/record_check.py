@@ -1,0 +1,193 @@
+"""Whether a measured record is one of the system that a smoother is made for."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+
+from robsmooth._support import validation
+from robsmooth._support.extras import extra
+from robsmooth.estimators.discrete import DiscreteSmoother
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_LEVEL = 0.01  # how often one of the three tests is wrong about a record of the model
+_LAGS = 20
+_PAIRS = 50  # for each measurement: at a lag with fewer, correlations are not looked at
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RecordCheck:
+    r"""What the normalised innovations of a record say of its model: see `check_record`.
+
+    Attributes
+    ----------
+    innovations : (N, l) array
+        By the model they are white, of mean zero and variance one; NaN where a measurement misses.
+    mean_square : float
+        Their mean square, or the mean normalised innovation squared, by the model 1: above it the
+        record has more noise, or moves more, than the model says.
+    correlations : (lags, l, l) array
+        Entry (d, i, j) is that of measurement i with measurement j, d + 1 samples before, in its
+        own standard deviations: by the model normal, of mean zero and variance one. NaN at a lag
+        with too few pairs of samples.
+    p_mean, p_mean_square, p_white : float
+        How probable a record of the model is to be as far off as this one, or further: in the
+        innovations' mean, in their mean square, and in their correlations; NaN where the record is
+        too short to tell.
+    dt : float, s
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import robsmooth as rs
+    >>> discrete = rs.baselines.kalman_bucy(rs.examples.random_walk()).discretize(dt=0.1)
+    >>> found = rs.check_record(discrete, np.zeros((100, 1)))
+    >>> found.innovations.shape, found.mean_square
+    ((100, 1), 0.0)
+    """
+
+    innovations: Floats
+    mean_square: float
+    correlations: Floats
+    p_mean: float
+    p_mean_square: float
+    p_white: float
+    dt: float
+
+    @property
+    def sentence(self) -> str:
+        """What the record says of the model; it is wrong about one in a hundred that agree."""
+        found = []
+        if self.p_mean < _LEVEL / 3.0:
+            found.append("their mean is not zero (an offset, or a known input that is left out)")
+        if self.p_mean_square < _LEVEL / 3.0:
+            more = "larger" if self.mean_square > 1.0 else "smaller"
+            found.append(
+                f"they are {more} than it says, by {math.sqrt(self.mean_square):.3g} times"
+            )
+        if self.p_white < _LEVEL / 3.0:
+            found.append("they are correlated in time (a rate, a gain or a state is wrong)")
+        if not found:
+            return "The record agrees with the model."
+        return f"The record does not agree with the model. Of the innovations: {'; '.join(found)}."
+
+    def __repr__(self) -> str:
+        return (
+            f"RecordCheck(mean_square={self.mean_square:.4g}, p_mean={self.p_mean:.2g}, "
+            f"p_mean_square={self.p_mean_square:.2g}, p_white={self.p_white:.2g})"
+        )
+
+    def plot(self) -> "Figure":
+        """Draw the mean squares along the record and the correlations; matplotlib is needed."""
+        with extra("plot", "a plot"):
+            from matplotlib.figure import Figure
+        figure = Figure(figsize=(7.0, 3.0), layout="constrained")
+        along, between = figure.subplots(1, 2)
+        squares = np.array_split(self.innovations**2, min(50, len(self.innovations)))
+        counts = np.array([np.isfinite(part).sum() for part in squares])
+        means = [
+            np.nansum(part) / max(count, 1) for part, count in zip(squares, counts, strict=True)
+        ]
+        time = self.dt * np.cumsum([len(part) for part in squares])
+        within = {"color": "0.85", "label": "99% of records of the model"}
+        low, high = stats.chi2.interval(1.0 - _LEVEL, np.maximum(counts, 1)) / np.maximum(counts, 1)
+        along.fill_between(time, low, high, step="pre", **within)
+        along.plot(time, np.where(counts, means, np.nan), "k.", drawstyle="steps-pre")
+        along.set(xlabel="time (s)", ylabel="innovations squared", title="mean squares (model: 1)")
+        lags = np.arange(1, 1 + len(self.correlations))
+        between.axhspan(*stats.norm.interval(1.0 - _LEVEL), **within)
+        between.plot(lags, self.correlations.reshape(len(lags), -1), "k.")
+        between.set(xlabel="lag (samples)", ylabel="in standard deviations", title="correlations")
+        figure.legend(*between.get_legend_handles_labels(), loc="outside lower center")
+        return figure
+
+
+def check_record(
+    smoother: DiscreteSmoother,
+    y: ArrayLike,
+    *,
+    reference: ArrayLike | None = None,
+    inputs: ArrayLike | None = None,
+    lags: int = _LAGS,
+) -> RecordCheck:
+    """Compare a record with the model that a smoother is made for, by its innovations.
+
+    What the filter does not foresee of a record of its model is white noise of known size. Three
+    tests look at its mean, at its mean square and at its correlations in time.
+
+    Parameters
+    ----------
+    smoother : DiscreteSmoother
+        Of a classical or a tuned design, made by ``estimator.discretize(dt)``. Its state stays. A
+        tuned design has a model of its own, whose noises are other than the plant's.
+    y, reference, inputs
+        The record, as in `DiscreteSmoother.run`.
+    lags : int, for how many lags, in samples, correlations are looked at
+
+    Returns
+    -------
+    RecordCheck
+
+    Raises
+    ------
+    ValueError, TypeError
+        For an argument that is not as described; for a smoother that runs a model of its delay,
+        and so has no innovations.
+
+    See Also
+    --------
+    DiscreteSmoother.innovations : the innovations alone.
+
+    Examples
+    --------
+    A record with twice the noise that the model has:
+
+    >>> import numpy as np
+    >>> import robsmooth as rs
+    >>> system = rs.UncertainSystem([[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]])
+    >>> smoother = rs.baselines.kalman_bucy(system).discretize(dt=0.01)
+    >>> y = 2.0 * np.random.default_rng(0).standard_normal((5000, 1))
+    >>> rs.check_record(smoother, y).sentence[:44]
+    'The record does not agree with the model. Of'
+    """
+    validation.instance("smoother", smoother, DiscreteSmoother)
+    lags = validation.integer("lags", lags, low=1)
+    z = smoother.innovations(y, reference=reference, inputs=inputs)
+    seen = np.isfinite(z)
+    if len(z) <= lags or not seen.any(axis=0).all():
+        raise ValueError(
+            f"y must have more than {lags} rows, and some samples of each measurement, got "
+            f"{len(z)} rows with {seen.sum(axis=0).tolist()} samples"
+        )
+    values, count = np.where(seen, z, 0.0), seen.sum(axis=0)
+    total = (values**2).sum()
+    correlations = np.array([_correlations(values, seen, d) for d in range(1, lags + 1)])
+    squared, known = np.nansum(correlations**2), np.isfinite(correlations).sum()
+    return RecordCheck(
+        innovations=z,
+        mean_square=float(total / count.sum()),
+        correlations=correlations,
+        p_mean=float(stats.chi2.sf((values.sum(axis=0) ** 2 / count).sum(), z.shape[1])),
+        p_mean_square=float(2.0 * min(f(total, count.sum()) for f in _TAILS)),
+        p_white=float(stats.chi2.sf(squared, known)) if known else math.nan,
+        dt=smoother.dt,
+    )
+
+
+_TAILS = stats.chi2.cdf, stats.chi2.sf
+
+
+def _correlations(values: Floats, seen: NDArray[np.bool_], lag: int) -> Any:
+    """Return those at a lag, whatever the innovations' size; NaN where too few pairs are there."""
+    pairs = seen[lag:].T.astype(float) @ seen[:-lag]
+    size = np.sqrt((values**2).sum(axis=0) / seen.sum(axis=0))
+    few = (pairs < _PAIRS * values.shape[1]) | (5 * lag > len(values))
+    enough = np.where(few, np.nan, pairs)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return values[lag:].T @ values[:-lag] / np.outer(size, size) / np.sqrt(enough)

@@ -1,0 +1,109 @@
+"""Records against their model: how often the check is wrong, and what it finds."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from scipy import stats
+
+import robsmooth as rs
+from robsmooth._numerics.lyapunov import covariances
+from tests.helpers.records import simulated
+
+DT, ROWS = 0.1, 400
+SENSORS = rs.UncertainSystem(
+    A=[[-1.0, 0.5], [0.0, -2.0]],
+    B1=[[1.0, 0.0, 0.2, 0.0], [0.3, 1.0, 0.0, 0.0]],
+    C0=[[1.0, 0.0]],
+    C2=[[1.0, 1.0], [0.0, 1.0]],
+    D21=[[0.1, 0.0, 0.4, 0.0], [0.1, 0.0, 0.0, 0.3]],
+)
+
+
+def record(system, rng, rows=ROWS, gaps=0.1):
+    start = np.linalg.cholesky(covariances(system.A, system.B1).stationary)
+    y, _ = simulated(system, DT, rows, rng, start @ rng.standard_normal(system.n))
+    y[rng.random(y.shape) < gaps] = np.nan
+    return y
+
+
+def smoother(system=SENSORS):
+    return rs.baselines.fixed_lag_smoother(system, 0.25, 2).discretize(DT)
+
+
+def test_each_test_is_wrong_as_often_as_it_says():
+    rng, discrete, runs = np.random.default_rng(0), smoother(), 300
+    found = [rs.check_record(discrete, record(SENSORS, rng)) for _ in range(runs)]
+    for name in ("p_mean", "p_mean_square", "p_white"):
+        values = [getattr(each, name) for each in found]
+        # a correct program fails once in 10 000 times at each, were the seed free
+        assert stats.kstest(values, "uniform").pvalue > 1e-4, name
+    assert discrete.samples == 0
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"D21": 1.5 * SENSORS.D21}, "they are larger than it says"),
+        ({"D21": 0.6 * SENSORS.D21}, "they are smaller than it says"),
+        ({"A": [[-0.1, 0.5], [0.0, -0.1]]}, "they are correlated in time"),
+    ],
+)
+def test_another_system_is_found_out(changed, words):
+    parts = {name: getattr(SENSORS, name) for name in ("A", "B1", "C0", "C2", "D21")}
+    other = rs.UncertainSystem(**parts | changed)
+    y = record(other, np.random.default_rng(1), rows=5000)
+    assert words in rs.check_record(smoother(), y).sentence
+    assert rs.check_record(smoother(other), y).sentence == "The record agrees with the model."
+
+
+def test_an_offset_is_found_out_and_taken_off():
+    y = record(SENSORS, np.random.default_rng(2), rows=5000) + np.array([0.5, 0.0])
+    assert "their mean is not zero" in rs.check_record(smoother(), y).sentence
+    estimator = rs.baselines.kalman_bucy(SENSORS)
+    right = estimator.discretize(DT, offset=[0.5, 0.0])
+    assert rs.check_record(right, y).sentence == "The record agrees with the model."
+
+
+def test_what_is_drawn_is_what_was_found():
+    pytest.importorskip("matplotlib")
+    y = record(SENSORS, np.random.default_rng(3))
+    found = rs.check_record(smoother(), y, lags=7)
+    along, between = found.plot().axes
+    drawn = [line.get_ydata()[0] for line in between.lines]
+    assert_array_equal(drawn, found.correlations[0].ravel())
+    assert len(along.lines[0].get_xdata()) == 50
+    assert np.average(along.lines[0].get_ydata()) == pytest.approx(found.mean_square, rel=0.02)
+    assert along.get_xlabel() == "time (s)"
+
+
+def test_what_is_too_short_to_tell_is_not_told():
+    found = rs.check_record(smoother(), record(SENSORS, np.random.default_rng(4), rows=60))
+    assert np.isnan(found.p_white) and np.isnan(found.correlations).all()
+    assert found.sentence == "The record agrees with the model."
+    longer = record(SENSORS, np.random.default_rng(4), rows=150, gaps=0.0)
+    found = rs.check_record(smoother(), longer, lags=100)
+    assert np.isfinite(found.correlations[:30]).all() and np.isnan(found.correlations[30:]).all()
+
+
+def test_the_start_of_a_drift_is_no_disagreement():
+    walk = rs.examples.random_walk()
+    rng, discrete = np.random.default_rng(5), rs.baselines.kalman_bucy(walk).discretize(DT)
+    for start in (0.0, 1e8):
+        y, _ = simulated(walk, DT, 1000, rng, np.array([start]))
+        found = rs.check_record(discrete, y)
+        assert found.sentence == "The record agrees with the model."
+        assert np.isnan(found.innovations[0]) and np.isfinite(found.innovations[1:]).all()
+
+
+@pytest.mark.parametrize(
+    ("y", "options", "message"),
+    [
+        (np.zeros((20, 2)), {}, "y must have more than 20 rows"),
+        (np.full((50, 2), np.nan), {}, r"with \[0, 0\] samples"),
+        (np.zeros((50, 3)), {}, r"y must have shape \(N, 2\)"),
+        (np.zeros((50, 2)), {"lags": 0}, "lags must be an integer of at least 1"),
+    ],
+)
+def test_what_is_no_record_is_refused(y, options, message):
+    with pytest.raises(ValueError, match=message):
+        rs.check_record(smoother(), y, **options)
