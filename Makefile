@@ -54,14 +54,14 @@ test: $(DEVELOPMENT)  ## lint, format check, and all tests
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-# The rooms that need no extra but these two, in an environment of their own, without the lock.
+# The rooms that need no extra but these three, in an environment of their own, without the lock.
 LIBRARY        = $(addprefix tests/,support numerics systems estimators analysis simulation io homodyne)
 LIBRARY_PYTHON = build/library/bin/python
 
 test-library: .uv/stamp  ## the library's tests, without the lock: see RESOLUTION and PYTHON
 	@$(UV) venv --quiet --clear --python '$(PYTHON)' build/library
 	@$(UV) pip install --quiet --python $(LIBRARY_PYTHON) --resolution '$(RESOLUTION)' \
-	  --editable '.[control,cluster]'
+	  --editable '.[control,cluster,records]'
 	@$(UV) pip install --quiet --python $(LIBRARY_PYTHON) --group test
 	@$(UV) pip list --python $(LIBRARY_PYTHON)
 	$(LIBRARY_PYTHON) -m pytest -n 2 --dist loadfile $(LIBRARY)

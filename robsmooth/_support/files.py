@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import secrets
+import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -14,13 +15,16 @@ from pathlib import Path
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a path beside `path` to write to; on success what was written there replaces `path`.
 
-    Whatever ends the block early, `path` is left as it was and the temporary is removed.
+    Whatever ends the block early, `path` is left as it was and the temporary is removed. A symbolic
+    link stays one, and the permissions of a file that is there are kept.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
     try:
         yield temporary
+        if path.exists():
+            shutil.copymode(path, temporary)
         os.replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)

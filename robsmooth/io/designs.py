@@ -147,7 +147,7 @@ def load(
 
 
 def _language(path: str | os.PathLike[str]) -> tuple[Path, str]:
-    path = Path(path)
+    path = Path(os.path.expanduser(path))
     language = path.suffix[1:].lower()
     if language not in ("toml", "json"):
         raise ValueError(f"path must end in .toml or .json, got {path.name!r}")

@@ -1,34 +1,32 @@
 """Measured records in files: read, smoothed and written in chunks.
 
-A record is a CSV file, or an NPY file with an array of numbers. It has a row for each sample and a
-column for each measurement, the mean of dy/dt over the sample's interval.
+A record has a row for each sample and a column for each measurement, the mean of dy/dt over the
+sample's interval: a CSV or Parquet file, or an NPY file with an array of numbers.
 """
 
-import csv
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from itertools import islice
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
-from tokenize import TokenError
+from typing import Literal
 
 import numpy as np
-from numpy.lib import format as npy
-from numpy.typing import NDArray
 
 from robsmooth._support import validation
 from robsmooth._support.files import atomic_path
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.discrete import OUTPUTS, DiscreteSmoother
+from robsmooth.io import formats
+from robsmooth.io.formats import Record
 
 CHUNK = 65_536  # rows
 TIMING = 0.5  # of a sample: by how much a row may come too early or too late
 DRIFT = 1e-3  # by how much the record's clock may differ from dt's
+HEAD = 1000  # rows by which times are known
 
 Column = int | str
-Columns = Column | Sequence[Column] | None
-Write = Callable[[Matrix, Matrix], None]
+Columns = Column | Sequence[Column] | None  # or False, for time
 
 
 def smooth_record(
@@ -38,9 +36,13 @@ def smooth_record(
     *,
     columns: Columns = None,
     reference: Columns = None,
-    time: Column | None = None,
+    time: Column | Literal[False] | None = None,
     output: str = "smoothed",
-    delimiter: str = ",",
+    delimiter: str | None = None,
+    decimal: str = ".",
+    header: bool | None = None,
+    skip_rows: int = 0,
+    missing: str | Sequence[str] = formats.MISSING,
     chunk: int = CHUNK,
     progress: bool = False,
 ) -> int:
@@ -53,19 +55,28 @@ def smooth_record(
     ----------
     smoother : DiscreteSmoother, made by ``estimator.discretize(dt)``
     source : path
-        A ``.csv`` file, of which a first line without any number is a header, or a ``.npy`` file
-        with an array (N, columns) or (N,). Where it has nan or an empty cell, a measurement is
-        missing.
+        A ``.csv`` or ``.tsv`` file, in gzip or not, a ``.parquet`` file, or a ``.npy`` file with an
+        array (N, columns) or (N,). Where it has nan or a gap, a measurement is missing.
     target : path
-        For the estimates: a ``.csv`` file with the columns ``time``, s, as in
-        `DiscreteSmoother.times`, ``w[0]``, ``w[1]``..., or a ``.npy`` file of an (N, m) array.
+        For the estimates: a ``.csv`` or ``.tsv`` file with the columns ``time``, ``w[0]``,
+        ``w[1]``..., in gzip as ``.csv.gz``, or a ``.npy`` file of an (N, m) array.
     columns, reference : int, str or sequence of them, optional
         The l columns that are measurements, by default all others, and the g ones of the reference
         of the nonlinearities, as in `DiscreteSmoother.run`: indices, or names of a header.
-    time : int or str, optional
-        A column with times, s: a row that is missing, or a wrong dt, is refused.
+    time : int, str or False, optional
+        A column with the begins of the rows' intervals, s or dates. A row that is missing, or a
+        wrong dt, is refused. The times of the estimates are in this clock: a row's time plus dt,
+        less the `delay` where they are smoothed; without it, those of `DiscreteSmoother.times`.
+        A column that looks like times is refused as a measurement by default, and checked where
+        ``columns`` leaves it out; with False neither is done.
     output : {"smoothed", "filtered"}, which estimates to write
-    delimiter : str, one character, of CSV files
+    delimiter, decimal : str, one character each of CSV files, by their suffix and "." by default
+    header : bool, optional
+        Whether a CSV file begins with names; by default whether its first line has words and no
+        numbers. One that may be either, as ``0,1`` or ``NA,NA``, is refused.
+    skip_rows : int, lines of a CSV file before the header or the first sample
+    missing : str or sequence of str
+        What stands for a gap in a CSV file: by default nothing, NA, N/A, #N/A, null, nan or a dot.
     chunk : int, rows in memory at a time
     progress : bool, whether to show a progress bar
 
@@ -80,8 +91,8 @@ def smooth_record(
         For what cannot be read, or is no number; the message names the file, row and column.
     ArithmeticError
         Where the smoother's state leaves the range of floats.
-    OSError
-        Where a file cannot be opened or written.
+    OSError, ImportError
+        Where a file cannot be opened or written, or wants PyArrow, of the extra ``records``.
 
     See Also
     --------
@@ -102,254 +113,114 @@ def smooth_record(
     output = validation.choice("output", output, OUTPUTS)
     validation.boolean("progress", progress)
     chunk = validation.integer("chunk", chunk, low=1)
-    if not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter in '"\r\n':
-        raise ValueError(f"delimiter must be one character, not a quote, got {delimiter!r}")
-    source, target = Path(source), Path(target)
-    if target.resolve() == source.resolve():
+    source, target = (Path(os.path.expanduser(path)) for path in (source, target))
+    record = formats.opened(source, delimiter, decimal, header, skip_rows, missing)
+    mark = formats.delimiter_of("target", target, delimiter)
+    if target.exists() and target.samefile(source):
         raise ValueError(f"target must be another file than source, got {target} for both")
-    for name, path in (("source", source), ("target", target)):
-        if path.suffix.lower() not in _FORMATS:
-            raise ValueError(f"{name} must end in {' or '.join(_FORMATS)}, got {path.name!r}")
-    record = _FORMATS[source.suffix.lower()][0](source, delimiter)
-    writer = _FORMATS[target.suffix.lower()][1]
-    record.choose(smoother, columns, reference, time)
+    chosen = _choice(record, smoother, columns, reference, time)
+    timed = time is not None and time is not False
+    shift = smoother.dt - (smoother.delay if output == "smoothed" else 0.0)
+    ends = [smoother.l, smoother.l + (0 if reference is None else smoother.g)]
     before = smoother._checkpoint()
     bar = progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress)
+    rows, date = 0, record.dates.get(chosen[-1]) if timed else None
     try:
-        with bar, atomic_path(target) as path, writer(path, smoother.m, delimiter) as write:
-            rows = 0
-            for values, size in record.chunks(record.chosen, chunk):
-                y, known = record.parts(values, rows)
-                estimates = smoother.run(y, reference=known, output=output)
-                write(smoother.times(len(estimates), output), estimates)
-                rows += len(values)
-                bar.update(size)
+        with bar, atomic_path(target) as path, formats.writer(path, smoother.m, mark, date) as put:
+            for values in _checked(record, chosen, ends, smoother.dt, chunk):
+                y, known, own = np.split(values, ends, axis=1)
+                estimates = smoother.run(y, reference=known if known.size else None, output=output)
+                put(own[:, 0] + shift if timed else smoother.times(len(y), output), estimates)
+                rows += len(y)
+                bar.update(record.read - bar.n)
     except BaseException:
         smoother._restore(before)
         raise
     return rows
 
 
-class _Record:
-    """A file with a row for each sample."""
-
-    path: Path
-    width: int  # number of columns
-    size: int  # in units
-    unit: str
-    first: tuple[str, int]  # what a row is called, and the number of the first one
-    header: Sequence[str] = ()
-
-    def choose(self, smoother: DiscreteSmoother, *given: Columns) -> None:
-        """Choose the columns that are used: measurements, reference and time, in this order."""
-        columns, reference, time = given
-        known = self._columns("reference", reference, smoother.g, "nonlinearities")
-        times = self._columns("time", time, 1, "time")
-        if columns is None:
-            columns = [i for i in range(self.width) if i not in (*known, *times)]
-        measurements = self._columns("columns", columns, smoother.l, "measurements")
-        self.chosen, self.dt = [*measurements, *known, *times], smoother.dt
-        self.ends = np.cumsum([len(measurements), len(known)])
-
-    def _columns(self, name: str, chosen: Columns, wanted: int, what: str) -> list[int]:
-        """Return the positions of the columns that the argument of this name chooses."""
-        if chosen is None:
-            return []
-        single = isinstance(chosen, int | np.integer | str)
-        found = [self._index(name, column) for column in ([chosen] if single else chosen)]
-        if len(found) != wanted:
-            raise ValueError(
-                f"{name} must name {wanted} of the columns of {self.path}, one for each of the "
-                f"{what}, got {len(found)} ({', '.join(map(self.name, found))})"
+def _choice(record: Record, smoother: DiscreteSmoother, *given: Columns) -> list[int]:
+    """Return the columns that are used: measurements, reference and times, in this order."""
+    columns, reference, time = given
+    known = _positions(record, "reference", reference, smoother.g)
+    times = _positions(record, "time", time, 1)
+    measured = _positions(record, "columns", columns, smoother.l)
+    rest = [i for i in range(len(record.keys)) if i not in (*known, *times, *measured)]
+    if time is None:
+        times = [i for i in rest if i in record.dates or _rises_evenly(record, i)][:1]
+    if columns is None:
+        if time is None and times:
+            found, says = (
+                record.name(times[0]),
+                f"say time={times[0]}, or time=False where it is not",
             )
-        return found
+            raise ValueError(f"{record.path}: {found} looks like times: {says}")
+        measured = _positions(record, "columns", rest, smoother.l)
+    chosen = [*measured, *known, *times]
+    if len({*chosen}) < len(chosen) or record.dates.keys() & {*measured, *known}:
+        raise ValueError(f"columns, reference and time must be distinct, and no dates: {chosen}")
+    return chosen
 
-    def _index(self, name: str, column: Column) -> int:
-        if isinstance(column, str):
-            if self.header.count(column) != 1:
-                found = "twice" if column in self.header else "not"
-                names = ", ".join(map(repr, self.header)) or "no header"
-                raise ValueError(f"{name}: {column!r} is {found} in {self.path}, which has {names}")
-            return self.header.index(column)
-        index = validation.integer(name, column, low=0)
-        if index >= self.width:
-            raise ValueError(f"{name}: {self.path} has {self.width} columns, there is no {index}")
-        return index
 
-    def name(self, column: int) -> str:
-        return f"column {column}" + (f" ({self.header[column]!r})" if self.header else "")
+def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[int]:
+    """Return the positions of the columns that the argument of this name chooses."""
+    if chosen is None or chosen is False:
+        return []
+    path, names, found = record.path, list(record.names), []
+    for column in [chosen] if isinstance(chosen, int | np.integer | str) else chosen:
+        if isinstance(column, str) and names.count(column) != 1:
+            there = "twice" if column in names else "not"
+            known = ", ".join(map(repr, names)) or "no header"
+            raise ValueError(f"{name}: {column!r} is {there} in {path}, which has {known}")
+        index = names.index(column) if isinstance(column, str) else column
+        found.append(validation.integer(name, index, low=0))
+        if index >= len(record.keys):
+            raise ValueError(f"{name}: {path} has {len(record.keys)} columns, there is no {index}")
+    if len(found) != wanted:
+        given = ", ".join(record.name(i) for i in found)
+        raise ValueError(
+            f"{name} must name {wanted} columns of {path}, got {len(found)}: {given}{record.advice}"
+        )
+    return found
 
-    def place(self, row: int, column: int) -> str:
-        called, first = self.first
-        return f"{self.path}, {called} {first + row}, {self.name(column)}"
 
-    def parts(self, values: Matrix, row: int) -> tuple[Matrix, Matrix | None]:
-        """Return measurements and reference of a chunk that begins at a row, after its check."""
-        y, known, times = np.split(values, self.ends, axis=1)
+def _rises_evenly(record: Record, column: int) -> bool:
+    """Return whether a column begins as times would, of which a few are missing."""
+    with suppress(ValueError, TypeError):
+        steps = np.diff(next(record.rows([column], HEAD), np.empty((0, 1)))[:, 0])
+        if len(steps) > 2 and (steps > 0).all():
+            return float(np.mean(np.abs(steps / np.median(steps) - 1.0) < TIMING)) > 0.7
+    return False
+
+
+def _checked(
+    record: Record, chosen: list[int], ends: list[int], dt: float, chunk: int
+) -> Iterator[Matrix]:
+    """Yield the rows of a record whose numbers and times are as they must be."""
+    done, begin, last = 0, 0.0, 0.0
+
+    def place(i: int, j: int) -> str:
+        called = "line" if record.unit == "B" else "row"
+        return f"{record.path}, {called} {record.first + done + i}, {record.name(chosen[j])}"
+
+    for values in record.rows(chosen, chunk):
         wrong = ~np.isfinite(values)
-        wrong[:, : y.shape[1]] &= ~np.isnan(y)
+        wrong[:, : ends[0]] &= ~np.isnan(values[:, : ends[0]])
         if wrong.any():
             i, j = np.argwhere(wrong)[0]
-            place = self.place(row + i, self.chosen[j])
-            raise ValueError(f"{place}: {values[i, j]} where there must be a finite number")
-        if times.size:
-            self._check_times(times[:, 0], row)
-        return y, known if known.shape[1] else None
-
-    def _check_times(self, times: Matrix, row: int) -> None:
-        if row == 0:
-            self.first_time, self.last_time = times[0], times[0] - self.dt
-        late = np.diff(times, prepend=self.last_time) / self.dt - 1.0
-        count = row + np.arange(len(times))
-        drift = (times - self.first_time) / self.dt - count
-        wrong = (np.abs(late) >= TIMING) | (np.abs(drift) >= TIMING + DRIFT * count)
-        if wrong.any():
-            i = int(wrong.argmax())
-            raise ValueError(
-                f"{self.place(row + i, self.chosen[-1])}: the time {times[i]:.9g} s is "
-                f"{1 + late[i]:.6g} samples after that of the row before and {drift[i]:+.6g} "
-                f"samples off the times of the record's begin with dt = {self.dt:g} s"
-            )
-        self.last_time = times[-1]
-
-
-class _Npy(_Record):
-    """An NPY file. It is mapped anew for each chunk: what was read need not stay in memory."""
-
-    unit, first = "row", ("row", 0)
-
-    def __init__(self, path: Path, _delimiter: str):
-        self.path = path
-        array = self._open()
-        if array.dtype.kind not in "iuf":
-            raise TypeError(f"{path} must hold real numbers, got entries of {array.dtype}")
-        if array.ndim not in (1, 2):
-            raise ValueError(f"{path} must hold an array (N, columns), got shape {array.shape}")
-        self.size = len(array)
-        self.width = 1 if array.ndim == 1 else array.shape[1]
-
-    def _open(self) -> NDArray:
-        try:
-            return npy.open_memmap(self.path, mode="r")
-        except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
-            raise ValueError(
-                f"{self.path} must be an NPY file of plain numbers, without Python objects, which "
-                f"are never unpickled: {error}"
-            ) from None
-
-    def chunks(self, columns: list[int], rows: int) -> Iterator[tuple[Matrix, int]]:
-        """Yield the chosen columns of the next rows, and their number."""
-        for start in range(0, self.size, rows):
-            part = self._open()[start : start + rows].reshape(-1, self.width)
-            values = np.array(part[:, columns], dtype=float)
-            del part
-            yield values, len(values)
-
-
-class _Csv(_Record):
-    """A CSV file."""
-
-    unit = "B"
-
-    def __init__(self, path: Path, delimiter: str):
-        self.path, self.delimiter = path, delimiter
-        self.size = path.stat().st_size
-        with self._open() as file:
-            cells = self._cells(file.readline(), 1)
-        if not cells:
-            raise ValueError(f"{path} must begin with a header or a row of numbers, got a blank")
-        self.width = len(cells)
-        is_header = any(cells) and all(_number(cell) is None for cell in cells if cell)
-        self.header = [cell.strip() for cell in cells] if is_header else []
-        self.first = "line", 1 + is_header
-
-    def _open(self):
-        return open(self.path, encoding="utf-8-sig", errors="replace", newline="")
-
-    def chunks(self, columns: list[int], rows: int) -> Iterator[tuple[Matrix, int]]:
-        """Yield the chosen columns of the next lines, and the size of these in bytes."""
-        begin = self.first[1]
-        with self._open() as file:
-            lines = islice(self._lines(file), begin - 1, None)
-            while part := list(islice(lines, rows)):
-                yield self._parsed(part, begin, columns), sum(map(len, part))
-                begin += len(part)
-
-    def _lines(self, file: Iterable[str]) -> Iterator[str]:
-        """Yield the lines of a file, of which only the last may be blank."""
-        blank = 0
-        for number, line in enumerate(file, 1):
-            if not line.strip("\r\n ".replace(self.delimiter, "")):
-                blank = blank or number
-            elif blank:
-                message = "blank; a row of gaps has its nan or commas"
-                raise ValueError(f"{self.path}, line {blank}: {message}")
-            else:
-                yield line
-
-    def _parsed(self, lines: list[str], number: int, columns: list[int]) -> Matrix:
-        """Return the numbers of some lines, the first of which has this number."""
-        with suppress(ValueError):  # NumPy's parser is faster by far, but knows no empty cells
-            if all(line.count(self.delimiter) == self.width - 1 for line in lines):
-                layout = {"delimiter": self.delimiter, "usecols": columns}
-                return np.loadtxt(lines, comments=None, ndmin=2, **layout)
-        values = np.empty((len(lines), len(columns)))
-        for i, line in enumerate(lines):
-            cells = self._cells(line, number + i)
-            place = f"{self.path}, line {number + i}"
-            if len(cells) != self.width:
-                wanted = f"where the first line has {self.width}"
-                raise ValueError(f"{place}: {len(cells)} cells, {wanted}")
-            for j, column in enumerate(columns):
-                cell = cells[column].strip()
-                value = _number(cell or "nan")
-                if value is None:
-                    raise ValueError(f"{place}, {self.name(column)}: {cell!r} is not a number")
-                values[i, j] = value
-        return values
-
-    def _cells(self, line: str, number: int) -> list[str]:
-        try:
-            return next(csv.reader([line], delimiter=self.delimiter), [])
-        except csv.Error as error:
-            raise ValueError(f"{self.path}, line {number}: {error}") from None
-
-
-def _number(cell: str) -> float | None:
-    with suppress(ValueError):
-        return None if "_" in cell else float(cell)  # 1_000 is a number in Python only
-    return None
-
-
-@contextmanager
-def _npy_writer(path: Path, outputs: int, _delimiter: str) -> Iterator[Write]:
-    """Give what appends rows to an NPY file."""
-    layout = {"descr": "<f8", "fortran_order": False, "shape": (0, outputs)}
-    with open(path, "wb") as file:
-
-        def write(_times: Matrix, estimates: Matrix) -> None:
-            file.write(estimates.astype("<f8").tobytes())
-            layout["shape"] = (layout["shape"][0] + len(estimates), outputs)
-
-        npy.write_array_header_1_0(file, layout)
-        yield write
-        file.seek(0)
-        npy.write_array_header_1_0(file, layout)  # it has room for any number of rows
-
-
-@contextmanager
-def _csv_writer(path: Path, outputs: int, delimiter: str) -> Iterator[Write]:
-    """Give what appends rows, with their times, to a CSV file."""
-    with open(path, "w", encoding="utf-8", newline="") as file:
-        rows = csv.writer(file, delimiter=delimiter, lineterminator="\n")
-        rows.writerow(["time", *(f"w[{i}]" for i in range(outputs))])
-
-        def write(times: Matrix, estimates: Matrix) -> None:
-            rows.writerows(
-                [f"{t:.15g}", *w] for t, w in zip(times, estimates.tolist(), strict=True)
-            )
-
-        yield write
-
-
-_FORMATS = {".csv": (_Csv, _csv_writer), ".npy": (_Npy, _npy_writer)}
+            raise ValueError(f"{place(i, j)}: {values[i, j]} where there must be a finite number")
+        for times in values[:, ends[1] :].T:
+            count = done + np.arange(len(times))
+            begin, last = (begin, last) if done else (times[0], times[0] - dt)
+            late, drift = np.diff(times, prepend=last) / dt, (times - begin) / dt - count
+            wrong = (np.abs(late - 1) >= TIMING) | (np.abs(drift) >= TIMING + DRIFT * count)
+            if wrong.any():
+                i = int(wrong.argmax())
+                raise ValueError(
+                    f"{place(i, -1)}: {times[i]:.15g} s is {late[i]:.6g} samples after the row "
+                    f"before and {drift[i]:+.6g} samples off the times of the record's begin with "
+                    f"dt = {dt:g} s; time=False takes all rows as regular"
+                )
+            last = times[-1]
+        yield values
+        done += len(values)

@@ -111,6 +111,13 @@ def test_matrices_without_rows_or_columns_come_back(folder):
     assert_same(there_and_back(system, folder), system)
 
 
+def test_the_home_is_known(folder, monkeypatch):
+    monkeypatch.setenv("HOME", str(folder))
+    save(homodyne.PAPER.uncertain_system(), "~/home.toml")
+    assert (folder / "home.toml").exists()
+    assert_array_equal(load("~/home.toml").A, homodyne.PAPER.uncertain_system().A)
+
+
 @given(plants())
 @few
 def test_a_plant_comes_back_bit_for_bit(folder, plant):

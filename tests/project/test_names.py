@@ -25,6 +25,7 @@ OF_EXTRAS = {
     "nbformat",
     "papermill",
     "psutil",
+    "pyarrow",
     "schemdraw",
 }
 SIDE_BY_SIDE = {"IPython", "PIL", "cloudpickle", "dask", "jupyter_client", "pandas", "traitlets"}

@@ -134,11 +134,17 @@ def test_in_a_checkout_the_command_says_what_is_not_installed(run):
             "to_statespace needs the package control: [control]",
         ),
         (
+            "import robsmooth as rs; system = rs.homodyne.PAPER.uncertain_system(); "
+            "smoother = rs.baselines.kalman_bucy(system).discretize(1e-7); "
+            "rs.smooth_record(smoother, 'y.csv', 'w.npy')",
+            "a CSV or Parquet file needs the package pyarrow: [records]",
+        ),
+        (
             "from robsmooth.workbench import connect; connect('tcp://127.0.0.1:8786').__enter__()",
             "a cluster needs the package distributed: [cluster]",
         ),
     ],
-    ids=["explorer", "figures", "from control", "to control", "cluster"],
+    ids=["explorer", "figures", "from control", "to control", "records", "cluster"],
 )
 def test_what_needs_an_extra_says_which(run, program, said):
     last = run("python", "-c", program).stderr.splitlines()[-1]

@@ -22,6 +22,18 @@ def test_a_file_is_replaced_whole(tmp_path):
     assert os.listdir(path.parent) == ["figure.svg"]
 
 
+def test_a_link_stays_a_link_and_permissions_are_kept(tmp_path):
+    path, link = tmp_path / "there" / "result.json", tmp_path / "link.json"
+    files.write_text(path, "old")
+    path.chmod(0o600)
+    link.symlink_to("there/result.json")
+    files.write_text(link, "new")
+    assert link.is_symlink()
+    assert path.read_text() == "new"
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert os.listdir(path.parent) == ["result.json"]
+
+
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path, error):
     path = tmp_path / "result.json"
