@@ -3,6 +3,7 @@
 import math
 import numbers
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,16 +12,31 @@ INF = math.inf
 Matrix = NDArray[np.float64]
 
 
+def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
+    """Return `value` as an array of real numbers, of any of their types, with NaN where masked."""
+    if hasattr(value, "magnitude") or hasattr(value, "to_value"):  # of pint, astropy or unyt
+        kind, remedy = type(value).__name__, f"{name}.to(...).magnitude or {name}.to_value(...)"
+        raise TypeError(f"{name} must be numbers without a unit, got a {kind}: {remedy} has them")
+    try:
+        result = np.asarray(value)
+    except (ValueError, TypeError):  # the latter for a list of quantities
+        rule = f"{name} must be a rectangular array of numbers"
+        raise ValueError(f"{rule}, got {repr(value)[:60]}") from None
+    if result.dtype.kind == "c":
+        raise ValueError(f"{name} must be real, got complex entries; {name}.real is")
+    if result.dtype.kind not in "iuf" and result.size:
+        raise TypeError(
+            f"{name} must be an array of numbers, got entries of type {result.dtype}; "
+            f"np.array({name}, dtype=float) makes numbers of them where that is meant"
+        )
+    if np.ma.is_masked(value):
+        result = np.where(np.ma.getmaskarray(value), np.nan, result)
+    return result
+
+
 def array(name: str, value: ArrayLike, ndim: int) -> Matrix:
     """Return `value` as a read-only float array of `ndim` dimensions, finite and real."""
-    try:
-        given = np.asarray(value)
-    except ValueError:
-        raise ValueError(f"{name} must be a rectangular array of numbers, got {value!r}") from None
-    if given.dtype.kind == "c":
-        raise ValueError(f"{name} must be real, got complex entries")
-    if given.dtype.kind not in "biuf" and given.size:
-        raise TypeError(f"{name} must be an array of numbers, got entries of type {given.dtype}")
+    given = numbers_of(name, value)
     if given.ndim != ndim:
         raise ValueError(f"{name} must have {ndim} dimension(s), got shape {given.shape}")
     if np.ma.is_masked(value):

@@ -223,7 +223,7 @@ class DiscreteSmoother:
 
         Parameters
         ----------
-        y : (N, l) array
+        y : (N, l) array, or (N,) where l is one
             Row by row the mean of dy/dt over an interval; NaN, or masked, where it is missing.
         reference : (N, g) array, optional
             What a detector takes off the nonlinearities' arguments, which act on :math:`\nu - r`,
@@ -390,20 +390,16 @@ def _vector(name: str, given: ArrayLike | None, size: int) -> Floats:
 
 
 def checked(name: str, given: ArrayLike, columns: int) -> Floats:
-    """Return `given` as an (N, columns) array of floats."""
-    try:
-        result = np.asarray(given)
-    except ValueError:
-        raise ValueError(f"{name} must be a rectangular array of numbers") from None
-    if result.dtype.kind not in "iuf" and result.size:
-        raise TypeError(f"{name} must be an array of real numbers, got entries of {result.dtype}")
+    """Return `given` as an (N, columns) array of floats; (N,) is one column."""
+    result = validation.numbers_of(name, given)
     if result.size == 0 and result.ndim == 1:
         result = result.reshape(0, columns)
+    if result.ndim == 1 and columns == 1:
+        result = result[:, None]
     if result.ndim != 2 or result.shape[1] != columns:
-        hint = f"; {name}[:, None] has it" if result.ndim == 1 and columns == 1 else ""
+        transposed = result.ndim == 2 and len(result) == columns
+        hint = f"; {name}.T has it, a row for each sample" if transposed else ""
         raise ValueError(f"{name} must have shape (N, {columns}), got {result.shape}{hint}")
-    if np.ma.is_masked(given):
-        result = np.where(np.ma.getmaskarray(given), np.nan, result)
     return np.require(result, dtype=float, requirements=["C", "W"])
 
 

@@ -652,8 +652,16 @@ WRONG = [
     ([1.0, 2.0], ValueError, r"y must have shape \(N, 2\), got \(2,\)"),
     ([[1.0, 2.0, 3.0]], ValueError, r"y must have shape \(N, 2\), got \(1, 3\)"),
     ([[1.0, 2.0], [3.0]], ValueError, "y must be a rectangular array"),
-    ([["a", "b"]], TypeError, "y must be an array of real numbers"),
-    ([[1j, 2.0]], TypeError, "y must be an array of real numbers"),
+    ([["a", "b"]], TypeError, "y must be an array of numbers, .* <U1; np.array"),
+    ([[True, False]], TypeError, "y must be an array of numbers, .* bool; np.array"),
+    ([[1.0, None]], TypeError, "y must be an array of numbers, .* object; np.array"),
+    ([[10**400, 0]], TypeError, "y must be an array of numbers, .* object; np.array"),
+    ([[1j, 2.0]], ValueError, "y must be real, got complex entries; y.real is"),
+    (
+        [2 * [0.0] + [1.0], 3 * [2.0]],
+        ValueError,
+        r"got \(2, 3\); y.T has it, a row for each sample",
+    ),
     ([[0.0, 1.0], [np.nan, -np.inf]], ValueError, "got -inf at row 1, column 1"),
 ]
 
@@ -669,10 +677,14 @@ def test_wrong_records_are_refused_and_nothing_is_taken(y, error, message):
     assert_array_equal(discrete.state, before)
 
 
-def test_one_measurement_in_a_row_is_told_how_to_stand():
-    estimator = baselines.kalman_bucy(homodyne.PAPER.uncertain_system())
-    with pytest.raises(ValueError, match=r"got \(5,\); y\[:, None\] has it"):
-        estimator.discretize(1e-7).run(np.zeros(5))
+def test_one_measurement_may_be_a_list():
+    discrete = baselines.kalman_bucy(homodyne.PAPER.uncertain_system()).discretize(1e-7)
+    expected = discrete.run([[0.1], [np.nan], [-0.3]])
+    for y in ([0.1, np.nan, -0.3], np.ma.masked_equal([0.1, -7.0, -0.3], -7.0)):
+        discrete.reset()
+        assert_array_equal(discrete.run(y), expected)
+    with pytest.raises(ValueError, match=r"got \(1, 5\); y.T has it"):
+        discrete.run(np.zeros((1, 5)))
 
 
 @pytest.mark.parametrize(
