@@ -12,22 +12,25 @@ from pathlib import Path
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_path(path: str | os.PathLike[str], kept: str = "") -> Iterator[Path]:
     """Give a path beside `path` to write to; on success what was written there replaces `path`.
 
-    Whatever ends the block early, `path` is left as it was and the temporary is removed. A symbolic
-    link stays one, and the permissions of a file that is there are kept.
+    Whatever ends the block early, `path` is left as it was. The temporary is removed then, unless
+    there is a suffix with which it is `kept`. A symbolic link stays one, and the permissions of a
+    file that is there are kept.
     """
     path = Path(os.path.realpath(path))
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
+    name = path.name + kept if kept else f".{path.stem}.{secrets.token_hex(4)}{path.suffix}"
+    temporary = path.with_name(name)
     try:
         yield temporary
         if path.exists():
             shutil.copymode(path, temporary)
         os.replace(temporary, path)
     except BaseException:
-        temporary.unlink(missing_ok=True)
+        if not kept:
+            temporary.unlink(missing_ok=True)
         raise
 
 

@@ -15,19 +15,20 @@ Matrix = NDArray[np.float64]
 def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
     """Return `value` as an array of real numbers, of any of their types, with NaN where masked."""
     if hasattr(value, "magnitude") or hasattr(value, "to_value"):  # of pint, astropy or unyt
-        kind, remedy = type(value).__name__, f"{name}.to(...).magnitude or {name}.to_value(...)"
-        raise TypeError(f"{name} must be numbers without a unit, got a {kind}: {remedy} has them")
+        remedy = ".to(...).magnitude or .to_value(...) has them"
+        kind = type(value).__name__
+        raise TypeError(f"{name} must be numbers without a unit, got a {kind}: its {remedy}")
     try:
         result = np.asarray(value)
     except (ValueError, TypeError):  # the latter for a list of quantities
         rule = f"{name} must be a rectangular array of numbers"
         raise ValueError(f"{rule}, got {repr(value)[:60]}") from None
     if result.dtype.kind == "c":
-        raise ValueError(f"{name} must be real, got complex entries; {name}.real is")
+        raise ValueError(f"{name} must be real, got complex entries: its .real is")
     if result.dtype.kind not in "iuf" and result.size:
         raise TypeError(
-            f"{name} must be an array of numbers, got entries of type {result.dtype}; "
-            f"np.array({name}, dtype=float) makes numbers of them where that is meant"
+            f"{name} must be an array of numbers, got entries of type {result.dtype}: "
+            "np.array(..., dtype=float) makes numbers of them where that is meant"
         )
     if np.ma.is_masked(value):
         result = np.where(np.ma.getmaskarray(value), np.nan, result)

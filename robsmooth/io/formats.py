@@ -1,4 +1,4 @@
-"""Files with a row for each sample: CSV and Parquet by PyArrow, NPY by NumPy."""
+"""Records with a row for each sample: tables by PyArrow, arrays by NumPy, in files or in memory."""
 
 import csv
 import gzip
@@ -7,7 +7,8 @@ import os
 import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from itertools import chain
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
@@ -19,6 +20,7 @@ from robsmooth._support import validation
 from robsmooth._support.extras import extra
 from robsmooth._support.validation import Matrix
 
+HEADER = 128  # bytes of an NPY file that is written
 BLOCK = 1 << 18  # bytes of a CSV file at a time, and more than a line of it has
 DATE = re.compile(r"\d{4}-\d\d-\d\d(?:[T ][\d:.]*(Z|[-+]\d\d:?\d\d)?)?")
 MISSING = ("", "NA", "N/A", "#N/A", "null", "nan", ".")
@@ -27,7 +29,7 @@ NO_NAMES = ("None", "<NA>", "NaT", "-", "--", "?")  # gaps of others rather than
 
 def pyarrow() -> Any:
     """Return PyArrow, which an extra brings."""
-    with extra("records", "a CSV or Parquet file"):
+    with extra("records", "a table, or a CSV or Parquet file,"):
         import pyarrow.csv
         import pyarrow.parquet
     return pyarrow
@@ -43,92 +45,177 @@ def delimiter_of(name: str, path: Path, given: str | None) -> str:
     if given is not None and not re.fullmatch(r"(?![\w\"'.+-])[\t -~]", str(given)):
         allowed = "one character of ASCII, not a quote and in no number"
         raise ValueError(f"delimiter must be {allowed}, got {given!r}")
-    return (given or {".csv": ",", ".tsv": "\t"}[found[1]]) if found[1] else ""
+    if not found[1]:
+        return ""
+    return given or {".csv": ",", ".tsv": "\t"}[found[1]]
 
 
 class Record:
-    """A file with a row for each sample."""
+    """Rows of samples, in columns."""
 
-    unit, first, read, advice = "row", 0, 0, ""  # of the size; the first row; how much was read
+    path: Path | str = "source"  # what messages call it
     names: Sequence[str] = ()
-    dates: Mapping[int, Any] = {}  # the types of columns of dates, which are read as Unix seconds
+    width, size = 0, None  # numbers of columns, and of rows or, of a CSV file, bytes
+    unit, read = "row", 0  # of the size; how much of it was read
+    first, advice = 0, ""  # the number of the first row; what messages end with
+    index: int | None = None  # the column that is the index of a data frame
+    dates: Mapping[int, Any] = {}  # the types of columns of dates and of lengths of time
+    origin: Any = None  # the first date, from which seconds count, ns
 
     def name(self, column: int) -> str:
         """Return what a column is called in messages."""
         return f"column {column}" + (f" ({self.names[column]!r})" if self.names else "")
 
-
-class Npy(Record):
-    """An NPY file. It is mapped anew for each chunk: what was read need not stay in memory."""
-
-    def __init__(self, path: Path) -> None:
-        try:
-            array = npy.open_memmap(path, mode="r")
-        except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
-            plain = "plain numbers, without Python objects, which are never unpickled"
-            raise ValueError(f"{path} must be an NPY file of {plain}: {error}") from None
-        if array.dtype.kind not in "iuf":
-            raise TypeError(f"{path} must hold real numbers, got entries of {array.dtype}")
-        if array.ndim not in (1, 2):
-            raise ValueError(f"{path} must hold an array (N, columns), got shape {array.shape}")
-        self.path, self.size = path, len(array)
-        self.keys = range(array.shape[1] if array.ndim == 2 else 1)
+    def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:
+        """Yield arrays with all columns, or tables of Arrow with the chosen ones."""
+        raise NotImplementedError
 
     def rows(self, columns: list[int], chunk: int) -> Iterator[Matrix]:
-        """Yield columns of the next rows."""
-        for i in range(0, self.size, chunk):
-            part = npy.open_memmap(self.path, mode="r")[i : i + chunk].reshape(-1, len(self.keys))
-            self.read = i + len(part)
-            yield part[:, columns].astype(float)
+        """Yield the numbers of columns of the next rows; dates are in s since the first."""
+        with self._failures():
+            for piece in self.pieces(columns, chunk):
+                for i in range(0, len(piece), chunk):
+                    part = piece[i : i + chunk]
+                    if isinstance(part, np.ndarray):
+                        yield part[:, columns].astype(float)
+                    else:
+                        cells = zip(part.itercolumns(), columns, strict=True)
+                        yield np.column_stack([self._numbers(*cell) for cell in cells])
 
+    def _numbers(self, cells: Any, column: int) -> Matrix:
+        if str(cells.type) == "bool":
+            raise TypeError(f"{self.path} must hold real numbers, got booleans")
+        if column not in self.dates:
+            return cells.cast("double", safe=False).to_numpy(zero_copy_only=False)
+        ticks = cells.cast(self.dates[column]).cast("int64").to_numpy(zero_copy_only=False)
+        if self.origin is None:
+            self.origin = ticks[0] if self._has_dates(column) else 0
+        return (ticks - self.origin) / 1e9
 
-class Parquet(Record):
-    """A Parquet file."""
+    def _has_dates(self, column: int | None) -> bool:
+        return str(self.dates.get(column)).startswith("timestamp")
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        with self._failures(), pyarrow().parquet.ParquetFile(path) as file:
-            self.size, schema = file.metadata.num_rows, file.schema_arrow
-        self.names = self.keys = schema.names
-        dates = [(i, t) for i, t in enumerate(schema.types) if re.match("timestamp|date", str(t))]
-        self.dates = {i: pyarrow().timestamp("ns", getattr(t, "tz", None)) for i, t in dates}
+    def in_clock(self, column: int | None, times: Matrix, file: bool = True) -> Any:
+        """Return times in s as a column has them; in a file, lengths of time are in s."""
+        if column not in self.dates or (file and not self._has_dates(column)):
+            return times
+        ticks = (self.origin or 0) + np.round(1e9 * times).astype(np.int64)
+        return pyarrow().array(ticks).cast(self.dates[column])
 
     @contextmanager
     def _failures(self) -> Iterator[None]:
         """Say in which file, and where in it, a library found something wrong."""
-        wrong = EOFError, zlib.error, gzip.BadGzipFile, csv.Error, pyarrow().ArrowException
+        wrong = EOFError, zlib.error, gzip.BadGzipFile, csv.Error, OverflowError
         try:
             yield
-        except wrong as error:
+        except Exception as error:
+            if not isinstance(error, wrong) and type(error).__module__ != "pyarrow.lib":
+                raise
             what = re.sub(r"Row #(\d+)", lambda n: f"line {self.first + int(n[1]) - 1}", str(error))
             raise ValueError(f"{self.path}: {what[:200]}{self.advice}") from None
 
-    def rows(self, columns: list[int], chunk: int) -> Iterator[Matrix]:
-        """Yield columns of the next rows."""
-        kinds = {self.keys[i]: self.dates.get(i, pyarrow().float64()) for i in columns}
+    def as_given(self, clock: int | None, times: Matrix, w: Matrix) -> Any:
+        """Return estimates in memory as what the record is, with their times in a table."""
+        return w
+
+
+class Array(Record):
+    """An array (N, columns) or (N,), in memory or in an NPY file."""
+
+    def __init__(self, source: Any) -> None:
+        self._source, self.path = source, source if isinstance(source, Path) else "source"
+        array = self._open()
+        self._source, shape = source if isinstance(source, Path) else array, array.shape
+        if len(shape) not in (1, 2):
+            raise ValueError(f"{self.path} must hold an array (N, columns), got shape {shape}")
+        self.size, self.width = (*shape, 1)[:2]
+
+    def _open(self) -> Any:
+        array = self._source
+        if isinstance(array, Path):
+            try:
+                array = npy.open_memmap(array, mode="r")
+            except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
+                plain = "plain numbers, without Python objects, which are never unpickled"
+                raise ValueError(f"{self.path} must be an NPY file of {plain}: {error}") from None
+        return validation.numbers_of(str(self.path), array)
+
+    def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:  # noqa: D102
+        for i in range(0, self.size, chunk):
+            part = self._open()[i : i + chunk]  # mapped anew: what was read need not stay in memory
+            self.read = i + len(part)
+            yield part.reshape(-1, self.width)
+
+
+class Table(Record):
+    """What PyArrow takes for a table, as a data frame, or a Parquet file."""
+
+    def __init__(self, source: Any) -> None:
+        self._source, self.path = source, source if isinstance(source, Path) else "source"
         with self._failures():
-            for batch in self._batches(kinds, chunk):
-                for part in (batch[i : i + chunk] for i in range(0, len(batch), chunk)):
-                    yield np.column_stack([_numbers(part[key], kinds[key]) for key in kinds])
+            if isinstance(source, Path):
+                file = pyarrow().parquet.ParquetFile(source)
+                self.size, schema, self._batches = (
+                    file.metadata.num_rows,
+                    file.schema_arrow,
+                    file.iter_batches,
+                )
+            else:
+                table = pyarrow().table(_frame(source))
+                self.size, schema = len(table), table.schema
+                self._batches = lambda chunk, columns: table.select(columns).to_batches(chunk)
+        self._keys, self.width = schema.names, len(schema.names)
+        self.names = [re.sub("^__index_level_0__$", "time", name) for name in self._keys]
+        kept = (schema.pandas_metadata or {}).get("index_columns", [])
+        index = [self._keys.index(name) for name in kept if isinstance(name, str)]
+        if len(index) > 1 or len({*self._keys}) < self.width:
+            rule = "must have columns of distinct names, and an index of one level"
+            raise ValueError(f"{self.path} {rule}, got {self._keys}")
+        self.index = index[0] if index else None
+        self.dates = {}
+        for column, kind in enumerate(schema.types):
+            if re.match("timestamp|date", str(kind)):
+                self.dates[column] = pyarrow().timestamp("ns", getattr(kind, "tz", None))
+            if re.match("duration", str(kind)):
+                self.dates[column] = pyarrow().duration("ns")
 
-    def _batches(self, kinds: dict[str, Any], chunk: int) -> Iterator[Any]:
+    def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:  # noqa: D102
         self.read = 0
-        with pyarrow().parquet.ParquetFile(self.path) as file:
-            for batch in file.iter_batches(chunk, columns=list(kinds)):
-                if "bool" in map(str, batch.schema.types):
-                    raise TypeError(f"{self.path} must hold real numbers, got booleans")
-                self.read += len(batch)
-                yield batch
+        for batch in self._batches(chunk, columns=[self._keys[i] for i in columns]):
+            self.read += len(batch)
+            yield batch
+
+    def as_given(self, clock: int | None, times: Matrix, w: Matrix) -> Any:  # noqa: D102
+        name = "time" if clock is None else self.names[clock]
+        table = table_of(self.in_clock(clock, times, file=False), w, name)
+        frame = _frame(self._source)
+        if hasattr(frame, "set_index"):  # of pandas, as it may be for one of xarray
+            found = table.to_pandas().set_index(name)
+            return type(self._source)(found) if hasattr(self._source, "coords") else found
+        return type(frame)(table) if hasattr(frame, "to_arrow") else table  # of polars, or Arrow
 
 
-def _numbers(column: Any, kind: Any) -> Matrix:
-    column = column.cast(kind, safe=False)
-    if str(kind) == "double":
-        return column.to_numpy(zero_copy_only=False)
-    return column.cast("int64").to_numpy(zero_copy_only=False) / 1e9
+class Chunks(Record):
+    """An iterator of arrays or tables, each with the next rows."""
+
+    def __init__(self, chunks: Iterator[Any]) -> None:
+        self._rest = map(in_memory, chunks)
+        self._head = next((part for part in self._rest if part.size != 0), None)
+        if self._head is None:
+            raise ValueError("source must have rows, got an iterator without any")
+        for name in ("width", "names", "index", "dates"):
+            setattr(self, name, getattr(self._head, name))
+
+    def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:  # noqa: D102
+        for part in chain([self._head], self._rest):
+            if (part.width, part.names) != (self.width, self.names):
+                raise ValueError("source must have the same columns in each chunk")
+            for piece in part.pieces(columns, chunk):
+                self.read += len(piece)
+                yield piece
 
 
-class Csv(Parquet):
+class Csv(Record):
     """A CSV file, as it is or in gzip."""
 
     unit = "B"
@@ -159,7 +246,7 @@ class Csv(Parquet):
             head, below = ([cell.strip() for cell in next(rows, ())] for _ in lines)
         gaps = [*gaps, *(f" {word}" for word in gaps if word or len(head) > 1)]
         self._values = {"decimal_point": decimal, "null_values": gaps}
-        self.keys = [str(i) for i in range(len(head))]
+        self.width = len(head)
         if self._has_names(head, below) if header is None else validation.boolean("header", header):
             self.names, self.first, head = head, self.first + 1, below
         dates = [(i, date) for i, cell in enumerate(head) if (date := DATE.fullmatch(cell))]
@@ -170,19 +257,21 @@ class Csv(Parquet):
         gaps = {word.lower() for word in (*self._values["null_values"], *MISSING, *NO_NAMES)}
         given = [cell for cell in cells if cell.lower() not in gaps]
         numbers = [cell for cell in given if re.match(r"[-+.]?\d", cell)]
-        below = [cell for cell in below if re.fullmatch(r"[-+]?\d*[.,]\d+(e.*)?", cell)]
         counted = [cell.removesuffix(".0") for cell in given] == [str(i) for i in range(len(given))]
-        distinct = all(map(str.isdecimal, given)) and len({*given}) == len(given)
-        alike = not numbers and len({*given}) == 1 < len(given)  # a gap's word, perhaps
-        if 0 < len(numbers) < len(given) or counted or alike or (distinct and below):
+        whole = all(map(str.isdecimal, given)) and len({*given}) == len(given)
+        fractions = any(re.fullmatch(r"[-+]?\d*[.,]\d+(e.*)?", cell) for cell in below)
+        gap = not numbers and len({*given}) == 1 < len(given)  # a word for one, perhaps
+        mixed = 0 < len(numbers) < len(given)
+        if mixed or counted or gap or (whole and fractions):
             line = f"{self.path}, line {self.first}, {','.join(cells)[:60]!r},"
             raise ValueError(f"{line} may be a header or a sample: say header=True or header=False")
         return not numbers
 
-    def _batches(self, kinds: dict[str, Any], chunk: int) -> Iterator[Any]:
-        pc, rows, names = pyarrow().csv, 0, list(kinds)
-        values = pc.ConvertOptions(**self._values, column_types=kinds, include_columns=names)
-        layout = pc.ReadOptions(use_threads=False, block_size=BLOCK, column_names=self.keys)
+    def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:  # noqa: D102
+        pc, rows, keys = pyarrow().csv, 0, [str(i) for i in range(self.width)]
+        kinds = {keys[i]: self.dates.get(i, pyarrow().float64()) for i in columns}
+        values = pc.ConvertOptions(**self._values, column_types=kinds, include_columns=list(kinds))
+        layout = pc.ReadOptions(use_threads=False, block_size=BLOCK, column_names=keys)
         with _Text(self.path, self.first - 1) as text:
             if not text.peek().strip(b"\r\n"):
                 return
@@ -214,32 +303,64 @@ class _Text(io.BufferedReader):
         return block
 
 
-def opened(path: Path, delimiter: str | None, *dialect: Any) -> Npy | Parquet:
+def _frame(source: Any) -> Any:
+    """Return the data frame of a series, or of what xarray has; all else as it is."""
+    if hasattr(source, "coords"):
+        source = source.to_pandas()
+    return source.to_frame() if hasattr(source, "to_frame") else source
+
+
+def in_memory(source: Any) -> Record:
+    """Open a record that is no file: an array, a data frame, or an iterator of them."""
+    if hasattr(source, "coords") or hasattr(source, "to_frame") or hasattr(source, "columns"):
+        return Table(source)
+    return Chunks(source) if isinstance(source, Iterator) else Array(source)
+
+
+def opened(source: Any, delimiter: str | None, *dialect: Any) -> Record:
     """Open a record; the dialect is that of `Csv`."""
-    if mark := delimiter_of("source", path, delimiter):
+    path = Path(os.path.expanduser(source)) if isinstance(source, str | os.PathLike) else None
+    mark = delimiter_of("source", path, delimiter) if path else ""
+    if path and mark:
         return Csv(path, mark, *dialect)
     if dialect != (".", None, 0, MISSING):
-        raise ValueError(f"decimal, header, skip_rows and missing are for CSV files, not {path}")
-    return Npy(path) if path.suffix.lower() == ".npy" else Parquet(path)
+        given = path or type(source).__name__
+        raise ValueError(f"decimal, header, skip_rows and missing are for CSV files, not {given}")
+    if path is None:
+        return in_memory(source)
+    return Array(path) if path.suffix.lower() == ".npy" else Table(path)
+
+
+def table_of(times: Any, w: Matrix, name: str = "time") -> Any:
+    """Return a table of Arrow with estimates and their times."""
+    names = [name, *(f"w[{i}]" for i in range(w.shape[1]))]
+    return pyarrow().table([times, *w.T], names=names)
 
 
 @contextmanager
-def writer(path: Path, outputs: int, delimiter: str, date: Any) -> Iterator[Any]:
-    """Give what appends rows to an NPY file or, with their times, to a CSV file."""
-    if delimiter:
-        pa, number = pyarrow(), pyarrow().float64()
-        w = [(f"w[{i}]", number) for i in range(outputs)]
-        schema = pa.schema([("time", date or number), *w])
-        bare = {"include_header": False, "quoting_style": "none", "delimiter": delimiter}
-        with pa.output_stream(path) as file:  # in gzip where the path ends so
-            file.write(f"{delimiter.join(schema.names)}\n".encode())
-            with pa.csv.CSVWriter(file, schema, write_options=pa.csv.WriteOptions(**bare)) as table:
-                as_given = (lambda t: np.round(1e6 * t).astype("M8[us]")) if date else np.asarray
-                yield lambda times, w: table.write(pa.table([as_given(times), *w.T], schema=schema))
-        return
-    with open(path, "wb") as file:
-        file.write(bytes(128))  # for the header
-        yield lambda _, w: file.write(w.astype("<f8").tobytes())
-        shape = (file.tell() - 128) // (8 * outputs), outputs
-        file.seek(0)
-        npy.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": shape})
+def writer(
+    path: Path, record: Record, clock: int | None, delimiter: str, outputs: int, begin: int
+) -> Iterator[Any]:
+    """Open a file of which so many bytes stay; give what appends times and estimates, and it."""
+    with open(path, "r+b" if begin else "wb") as file:
+        file.truncate(begin)
+        file.seek(begin)
+        if not delimiter:
+            file.write(bytes(HEADER if not begin else 0))
+            yield lambda _, w: file.write(w.astype("<f8").tobytes()), file
+            rows = (file.tell() - HEADER) // (8 * outputs)
+            header = {"descr": "<f8", "fortran_order": False, "shape": (rows, outputs)}
+            file.seek(0)
+            npy.write_array_header_1_0(file, header)
+            return
+        write, style = pyarrow().csv.write_csv, {"delimiter": delimiter, "quoting_style": "none"}
+        bare = pyarrow().csv.WriteOptions(include_header=False, **style)
+        zipped = gzip.GzipFile("", "wb", 6, file, 0) if path.suffix.lower() == ".gz" else None
+        with zipped or nullcontext(file) as sink:
+            if not begin:
+                names = table_of(np.empty(0), np.empty((0, outputs))).column_names
+                sink.write(f"{delimiter.join(names)}\n".encode())
+            yield (
+                lambda times, w: write(table_of(record.in_clock(clock, times), w), sink, bare),
+                file,
+            )

@@ -1,18 +1,23 @@
-"""Measured records in files: read, smoothed and written in chunks.
+"""Measured records: read, smoothed and written in chunks.
 
 A record has a row for each sample and a column for each measurement, the mean of dy/dt over the
-sample's interval: a CSV or Parquet file, or an NPY file with an array of numbers.
+sample's interval: in a file or in memory (`robsmooth.io.formats`).
 """
 
+import base64
+import functools
+import hashlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from robsmooth._support import validation
+from robsmooth._support.checkpoint import ANEW, CheckpointError, Journal, open_journal
 from robsmooth._support.files import atomic_path
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix
@@ -21,6 +26,7 @@ from robsmooth.io import formats
 from robsmooth.io.formats import Record
 
 CHUNK = 65_536  # rows
+KEPT = 64  # chunks, after which a run that can be resumed writes how far it is
 TIMING = 0.5  # of a sample: by how much a row may come too early or too late
 DRIFT = 1e-3  # by how much the record's clock may differ from dt's
 HEAD = 1000  # rows by which times are known
@@ -31,8 +37,8 @@ Columns = Column | Sequence[Column] | None  # or False, for time
 
 def smooth_record(
     smoother: DiscreteSmoother,
-    source: str | os.PathLike[str],
-    target: str | os.PathLike[str],
+    source: Any,
+    target: str | os.PathLike[str] | None = None,
     *,
     columns: Columns = None,
     reference: Columns = None,
@@ -45,8 +51,9 @@ def smooth_record(
     missing: str | Sequence[str] = formats.MISSING,
     chunk: int = CHUNK,
     progress: bool = False,
-) -> int:
-    """Smooth a record from file to file, gigabytes in the memory of a chunk.
+    resume: bool = False,
+) -> Any:
+    """Smooth a record in memory or, gigabytes in the memory of a chunk, from file to file.
 
     The smoother goes on from its state, as in `DiscreteSmoother.run`. Where this fails or is
     interrupted, its state and the target are what they were before.
@@ -54,112 +61,208 @@ def smooth_record(
     Parameters
     ----------
     smoother : DiscreteSmoother, made by ``estimator.discretize(dt)``
-    source : path
-        A ``.csv`` or ``.tsv`` file, in gzip or not, a ``.parquet`` file, or a ``.npy`` file with an
-        array (N, columns) or (N,). Where it has nan or a gap, a measurement is missing.
-    target : path
+    source : path, array, data frame or iterator
+        A ``.csv``, ``.tsv``, ``.parquet`` or ``.npy`` file, the former two in gzip or not; an array
+        (N, columns) or (N,); a frame or series of pandas, polars or xarray, or a table of PyArrow;
+        or an iterator of any of these. What is nan, null, masked or a gap is missing.
+    target : path, optional
         For the estimates: a ``.csv`` or ``.tsv`` file with the columns ``time``, ``w[0]``,
         ``w[1]``..., in gzip as ``.csv.gz``, or a ``.npy`` file of an (N, m) array.
     columns, reference : int, str or sequence of them, optional
         The l columns that are measurements, by default all others, and the g ones of the reference
-        of the nonlinearities, as in `DiscreteSmoother.run`: indices, or names of a header.
+        of the nonlinearities, as in `DiscreteSmoother.run`: indices, or names.
     time : int, str or False, optional
-        A column with the begins of the rows' intervals, s or dates. A row that is missing, or a
-        wrong dt, is refused. The times of the estimates are in this clock: a row's time plus dt,
-        less the `delay` where they are smoothed; without it, those of `DiscreteSmoother.times`.
-        A column that looks like times is refused as a measurement by default, and checked where
-        ``columns`` leaves it out; with False neither is done.
-    output : {"smoothed", "filtered"}, which estimates to write
+        A column with the begins of the rows' intervals, s or dates; by default a frame's index that
+        does more than count. A row that is missing, or a wrong dt, is refused. The times of the
+        estimates are in this clock: a row's time plus dt, less the `delay` where they are smoothed;
+        without it, those of `DiscreteSmoother.times`. A column that looks like times is refused as
+        a measurement by default, and checked where ``columns`` leaves it out; with False neither.
+    output : {"smoothed", "filtered"}, which estimates are wanted
     delimiter, decimal : str, one character each of CSV files, by their suffix and "." by default
     header : bool, optional
         Whether a CSV file begins with names; by default whether its first line has words and no
         numbers. One that may be either, as ``0,1`` or ``NA,NA``, is refused.
     skip_rows : int, lines of a CSV file before the header or the first sample
-    missing : str or sequence of str
-        What stands for a gap in a CSV file: by default nothing, NA, N/A, #N/A, null, nan or a dot.
+    missing : str or sequence of str, what stands for a gap in a CSV file
     chunk : int, rows in memory at a time
     progress : bool, whether to show a progress bar
+    resume : bool
+        Whether an interrupted run leaves ``target.part`` and ``target.resume``, from which the same
+        call goes on, to the same bytes.
 
     Returns
     -------
-    int
-        The number of rows.
+    int, array, data frame or iterator
+        With a target the number of rows. Else the estimates (N, m) as what the source is, a frame's
+        with their times; an iterator yields arrays, and the smoother goes on with each.
 
     Raises
     ------
     ValueError, TypeError
         For what cannot be read, or is no number; the message names the file, row and column.
-    ArithmeticError
-        Where the smoother's state leaves the range of floats.
-    OSError, ImportError
-        Where a file cannot be opened or written, or wants PyArrow, of the extra ``records``.
-
-    See Also
-    --------
-    DiscreteSmoother.run : does it with an array.
+    ArithmeticError, OSError, ImportError
+        Where the state leaves the range of floats, or a file or the extra ``records`` is missing.
 
     Examples
     --------
-    >>> import tempfile
     >>> import numpy as np
     >>> import robsmooth as rs
     >>> smoother = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system()).discretize(1e-7)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     np.save(folder + "/y.npy", np.zeros((100, 1)))
-    ...     rs.smooth_record(smoother, folder + "/y.npy", folder + "/w.csv")
-    100
+    >>> rs.smooth_record(smoother, np.zeros((100, 1))).shape
+    (100, 1)
     """
     validation.instance("smoother", smoother, DiscreteSmoother)
     output = validation.choice("output", output, OUTPUTS)
     validation.boolean("progress", progress)
     chunk = validation.integer("chunk", chunk, low=1)
-    source, target = (Path(os.path.expanduser(path)) for path in (source, target))
     record = formats.opened(source, delimiter, decimal, header, skip_rows, missing)
-    mark = formats.delimiter_of("target", target, delimiter)
-    if target.exists() and target.samefile(source):
-        raise ValueError(f"target must be another file than source, got {target} for both")
-    chosen = _choice(record, smoother, columns, reference, time)
-    timed = time is not None and time is not False
-    shift = smoother.dt - (smoother.delay if output == "smoothed" else 0.0)
+    path, mark = _target(record, target, delimiter, resume)
+    chosen, clock = _choice(record, smoother, columns, reference, time)
     ends = [smoother.l, smoother.l + (0 if reference is None else smoother.g)]
+    shift = smoother.dt - (smoother.delay if output == "smoothed" else 0.0)
+
+    def smooth(values: Matrix) -> tuple[Matrix, Matrix]:
+        y, known, own = np.split(values, ends, axis=1)
+        w = smoother.run(y, reference=known if known.size else None, output=output)
+        return smoother.times(len(y), output) if clock is None else own[:, 0] + shift, w
+
+    pieces = _shown(record, _checked(record, chosen, ends, smoother.dt, chunk), progress)
+    if path is None and isinstance(record, formats.Chunks):
+        return (smooth(values)[1] for values in pieces)
     before = smoother._checkpoint()
-    bar = progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress)
-    rows, date = 0, record.dates.get(chosen[-1]) if timed else None
     try:
-        with bar, atomic_path(target) as path, formats.writer(path, smoother.m, mark, date) as put:
-            for values in _checked(record, chosen, ends, smoother.dt, chunk):
-                y, known, own = np.split(values, ends, axis=1)
-                estimates = smoother.run(y, reference=known if known.size else None, output=output)
-                put(own[:, 0] + shift if timed else smoother.times(len(y), output), estimates)
-                rows += len(y)
-                bar.update(record.read - bar.n)
+        if path is None:
+            none = np.empty(0), np.empty((0, smoother.m))
+            times, w = map(np.concatenate, zip(none, *map(smooth, pieces), strict=True))
+            return record.as_given(clock, times, w)
+        notes, identity = None, {}
+        if resume:
+            notes = path.with_name(path.name + ".resume")
+            first = next(pieces, np.empty((0, len(chosen))))
+            estimates = hashlib.sha256(smooth(first)[1].tobytes()).hexdigest()
+            smoother._restore(before)
+            pieces = chain([first], pieces)
+            identity = {"smoother": repr(smoother), "columns": chosen, "clock": clock}
+            identity |= {"delimiter": mark, "chunk": chunk, "first estimates": estimates}
+        kept = ".part" if resume else ""
+        with open_journal(notes, identity) as journal, atomic_path(path, kept) as partial:
+            append = functools.partial(formats.writer, partial, record, clock, mark, smoother.m)
+            rows = _write(smoother, smooth, pieces, partial, append, journal)
+        if notes:
+            notes.unlink()
+        return rows
     except BaseException:
         smoother._restore(before)
         raise
+
+
+def _target(
+    record: Record, target: str | os.PathLike[str] | None, delimiter: str | None, resume: bool
+) -> tuple[Path | None, str]:
+    """Return where to write, and the delimiter there."""
+    if target is None:
+        if resume or isinstance(record.path, Path):
+            raise TypeError("target must be given where source is a file, and for resume=True")
+        return None, ""
+    path = Path(os.path.expanduser(target))
+    mark = formats.delimiter_of("target", path, delimiter)
+    if isinstance(record.path, Path) and path.exists() and path.samefile(record.path):
+        raise ValueError(f"target must be another file than source, got {path} for both")
+    if validation.boolean("resume", resume) and path.suffix.lower() == ".gz":
+        raise ValueError(f"target must be no file in gzip where resume=True, got {path}")
+    return path, mark
+
+
+def _shown(record: Record, pieces: Iterator[Matrix], progress: bool) -> Iterator[Matrix]:
+    """Show how much of a record was read."""
+    settings = {"total": record.size, "unit": record.unit, "unit_scale": True}
+    with progress_bar(shown=progress, **settings) as bar:
+        for values in pieces:
+            yield values
+            bar.update(record.read - bar.n)
+
+
+def _write(
+    smoother: DiscreteSmoother,
+    smooth: Callable[[Matrix], tuple[Matrix, Matrix]],
+    pieces: Iterator[Matrix],
+    partial: Path,
+    append: Callable[[int], Any],
+    journal: Journal | None,
+) -> int:
+    """Write the estimates that a journal does not have yet, and return the number of all rows."""
+    rows, begin, digest = 0, 0, hashlib.sha256()
+    if journal and (last := journal.last):
+        for values in pieces:
+            digest.update(values.tobytes())
+            rows += len(values)
+            if rows >= last["rows"]:
+                break
+        begin = last["bytes"]
+        there = partial.stat().st_size if partial.exists() else 0
+        if digest.hexdigest() != last["digest"] or there < begin:
+            what = f"of another record, or of another file than {partial}"
+            raise CheckpointError(f"the checkpoint {journal.path} is {what}: {ANEW}")
+        _set_state(smoother, last)
+    with append(begin) as (put, file):
+        for number, values in enumerate(pieces, 1):
+            put(*smooth(values))
+            rows += len(values)
+            if journal:
+                digest.update(values.tobytes())
+            if journal and number % KEPT == 0:
+                file.flush()
+                os.fsync(file.fileno())
+                so_far = {"rows": rows, "bytes": file.tell(), "digest": digest.hexdigest()}
+                journal.append(so_far | _state(smoother))
     return rows
 
 
-def _choice(record: Record, smoother: DiscreteSmoother, *given: Columns) -> list[int]:
-    """Return the columns that are used: measurements, reference and times, in this order."""
+def _arrays(smoother: DiscreteSmoother) -> tuple[Matrix, ...]:
+    memory = smoother._checkpoint()[0]
+    return memory if isinstance(memory, tuple) else (memory,)
+
+
+def _state(smoother: DiscreteSmoother) -> dict[str, Any]:
+    """Return a smoother's state for a journal, to the last bit."""
+    state = [base64.b64encode(each.tobytes()).decode() for each in _arrays(smoother)]
+    return {"samples": smoother.samples, "state": state}
+
+
+def _set_state(smoother: DiscreteSmoother, journal: dict[str, Any]) -> None:
+    memory = smoother._checkpoint()[0]
+    state = [
+        np.frombuffer(base64.b64decode(text), each.dtype).reshape(each.shape).copy()
+        for text, each in zip(journal["state"], _arrays(smoother), strict=True)
+    ]
+    new = type(memory)(*state) if isinstance(memory, tuple) else state[0]
+    smoother._restore((new, journal["samples"]))
+
+
+def _choice(
+    record: Record, smoother: DiscreteSmoother, *given: Columns
+) -> tuple[list[int], int | None]:
+    """Return the columns of measurements, reference and times, and the one that is the clock."""
     columns, reference, time = given
     known = _positions(record, "reference", reference, smoother.g)
     times = _positions(record, "time", time, 1)
+    if time is None and record.index is not None:
+        times = [record.index]
     measured = _positions(record, "columns", columns, smoother.l)
-    rest = [i for i in range(len(record.keys)) if i not in (*known, *times, *measured)]
-    if time is None:
+    used = {*known, *times, *measured, record.index}
+    rest = [i for i in range(record.width) if i not in used]
+    clock = times[0] if times else None
+    if time is None and not times:
         times = [i for i in rest if i in record.dates or _rises_evenly(record, i)][:1]
+    if columns is None and clock is None and times:
+        found, says = record.name(times[0]), f"say time={times[0]}, or time=False where it is not"
+        raise ValueError(f"{record.path}: {found} looks like times: {says}")
     if columns is None:
-        if time is None and times:
-            found, says = (
-                record.name(times[0]),
-                f"say time={times[0]}, or time=False where it is not",
-            )
-            raise ValueError(f"{record.path}: {found} looks like times: {says}")
         measured = _positions(record, "columns", rest, smoother.l)
     chosen = [*measured, *known, *times]
     if len({*chosen}) < len(chosen) or record.dates.keys() & {*measured, *known}:
         raise ValueError(f"columns, reference and time must be distinct, and no dates: {chosen}")
-    return chosen
+    return chosen, clock
 
 
 def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[int]:
@@ -174,19 +277,20 @@ def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[
             raise ValueError(f"{name}: {column!r} is {there} in {path}, which has {known}")
         index = names.index(column) if isinstance(column, str) else column
         found.append(validation.integer(name, index, low=0))
-        if index >= len(record.keys):
-            raise ValueError(f"{name}: {path} has {len(record.keys)} columns, there is no {index}")
+        if index >= record.width:
+            raise ValueError(f"{name}: {path} has {record.width} columns, there is no {index}")
     if len(found) != wanted:
-        given = ", ".join(record.name(i) for i in found)
+        given = ", ".join(record.name(i) for i in found[:10])
+        advice = "; its .T has a row for each sample" if record.size == wanted else record.advice
         raise ValueError(
-            f"{name} must name {wanted} columns of {path}, got {len(found)}: {given}{record.advice}"
+            f"{name} must name {wanted} columns of {path}, got {len(found)}: {given}{advice}"
         )
     return found
 
 
 def _rises_evenly(record: Record, column: int) -> bool:
     """Return whether a column begins as times would, of which a few are missing."""
-    with suppress(ValueError, TypeError):
+    with suppress(ValueError, TypeError), np.errstate(invalid="ignore"):
         steps = np.diff(next(record.rows([column], HEAD), np.empty((0, 1)))[:, 0])
         if len(steps) > 2 and (steps > 0).all():
             return float(np.mean(np.abs(steps / np.median(steps) - 1.0) < TIMING)) > 0.7

@@ -297,9 +297,13 @@ def test_what_is_wrong_in_a_parquet_file_is_named(tmp_path):
 
 NPY_ERRORS = {
     "objects": (np.array([[1.0, None]], dtype=object), ValueError, "are never unpickled"),
-    "words": (np.array([["a", "b"]]), TypeError, "must hold real numbers, got entries of <U1"),
-    "complex": (np.ones((2, 2), complex), TypeError, "got entries of complex128"),
-    "booleans": (np.ones((2, 2), bool), TypeError, "got entries of bool"),
+    "words": (
+        np.array([["a", "b"]]),
+        TypeError,
+        "must be an array of numbers, got entries of type <U1",
+    ),
+    "complex": (np.ones((2, 2), complex), ValueError, "must be real, got complex entries"),
+    "booleans": (np.ones((2, 2), bool), TypeError, "got entries of type bool"),
     "scalar": (np.array(1.0), ValueError, r"an array \(N, columns\), got shape \(\)"),
     "cube": (np.ones((2, 2, 2)), ValueError, r"got shape \(2, 2, 2\)"),
     "not one": ("1,2\n", ValueError, "must be an NPY file of plain numbers"),

@@ -30,8 +30,8 @@ BAD_MATRICES = {
     "text": (lambda value: "matrix", TypeError, "array of numbers"),
     "words": (lambda value: [["a"]], TypeError, "array of numbers"),
     "none": (lambda value: None, TypeError, "array of numbers"),
-    "booleans": (lambda value: value != 0, TypeError, "entries of type bool; np.array"),
-    "objects": (lambda value: value.astype(object), TypeError, "entries of type object; np.array"),
+    "booleans": (lambda value: value != 0, TypeError, "entries of type bool: np.array"),
+    "objects": (lambda value: value.astype(object), TypeError, "entries of type object: np.array"),
     "quantity": (lambda value: value * pint.Unit("V"), TypeError, "numbers without a unit"),
     "quantities": (
         lambda value: [list(row * pint.Unit("V")) for row in value],
