@@ -61,14 +61,11 @@ class Record:
     index: int | None = None  # the column that is the index of a data frame
     dates: Mapping[int, Any] = {}  # the types of columns of dates and of lengths of time
     origin: Any = None  # the first date, from which seconds count, ns
+    pieces: Any  # a method: yields arrays with all columns, or tables with the chosen ones
 
     def name(self, column: int) -> str:
         """Return what a column is called in messages."""
         return f"column {column}" + (f" ({self.names[column]!r})" if self.names else "")
-
-    def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:
-        """Yield arrays with all columns, or tables of Arrow with the chosen ones."""
-        raise NotImplementedError
 
     def rows(self, columns: list[int], chunk: int) -> Iterator[Matrix]:
         """Yield the numbers of columns of the next rows; dates are in s since the first."""
@@ -89,15 +86,13 @@ class Record:
             return cells.cast("double", safe=False).to_numpy(zero_copy_only=False)
         ticks = cells.cast(self.dates[column]).cast("int64").to_numpy(zero_copy_only=False)
         if self.origin is None:
-            self.origin = ticks[0] if self._has_dates(column) else 0
+            self.origin = 0 if str(self.dates[column]).startswith("duration") else ticks[0]
         return (ticks - self.origin) / 1e9
-
-    def _has_dates(self, column: int | None) -> bool:
-        return str(self.dates.get(column)).startswith("timestamp")
 
     def in_clock(self, column: int | None, times: Matrix, file: bool = True) -> Any:
         """Return times in s as a column has them; in a file, lengths of time are in s."""
-        if column not in self.dates or (file and not self._has_dates(column)):
+        kind = str(self.dates.get(column))
+        if kind == "None" or (file and kind.startswith("duration")):
             return times
         ticks = (self.origin or 0) + np.round(1e9 * times).astype(np.int64)
         return pyarrow().array(ticks).cast(self.dates[column])
@@ -114,35 +109,30 @@ class Record:
             what = re.sub(r"Row #(\d+)", lambda n: f"line {self.first + int(n[1]) - 1}", str(error))
             raise ValueError(f"{self.path}: {what[:200]}{self.advice}") from None
 
-    def as_given(self, clock: int | None, times: Matrix, w: Matrix) -> Any:
-        """Return estimates in memory as what the record is, with their times in a table."""
-        return w
-
 
 class Array(Record):
     """An array (N, columns) or (N,), in memory or in an NPY file."""
 
     def __init__(self, source: Any) -> None:
-        self._source, self.path = source, source if isinstance(source, Path) else "source"
-        array = self._open()
-        self._source, shape = source if isinstance(source, Path) else array, array.shape
-        if len(shape) not in (1, 2):
+        self._map = lambda: source
+        if isinstance(source, Path):
+            self.path, self._map = source, lambda: npy.open_memmap(source, mode="r")
+        try:
+            array = self._map()
+        except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
+            plain = "plain numbers, without Python objects, which are never unpickled"
+            raise ValueError(f"{self.path} must be an NPY file of {plain}: {error}") from None
+        array = validation.numbers_of(str(self.path), array)
+        if array.ndim not in (1, 2):
+            shape = array.shape
             raise ValueError(f"{self.path} must hold an array (N, columns), got shape {shape}")
-        self.size, self.width = (*shape, 1)[:2]
-
-    def _open(self) -> Any:
-        array = self._source
-        if isinstance(array, Path):
-            try:
-                array = npy.open_memmap(array, mode="r")
-            except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
-                plain = "plain numbers, without Python objects, which are never unpickled"
-                raise ValueError(f"{self.path} must be an NPY file of {plain}: {error}") from None
-        return validation.numbers_of(str(self.path), array)
+        if not isinstance(source, Path):
+            self._map = lambda: array
+        self.size, self.width = (*array.shape, 1)[:2]
 
     def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:  # noqa: D102
         for i in range(0, self.size, chunk):
-            part = self._open()[i : i + chunk]  # mapped anew: what was read need not stay in memory
+            part = self._map()[i : i + chunk]  # anew: what was read need not stay in memory
             self.read = i + len(part)
             yield part.reshape(-1, self.width)
 
@@ -155,15 +145,12 @@ class Table(Record):
         with self._failures():
             if isinstance(source, Path):
                 file = pyarrow().parquet.ParquetFile(source)
-                self.size, schema, self._batches = (
-                    file.metadata.num_rows,
-                    file.schema_arrow,
-                    file.iter_batches,
-                )
+                self.size, schema = file.metadata.num_rows, file.schema_arrow
+                self._batches = lambda keys, chunk: file.iter_batches(chunk, columns=keys)
             else:
                 table = pyarrow().table(_frame(source))
                 self.size, schema = len(table), table.schema
-                self._batches = lambda chunk, columns: table.select(columns).to_batches(chunk)
+                self._batches = lambda keys, chunk: table.select(keys).to_batches(chunk)
         self._keys, self.width = schema.names, len(schema.names)
         self.names = [re.sub("^__index_level_0__$", "time", name) for name in self._keys]
         kept = (schema.pandas_metadata or {}).get("index_columns", [])
@@ -180,12 +167,13 @@ class Table(Record):
                 self.dates[column] = pyarrow().duration("ns")
 
     def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:  # noqa: D102
-        self.read = 0
-        for batch in self._batches(chunk, columns=[self._keys[i] for i in columns]):
+        self.read, keys = 0, [self._keys[i] for i in columns]
+        for batch in self._batches(keys, chunk):
             self.read += len(batch)
-            yield batch
+            yield batch.select(keys)  # in this order
 
-    def as_given(self, clock: int | None, times: Matrix, w: Matrix) -> Any:  # noqa: D102
+    def as_given(self, clock: int | None, times: Matrix, w: Matrix) -> Any:
+        """Return estimates with their times as what the record is."""
         name = "time" if clock is None else self.names[clock]
         table = table_of(self.in_clock(clock, times, file=False), w, name)
         frame = _frame(self._source)
@@ -233,14 +221,9 @@ class Csv(Record):
         self.first = 1 + validation.integer("skip_rows", skip, low=0)
         with self._failures(), _Text(path, skip) as text:
             lines = [text.readline(BLOCK) for _ in range(2)]
-            for rule, broken in {
-                "begin with a header or a row of numbers, not a blank": not lines[0].strip(),
-                f"have lines of less than {BLOCK} bytes": BLOCK in map(len, lines),
-                "be text in UTF-8 with line ends of LF": re.search(rb"[\0-\10]|\r(?!\n)", lines[0]),
-                "have one space between numbers": delimiter == " " and b"  " in lines[0],
-            }.items():
-                if broken:
-                    raise ValueError(f"{path} must {rule}")
+            if not lines[0].strip() or re.search(rb"[\0-\10]|\r(?!\n)", lines[0]):
+                rule = "begin with names or numbers, in UTF-8 with line ends of LF"
+                raise ValueError(f"{path} must {rule}, got {lines[0][:20]!r}")
             decoded = [line.decode("utf-8-sig", "replace") for line in lines]
             rows = csv.reader(decoded, delimiter=delimiter)
             head, below = ([cell.strip() for cell in next(rows, ())] for _ in lines)
@@ -339,7 +322,7 @@ def table_of(times: Any, w: Matrix, name: str = "time") -> Any:
 
 @contextmanager
 def writer(
-    path: Path, record: Record, clock: int | None, delimiter: str, outputs: int, begin: int
+    record: Record, clock: int | None, delimiter: str, outputs: int, path: Path, begin: int
 ) -> Iterator[Any]:
     """Open a file of which so many bytes stay; give what appends times and estimates, and it."""
     with open(path, "r+b" if begin else "wb") as file:

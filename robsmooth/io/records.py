@@ -4,29 +4,24 @@ A record has a row for each sample and a column for each measurement, the mean o
 sample's interval: in a file or in memory (`robsmooth.io.formats`).
 """
 
-import base64
-import functools
-import hashlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from itertools import chain
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from robsmooth._support import validation
-from robsmooth._support.checkpoint import ANEW, CheckpointError, Journal, open_journal
-from robsmooth._support.files import atomic_path
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.discrete import OUTPUTS, DiscreteSmoother
 from robsmooth.io import formats
 from robsmooth.io.formats import Record
+from robsmooth.io.resumption import written
 
 CHUNK = 65_536  # rows
-KEPT = 64  # chunks, after which a run that can be resumed writes how far it is
 TIMING = 0.5  # of a sample: by how much a row may come too early or too late
 DRIFT = 1e-3  # by how much the record's clock may differ from dt's
 HEAD = 1000  # rows by which times are known
@@ -63,8 +58,8 @@ def smooth_record(
     smoother : DiscreteSmoother, made by ``estimator.discretize(dt)``
     source : path, array, data frame or iterator
         A ``.csv``, ``.tsv``, ``.parquet`` or ``.npy`` file, the former two in gzip or not; an array
-        (N, columns) or (N,); a frame or series of pandas, polars or xarray, or a table of PyArrow;
-        or an iterator of any of these. What is nan, null, masked or a gap is missing.
+        (N, columns) or (N,); a frame or series of pandas, polars or xarray, a table of PyArrow; or
+        an iterator of these. What is nan, null, masked or a gap is missing.
     target : path, optional
         For the estimates: a ``.csv`` or ``.tsv`` file with the columns ``time``, ``w[0]``,
         ``w[1]``..., in gzip as ``.csv.gz``, or a ``.npy`` file of an (N, m) array.
@@ -73,22 +68,19 @@ def smooth_record(
         of the nonlinearities, as in `DiscreteSmoother.run`: indices, or names.
     time : int, str or False, optional
         A column with the begins of the rows' intervals, s or dates; by default a frame's index that
-        does more than count. A row that is missing, or a wrong dt, is refused. The times of the
-        estimates are in this clock: a row's time plus dt, less the `delay` where they are smoothed;
-        without it, those of `DiscreteSmoother.times`. A column that looks like times is refused as
-        a measurement by default, and checked where ``columns`` leaves it out; with False neither.
+        does more than count. A row that is missing, or a wrong dt, is refused. Estimates have times
+        of this clock: a row's plus dt, less the `delay` where they are smoothed; else those of
+        `DiscreteSmoother.times`. A column that looks like times is refused as a measurement, and
+        checked where ``columns`` leaves it out; with False neither is done.
     output : {"smoothed", "filtered"}, which estimates are wanted
     delimiter, decimal : str, one character each of CSV files, by their suffix and "." by default
-    header : bool, optional
-        Whether a CSV file begins with names; by default whether its first line has words and no
-        numbers. One that may be either, as ``0,1`` or ``NA,NA``, is refused.
+    header : bool, whether a CSV file begins with names, where its first line leaves that open
     skip_rows : int, lines of a CSV file before the header or the first sample
     missing : str or sequence of str, what stands for a gap in a CSV file
     chunk : int, rows in memory at a time
     progress : bool, whether to show a progress bar
-    resume : bool
-        Whether an interrupted run leaves ``target.part`` and ``target.resume``, from which the same
-        call goes on, to the same bytes.
+    resume : bool, whether an interrupted run leaves ``target.part`` and ``target.resume``, from
+        which the same call goes on, to the same bytes
 
     Returns
     -------
@@ -114,6 +106,7 @@ def smooth_record(
     validation.instance("smoother", smoother, DiscreteSmoother)
     output = validation.choice("output", output, OUTPUTS)
     validation.boolean("progress", progress)
+    validation.boolean("resume", resume)
     chunk = validation.integer("chunk", chunk, low=1)
     record = formats.opened(source, delimiter, decimal, header, skip_rows, missing)
     path, mark = _target(record, target, delimiter, resume)
@@ -127,48 +120,34 @@ def smooth_record(
         return smoother.times(len(y), output) if clock is None else own[:, 0] + shift, w
 
     pieces = _shown(record, _checked(record, chosen, ends, smoother.dt, chunk), progress)
-    if path is None and isinstance(record, formats.Chunks):
+    if target is None and isinstance(record, formats.Chunks):
         return (smooth(values)[1] for values in pieces)
     before = smoother._checkpoint()
     try:
-        if path is None:
+        if target is None:
             none = np.empty(0), np.empty((0, smoother.m))
             times, w = map(np.concatenate, zip(none, *map(smooth, pieces), strict=True))
-            return record.as_given(clock, times, w)
-        notes, identity = None, {}
-        if resume:
-            notes = path.with_name(path.name + ".resume")
-            first = next(pieces, np.empty((0, len(chosen))))
-            estimates = hashlib.sha256(smooth(first)[1].tobytes()).hexdigest()
-            smoother._restore(before)
-            pieces = chain([first], pieces)
-            identity = {"smoother": repr(smoother), "columns": chosen, "clock": clock}
-            identity |= {"delimiter": mark, "chunk": chunk, "first estimates": estimates}
-        kept = ".part" if resume else ""
-        with open_journal(notes, identity) as journal, atomic_path(path, kept) as partial:
-            append = functools.partial(formats.writer, partial, record, clock, mark, smoother.m)
-            rows = _write(smoother, smooth, pieces, partial, append, journal)
-        if notes:
-            notes.unlink()
-        return rows
+            frame = isinstance(record, formats.Table)
+            return record.as_given(clock, times, w) if frame else w
+        identity = {"columns": chosen, "clock": clock, "delimiter": mark, "chunk": chunk}
+        writer = partial(formats.writer, record, clock, mark, smoother.m)
+        return written(smoother, smooth, pieces, path, writer, identity if resume else None)
     except BaseException:
         smoother._restore(before)
         raise
 
 
-def _target(
-    record: Record, target: str | os.PathLike[str] | None, delimiter: str | None, resume: bool
-) -> tuple[Path | None, str]:
+def _target(record: Record, target: Any, delimiter: str | None, resume: bool) -> tuple[Path, str]:
     """Return where to write, and the delimiter there."""
     if target is None:
         if resume or isinstance(record.path, Path):
             raise TypeError("target must be given where source is a file, and for resume=True")
-        return None, ""
+        return Path(), ""
     path = Path(os.path.expanduser(target))
     mark = formats.delimiter_of("target", path, delimiter)
     if isinstance(record.path, Path) and path.exists() and path.samefile(record.path):
         raise ValueError(f"target must be another file than source, got {path} for both")
-    if validation.boolean("resume", resume) and path.suffix.lower() == ".gz":
+    if resume and path.suffix.lower() == ".gz":
         raise ValueError(f"target must be no file in gzip where resume=True, got {path}")
     return path, mark
 
@@ -182,63 +161,6 @@ def _shown(record: Record, pieces: Iterator[Matrix], progress: bool) -> Iterator
             bar.update(record.read - bar.n)
 
 
-def _write(
-    smoother: DiscreteSmoother,
-    smooth: Callable[[Matrix], tuple[Matrix, Matrix]],
-    pieces: Iterator[Matrix],
-    partial: Path,
-    append: Callable[[int], Any],
-    journal: Journal | None,
-) -> int:
-    """Write the estimates that a journal does not have yet, and return the number of all rows."""
-    rows, begin, digest = 0, 0, hashlib.sha256()
-    if journal and (last := journal.last):
-        for values in pieces:
-            digest.update(values.tobytes())
-            rows += len(values)
-            if rows >= last["rows"]:
-                break
-        begin = last["bytes"]
-        there = partial.stat().st_size if partial.exists() else 0
-        if digest.hexdigest() != last["digest"] or there < begin:
-            what = f"of another record, or of another file than {partial}"
-            raise CheckpointError(f"the checkpoint {journal.path} is {what}: {ANEW}")
-        _set_state(smoother, last)
-    with append(begin) as (put, file):
-        for number, values in enumerate(pieces, 1):
-            put(*smooth(values))
-            rows += len(values)
-            if journal:
-                digest.update(values.tobytes())
-            if journal and number % KEPT == 0:
-                file.flush()
-                os.fsync(file.fileno())
-                so_far = {"rows": rows, "bytes": file.tell(), "digest": digest.hexdigest()}
-                journal.append(so_far | _state(smoother))
-    return rows
-
-
-def _arrays(smoother: DiscreteSmoother) -> tuple[Matrix, ...]:
-    memory = smoother._checkpoint()[0]
-    return memory if isinstance(memory, tuple) else (memory,)
-
-
-def _state(smoother: DiscreteSmoother) -> dict[str, Any]:
-    """Return a smoother's state for a journal, to the last bit."""
-    state = [base64.b64encode(each.tobytes()).decode() for each in _arrays(smoother)]
-    return {"samples": smoother.samples, "state": state}
-
-
-def _set_state(smoother: DiscreteSmoother, journal: dict[str, Any]) -> None:
-    memory = smoother._checkpoint()[0]
-    state = [
-        np.frombuffer(base64.b64decode(text), each.dtype).reshape(each.shape).copy()
-        for text, each in zip(journal["state"], _arrays(smoother), strict=True)
-    ]
-    new = type(memory)(*state) if isinstance(memory, tuple) else state[0]
-    smoother._restore((new, journal["samples"]))
-
-
 def _choice(
     record: Record, smoother: DiscreteSmoother, *given: Columns
 ) -> tuple[list[int], int | None]:
@@ -248,16 +170,16 @@ def _choice(
     times = _positions(record, "time", time, 1)
     if time is None and record.index is not None:
         times = [record.index]
+    clock = times[0] if times else None
     measured = _positions(record, "columns", columns, smoother.l)
     used = {*known, *times, *measured, record.index}
     rest = [i for i in range(record.width) if i not in used]
-    clock = times[0] if times else None
-    if time is None and not times:
+    if time is None and clock is None:
         times = [i for i in rest if i in record.dates or _rises_evenly(record, i)][:1]
-    if columns is None and clock is None and times:
-        found, says = record.name(times[0]), f"say time={times[0]}, or time=False where it is not"
-        raise ValueError(f"{record.path}: {found} looks like times: {says}")
     if columns is None:
+        if times and clock is None:
+            what = f"{record.path}: {record.name(times[0])} looks like times"
+            raise ValueError(f"{what}: say time={times[0]}, or time=False where it is not")
         measured = _positions(record, "columns", rest, smoother.l)
     chosen = [*measured, *known, *times]
     if len({*chosen}) < len(chosen) or record.dates.keys() & {*measured, *known}:

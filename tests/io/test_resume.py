@@ -10,7 +10,7 @@ import pytest
 
 from robsmooth._support.checkpoint import CheckpointError
 from robsmooth.estimators import baselines
-from robsmooth.io import records
+from robsmooth.io import resumption
 from robsmooth.io.records import smooth_record
 from tests.helpers.strategies import random_system
 from tests.io.test_records import DT, csv_text, discrete, record
@@ -171,7 +171,7 @@ def cut(path):
     path.write_bytes(path.read_bytes()[:-1])
 
 
-STATE = b'"state": ["'
+STATE = b'"state": "'
 
 
 def flipped(path):
@@ -199,14 +199,14 @@ def test_a_damaged_checkpoint_is_refused(stopped, name, damage, message):
 
 
 def test_two_runs_at_a_time_are_refused(stopped, monkeypatch):
-    write = records._write
+    append = resumption._append
 
     def twice(*arguments):
         with pytest.raises(CheckpointError, match="is in use by another run"):
             smooth_record(discrete(), stopped / "y.npy", stopped / "w.csv", **CALL)
-        return write(*arguments)
+        return append(*arguments)
 
-    monkeypatch.setattr(records, "_write", twice)
+    monkeypatch.setattr(resumption, "_append", twice)
     assert smooth_record(discrete(), stopped / "y.npy", stopped / "w.csv", **CALL) == ROWS
 
 

@@ -1,0 +1,102 @@
+"""Estimates written to a file, where a run that was interrupted may go on.
+
+Such a run leaves what it wrote, and a journal of how far it was, with the smoother's state. To go
+on, the record is read from its begin and compared by a digest; what was written after the journal's
+last note is cut off.
+"""
+
+import base64
+import hashlib
+import io
+import os
+from collections.abc import Callable, Iterator
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robsmooth._support.checkpoint import ANEW, CheckpointError, Journal, open_journal
+from robsmooth._support.files import atomic_path
+from robsmooth._support.validation import Matrix
+from robsmooth.estimators.discrete import DiscreteSmoother
+
+KEPT = 64  # chunks, after each of which the journal takes a note
+Smooth = Callable[[Matrix], tuple[Matrix, Matrix]]
+
+
+def written(
+    smoother: DiscreteSmoother,
+    smooth: Smooth,
+    pieces: Iterator[Matrix],
+    target: Path,
+    writer: Callable[[Path, int], Any],
+    identity: dict[str, Any] | None,
+) -> int:
+    """Write the estimates of a record's pieces; return the number of rows.
+
+    With an identity, an interrupted run can be gone on with by one that has the same.
+    """
+    if identity is None:
+        with atomic_path(target) as path:
+            return _append(smoother, smooth, pieces, path, writer, None)
+    before, first = smoother._checkpoint(), list(islice(pieces, 1))
+    estimates = b"".join(smooth(values)[1].tobytes() for values in first)
+    smoother._restore(before)
+    digest = hashlib.sha256(estimates).hexdigest()  # by which smoothers differ
+    identity |= {"smoother": repr(smoother), "first estimates": digest}
+    notes = target.with_name(target.name + ".resume")
+    with open_journal(notes, identity) as journal, atomic_path(target, ".part") as path:
+        rows = _append(smoother, smooth, chain(first, pieces), path, writer, journal)
+    notes.unlink()
+    return rows
+
+
+def _append(
+    smoother: DiscreteSmoother,
+    smooth: Smooth,
+    pieces: Iterator[Matrix],
+    path: Path,
+    writer: Callable[[Path, int], Any],
+    journal: Journal | None,
+) -> int:
+    """Write what a journal does not have yet, and return the number of all rows."""
+    rows, begin, digest = 0, 0, hashlib.sha256()
+    if journal and (last := journal.last):
+        while rows < last["rows"] and (values := next(pieces, None)) is not None:
+            rows += len(values)
+            digest.update(values.tobytes())
+        begin = last["bytes"]
+        there = path.stat().st_size if path.exists() else 0
+        if digest.hexdigest() != last["digest"] or there < begin:
+            what = f"of another record, or of another file than {path}"
+            raise CheckpointError(f"the checkpoint {journal.path} is {what}: {ANEW}")
+        smoother._restore((_unpacked(smoother, last["state"]), last["samples"]))
+    with writer(path, begin) as (put, file):
+        for number, values in enumerate(pieces, 1):
+            put(*smooth(values))
+            rows += len(values)
+            if journal is None:
+                continue
+            digest.update(values.tobytes())
+            if number % KEPT == 0:
+                file.flush()
+                os.fsync(file.fileno())
+                place = {"rows": rows, "bytes": file.tell(), "digest": digest.hexdigest()}
+                state = {"samples": smoother.samples, "state": _packed(smoother)}
+                journal.append(place | state)
+    return rows
+
+
+def _packed(smoother: DiscreteSmoother) -> str:
+    """Return a smoother's memory as text."""
+    memory, file = smoother._checkpoint()[0], io.BytesIO()
+    np.savez(file, *(memory if isinstance(memory, tuple) else [memory]))
+    return base64.b64encode(file.getvalue()).decode()
+
+
+def _unpacked(smoother: DiscreteSmoother, text: str) -> Any:
+    """Return the memory that a text has for a smoother of this kind."""
+    arrays = [*np.load(io.BytesIO(base64.b64decode(text))).values()]
+    kind = type(smoother._checkpoint()[0])
+    return kind(*arrays) if issubclass(kind, tuple) else arrays[0]
