@@ -13,6 +13,7 @@ from robsmooth._support.tables import Table
 from robsmooth.paper import figures
 
 FOLDER = Path(__file__).parent
+RATES = ("rate", "reader")
 BUSY = 0.3  # of the cores
 BEGIN, END = "<!-- bench: written by make bench -->", "<!-- end of bench -->"
 # What we want: how many times as fast as a peer robsmooth is at least, in which precision.
@@ -179,6 +180,24 @@ def records_table(results: dict) -> Table:
     )
 
 
+def files_table(results: dict) -> Table:
+    """Return how many rows a second are smoothed from file to file."""
+    measured = results["files"]
+    rows = []
+    for name, row in measured["paths"].items():
+        rates = [_span(row[of] / 1e6, [q / 1e6 for q in row[f"{of}_quartiles"]]) for of in RATES]
+        rows.append((name, *rates, _span(row["share"], row["share_quartiles"])))
+    return Table(
+        columns=("from file to file", "million rows/s", "its reader alone", "share"),
+        rows=rows,
+        caption=(
+            f"`smooth_record` on {measured['rows']:,} rows of one measurement, on one core, beside "
+            "what reads the file and does nothing with it (PyArrow, NumPy for NPY): medians of "
+            f"{measured['rounds']} interleaved rounds, with quartiles."
+        ),
+    )
+
+
 def design_table(results: dict) -> Table:
     """Return how long a design and a sweep over its uncertainty take."""
     names = {
@@ -247,6 +266,12 @@ def words(results: dict) -> Iterator[str]:
         f"{_span(records['scipy.signal.dlsim']['ratio'])} times its dlsim; with compiled copies, "
         f"which lfilter cannot have, at {copies['rate'] / 1e6:.0f} million."
     )
+    paths = results["files"]["paths"]
+    csv, npy = (f"{paths[name]['rate'] / 1e6:.1f}" for name in ("csv to npy", "npy to npy"))
+    yield (
+        f"From file to file it is {csv} million rows a second from CSV, of which PyArrow alone "
+        f"reads {paths['csv to npy']['reader'] / 1e6:.1f} million, and {npy} million from NPY."
+    )
     waits = results["design"]
     yield (
         f"A design of the example takes {1e3 * waits['design']:.2g} ms, and a sweep over 101 "
@@ -281,6 +306,7 @@ def markdown(results: dict) -> str:
         *(table.markdown() for table in scale_tables(results)),
         "## Records",
         records_table(results).markdown(),
+        files_table(results).markdown(),
         "## Design",
         design_table(results).markdown(),
         "## Guarantees",

@@ -168,7 +168,15 @@ def test_bench_measures_and_prints(capfd):
     before = [path.stat().st_mtime_ns for path in kept]
     assert cli.main(["bench", "--quick", "--peers", "NumPy,Octave"]) == 0
     printed = capfd.readouterr().out
-    for text in ("| NumPy, float64 |", "| threads |", "| order |", "runs^", "steps^", "lfilter |"):
+    for text in (
+        "| NumPy, float64 |",
+        "| threads |",
+        "| order |",
+        "runs^",
+        "steps^",
+        "lfilter |",
+        "csv to csv |",
+    ):
         assert text in printed
     skipped = "skipped: Octave, vectorised: octave is not installed"
     assert ("| Octave, vectorised |" in printed) != (skipped in printed)
@@ -251,3 +259,11 @@ def test_the_record_smooths_millions_of_samples_a_second(results):
     for name in ("robsmooth", "robsmooth, a gap in ten", "robsmooth, compiled copies"):
         assert records[name]["rate"] > 1e6, name
     assert records["scipy.signal.lfilter"]["ratio"] > 0.5
+
+
+def test_the_record_says_what_files_cost(results):
+    paths = results["files"]["paths"]
+    assert list(paths) == ["csv to csv", "csv to npy", "npy to npy", "parquet to npy"]
+    for name, row in paths.items():
+        assert row["rate"] > 5e5, name
+        assert row["share"] < 1.0, name

@@ -113,10 +113,11 @@ assert_type(checked, rs.RecordCheck)
 assert_type(checked.mean_square, float)
 assert_type(checked.sentence, str)
 np.save("record.npy", np.ones((10, 1)))
-assert_type(rs.smooth_record(discrete, "record.npy", Path("smoothed.npy")), int)
+assert rs.smooth_record(discrete, "record.npy", Path("smoothed.npy")) == 10
 np.savetxt("record.csv", np.ones((10, 1)))
-assert_type(rs.smooth_record(discrete, "record.csv", "smoothed.csv", header=False), int)
-assert_type(rs.smooth_record(discrete, "record.csv", "w.tsv", time=False, header=False), int)
+assert rs.smooth_record(discrete, "record.csv", "smoothed.csv", header=False) == 10
+assert rs.smooth_record(discrete, "record.csv", "w.tsv", time=False, resume=True, header=False) == 10
+assert rs.smooth_record(discrete, np.ones((10, 1))).shape == (10, 1)
 rs.save(smoother, "smoother.toml")
 loaded = rs.load(Path("smoother.toml"), functions={})
 assert_type(loaded, rs.UncertainSystem | rs.AugmentedSystem | rs.Estimator)
