@@ -211,6 +211,9 @@ def delta_sweep(
     slopes = validation.array("nonlinearities", nonlinearities, ndim=1)
     validation.choice("output", output, OUTPUTS)
     plant = smoother.plant
+    if not plant.system.g:
+        advice = "error_covariance has the error under its uncertainties"
+        raise ValueError(f"smoother must be of a system with nonlinearities to sweep: {advice}")
     pattern = plant.structured_delta((), [1.0] * plant.system.g)
     _check_norm(plant, np.abs(slopes).max(initial=0.0) * pattern)
     size = slopes.size * (plant.n + len(smoother.A_c)) ** 2

@@ -242,6 +242,12 @@ def wider(estimator):
     )
 
 
+def test_a_sweep_wants_nonlinearities():
+    system = random_system(np.random.default_rng(0), g=0)
+    with pytest.raises(ValueError, match="smoother must be of a system with nonlinearities"):
+        delta_sweep(baselines.kalman_bucy(system), [0.0, 1.0])
+
+
 def test_an_estimator_of_another_order_has_the_covariance_of_its_loop(example):
     Delta = example.plant.structured_delta((), [-0.4])
     for output in ("smoothed", "filtered"):
