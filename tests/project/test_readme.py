@@ -22,10 +22,12 @@ def test_the_examples_on_ones_own_system_run_as_printed(capsys, tmp_path, monkey
     assert np.load("smoothed.npy").shape == (100, 1)
 
 
-def test_the_example_of_the_page_on_data_runs_as_printed(capsys):
-    text = (ROOT / "docs" / "source" / "data.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize("page", ["data.md", "csv.md", "frame.md"])
+def test_the_example_of_a_page_runs_as_printed(page, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "source" / page).read_text(encoding="utf-8")
     (example,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
-    exec(compile(example, "data.md", "exec"), {})
+    exec(compile(example, page, "exec"), {})
     (printed,) = re.findall(r"```text\n(.*?)```", text, flags=re.DOTALL)
     assert capsys.readouterr().out == printed
 
