@@ -7,7 +7,7 @@ import os
 import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from tokenize import TokenError
@@ -20,7 +20,6 @@ from robsmooth._support import validation
 from robsmooth._support.extras import extra
 from robsmooth._support.validation import Matrix
 
-HEADER = 128  # bytes of an NPY file that is written
 BLOCK = 1 << 18  # bytes of a CSV file at a time, and more than a line of it has
 DATE = re.compile(r"\d{4}-\d\d-\d\d(?:[T ][\d:.]*(Z|[-+]\d\d:?\d\d)?)?")
 MISSING = ("", "NA", "N/A", "#N/A", "null", "nan", ".")
@@ -188,9 +187,8 @@ class Chunks(Record):
 
     def __init__(self, chunks: Iterator[Any]) -> None:
         self._rest = map(in_memory, chunks)
-        self._head = next((part for part in self._rest if part.size != 0), None)
-        if self._head is None:
-            raise ValueError("source must have rows, got an iterator without any")
+        none = Array(np.empty((0, 0)))
+        self._head = next((part for part in self._rest if part.size != 0), none)
         for name in ("width", "names", "index", "dates"):
             setattr(self, name, getattr(self._head, name))
 
@@ -318,32 +316,3 @@ def table_of(times: Any, w: Matrix, name: str = "time") -> Any:
     """Return a table of Arrow with estimates and their times."""
     names = [name, *(f"w[{i}]" for i in range(w.shape[1]))]
     return pyarrow().table([times, *w.T], names=names)
-
-
-@contextmanager
-def writer(
-    record: Record, clock: int | None, delimiter: str, outputs: int, path: Path, begin: int
-) -> Iterator[Any]:
-    """Open a file of which so many bytes stay; give what appends times and estimates, and it."""
-    with open(path, "r+b" if begin else "wb") as file:
-        file.truncate(begin)
-        file.seek(begin)
-        if not delimiter:
-            file.write(bytes(HEADER if not begin else 0))
-            yield lambda _, w: file.write(w.astype("<f8").tobytes()), file
-            rows = (file.tell() - HEADER) // (8 * outputs)
-            header = {"descr": "<f8", "fortran_order": False, "shape": (rows, outputs)}
-            file.seek(0)
-            npy.write_array_header_1_0(file, header)
-            return
-        write, style = pyarrow().csv.write_csv, {"delimiter": delimiter, "quoting_style": "none"}
-        bare = pyarrow().csv.WriteOptions(include_header=False, **style)
-        zipped = gzip.GzipFile("", "wb", 6, file, 0) if path.suffix.lower() == ".gz" else None
-        with zipped or nullcontext(file) as sink:
-            if not begin:
-                names = table_of(np.empty(0), np.empty((0, outputs))).column_names
-                sink.write(f"{delimiter.join(names)}\n".encode())
-            yield (
-                lambda times, w: write(table_of(record.in_clock(clock, times), w), sink, bare),
-                file,
-            )

@@ -17,9 +17,8 @@ from robsmooth._support import validation
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.discrete import OUTPUTS, DiscreteSmoother
-from robsmooth.io import formats
+from robsmooth.io import formats, targets
 from robsmooth.io.formats import Record
-from robsmooth.io.resumption import written
 
 CHUNK = 65_536  # rows
 TIMING = 0.5  # of a sample: by how much a row may come too early or too late
@@ -73,10 +72,9 @@ def smooth_record(
         `DiscreteSmoother.times`. A column that looks like times is refused as a measurement, and
         checked where ``columns`` leaves it out; with False neither is done.
     output : {"smoothed", "filtered"}, which estimates are wanted
-    delimiter, decimal : str, one character each of CSV files, by their suffix and "." by default
-    header : bool, whether a CSV file begins with names, where its first line leaves that open
-    skip_rows : int, lines of a CSV file before the header or the first sample
-    missing : str or sequence of str, what stands for a gap in a CSV file
+    delimiter, decimal, header, skip_rows, missing : optional
+        How a CSV file is written: both marks; whether it begins with names, where its first line
+        leaves that open; how many lines stand before it; and the words for a gap.
     chunk : int, rows in memory at a time
     progress : bool, whether to show a progress bar
     resume : bool, whether an interrupted run leaves ``target.part`` and ``target.resume``, from
@@ -130,8 +128,8 @@ def smooth_record(
             frame = isinstance(record, formats.Table)
             return record.as_given(clock, times, w) if frame else w
         identity = {"columns": chosen, "clock": clock, "delimiter": mark, "chunk": chunk}
-        writer = partial(formats.writer, record, clock, mark, smoother.m)
-        return written(smoother, smooth, pieces, path, writer, identity if resume else None)
+        writer = partial(targets.writer, record, clock, mark, smoother.m)
+        return targets.written(smoother, smooth, pieces, path, writer, identity if resume else None)
     except BaseException:
         smoother._restore(before)
         raise

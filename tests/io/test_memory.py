@@ -233,7 +233,7 @@ REFUSED = {
     ),
     "names of an index": (pd.DataFrame(Y, index=30 * ["a"]), ValueError, "source: .*'a'"),
     "an iterator of numbers": (iter([1.0]), ValueError, "source must hold an array"),
-    "an empty iterator": (iter([]), ValueError, "source must have rows"),
+    "an empty iterator": (iter([]), ValueError, "2 columns of source, got 0"),
     "other columns later": (
         iter([pl.DataFrame(Y[:3], schema=["I", "Q"]), pl.DataFrame(Y[3:], schema=["Q", "I"])]),
         ValueError,

@@ -10,7 +10,7 @@ import pytest
 
 from robsmooth._support.checkpoint import CheckpointError
 from robsmooth.estimators import baselines
-from robsmooth.io import resumption
+from robsmooth.io import targets
 from robsmooth.io.records import smooth_record
 from tests.helpers.strategies import random_system
 from tests.io.test_records import DT, csv_text, discrete, record
@@ -199,14 +199,14 @@ def test_a_damaged_checkpoint_is_refused(stopped, name, damage, message):
 
 
 def test_two_runs_at_a_time_are_refused(stopped, monkeypatch):
-    append = resumption._append
+    append = targets._append
 
     def twice(*arguments):
         with pytest.raises(CheckpointError, match="is in use by another run"):
             smooth_record(discrete(), stopped / "y.npy", stopped / "w.csv", **CALL)
         return append(*arguments)
 
-    monkeypatch.setattr(resumption, "_append", twice)
+    monkeypatch.setattr(targets, "_append", twice)
     assert smooth_record(discrete(), stopped / "y.npy", stopped / "w.csv", **CALL) == ROWS
 
 

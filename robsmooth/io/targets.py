@@ -6,21 +6,27 @@ last note is cut off.
 """
 
 import base64
+import gzip
 import hashlib
 import io
 import os
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib import format as npy
 
 from robsmooth._support.checkpoint import ANEW, CheckpointError, Journal, open_journal
 from robsmooth._support.files import atomic_path
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.discrete import DiscreteSmoother
+from robsmooth.io import formats
+from robsmooth.io.formats import Record
 
+HEADER = 128  # bytes of an NPY file
 KEPT = 64  # chunks, after each of which the journal takes a note
 Smooth = Callable[[Matrix], tuple[Matrix, Matrix]]
 
@@ -100,3 +106,37 @@ def _unpacked(smoother: DiscreteSmoother, text: str) -> Any:
     arrays = [*np.load(io.BytesIO(base64.b64decode(text))).values()]
     kind = type(smoother._checkpoint()[0])
     return kind(*arrays) if issubclass(kind, tuple) else arrays[0]
+
+
+@contextmanager
+def writer(
+    record: Record, clock: int | None, delimiter: str, outputs: int, path: Path, begin: int
+) -> Iterator[Any]:
+    """Open a file of which so many bytes stay; give what appends times and estimates, and it."""
+    with open(path, "r+b" if begin else "wb") as file:
+        file.truncate(begin)
+        file.seek(begin)
+        if not delimiter:
+            file.write(bytes(HEADER if not begin else 0))
+            yield lambda _, w: file.write(w.astype("<f8").tobytes()), file
+            rows = (file.tell() - HEADER) // (8 * outputs)
+            header = {"descr": "<f8", "fortran_order": False, "shape": (rows, outputs)}
+            file.seek(0)
+            npy.write_array_header_1_0(file, header)
+            return
+        write, style = (
+            formats.pyarrow().csv.write_csv,
+            {"delimiter": delimiter, "quoting_style": "none"},
+        )
+        bare = formats.pyarrow().csv.WriteOptions(include_header=False, **style)
+        zipped = gzip.GzipFile("", "wb", 6, file, 0) if path.suffix.lower() == ".gz" else None
+        with zipped or nullcontext(file) as sink:
+            if not begin:
+                names = formats.table_of(np.empty(0), np.empty((0, outputs))).column_names
+                sink.write(f"{delimiter.join(names)}\n".encode())
+            yield (
+                lambda times, w: write(
+                    formats.table_of(record.in_clock(clock, times), w), sink, bare
+                ),
+                file,
+            )
