@@ -61,8 +61,7 @@ LIBRARY_PYTHON = build/library/bin/python
 test-library: .uv/stamp  ## the library's tests, without the lock: see RESOLUTION and PYTHON
 	@$(UV) venv --quiet --clear --python '$(PYTHON)' build/library
 	@$(UV) pip install --quiet --python $(LIBRARY_PYTHON) --resolution '$(RESOLUTION)' \
-	  --editable '.[control,cluster,records]'
-	@$(UV) pip install --quiet --python $(LIBRARY_PYTHON) --group test
+	  --editable '.[control,cluster,records]' --group test
 	@$(UV) pip list --python $(LIBRARY_PYTHON)
 	$(LIBRARY_PYTHON) -m pytest -n 2 --dist loadfile $(LIBRARY)
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
+from typing import Any
 
 
 class MissingExtraError(ImportError):
@@ -29,3 +30,11 @@ def check_installed(*packages: str) -> None:
     for package in packages:
         if find_spec(package) is None:
             raise ModuleNotFoundError(f"No module named {package!r}", name=package)
+
+
+def pyarrow() -> Any:
+    """Return PyArrow, which the extra ``records`` brings."""
+    with extra("records", "a data frame, CSV or Parquet"):
+        import pyarrow.csv
+        import pyarrow.parquet
+    return pyarrow

@@ -17,21 +17,13 @@ import numpy as np
 from numpy.lib import format as npy
 
 from robsmooth._support import validation
-from robsmooth._support.extras import extra
+from robsmooth._support.extras import pyarrow
 from robsmooth._support.validation import Matrix
 
 BLOCK = 1 << 18  # bytes of a CSV file at a time, and more than a line of it has
 DATE = re.compile(r"\d{4}-\d\d-\d\d(?:[T ][\d:.]*(Z|[-+]\d\d:?\d\d)?)?")
 MISSING = ("", "NA", "N/A", "#N/A", "null", "nan", ".")
 NO_NAMES = ("None", "<NA>", "NaT", "-", "--", "?")  # gaps of others rather than names of columns
-
-
-def pyarrow() -> Any:
-    """Return PyArrow, which an extra brings."""
-    with extra("records", "a table, or a CSV or Parquet file,"):
-        import pyarrow.csv
-        import pyarrow.parquet
-    return pyarrow
 
 
 def delimiter_of(name: str, path: Path, given: str | None) -> str:

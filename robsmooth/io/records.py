@@ -77,8 +77,7 @@ def smooth_record(
         leaves that open; how many lines stand before it; and the words for a gap.
     chunk : int, rows in memory at a time
     progress : bool, whether to show a progress bar
-    resume : bool, whether an interrupted run leaves ``target.part`` and ``target.resume``, from
-        which the same call goes on, to the same bytes
+    resume : bool, whether the same call goes on where it was interrupted, to the same bytes
 
     Returns
     -------
@@ -88,10 +87,9 @@ def smooth_record(
 
     Raises
     ------
-    ValueError, TypeError
-        For what cannot be read, or is no number; the message names the file, row and column.
-    ArithmeticError, OSError, ImportError
-        Where the state leaves the range of floats, or a file or the extra ``records`` is missing.
+    ValueError, TypeError, ArithmeticError, OSError, ImportError
+        For what cannot be read, or is no number, by file, row and column; where the state leaves
+        the range of floats; and where a file or the extra ``records`` is missing.
 
     Examples
     --------
@@ -152,8 +150,7 @@ def _target(record: Record, target: Any, delimiter: str | None, resume: bool) ->
 
 def _shown(record: Record, pieces: Iterator[Matrix], progress: bool) -> Iterator[Matrix]:
     """Show how much of a record was read."""
-    settings = {"total": record.size, "unit": record.unit, "unit_scale": True}
-    with progress_bar(shown=progress, **settings) as bar:
+    with progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress) as bar:
         for values in pieces:
             yield values
             bar.update(record.read - bar.n)
@@ -191,14 +188,17 @@ def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[
         return []
     path, names, found = record.path, list(record.names), []
     for column in [chosen] if isinstance(chosen, int | np.integer | str) else chosen:
-        if isinstance(column, str) and names.count(column) != 1:
+        named = isinstance(column, str)
+        if named and names.count(column) != 1:
             there = "twice" if column in names else "not"
             known = ", ".join(map(repr, names)) or "no header"
             raise ValueError(f"{name}: {column!r} is {there} in {path}, which has {known}")
-        index = names.index(column) if isinstance(column, str) else column
-        found.append(validation.integer(name, index, low=0))
+        index = validation.integer(name, names.index(column) if named else column, low=0)
         if index >= record.width:
             raise ValueError(f"{name}: {path} has {record.width} columns, there is no {index}")
+        if not named and str(index) in names and names[index] != str(index):
+            raise ValueError(f"{name}: {path} has another column named {index}: say names")
+        found.append(index)
     if len(found) != wanted:
         given = ", ".join(record.name(i) for i in found[:10])
         advice = "; its .T has a row for each sample" if record.size == wanted else record.advice

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.lib import format as npy
 
 from robsmooth._support.checkpoint import ANEW, CheckpointError, Journal, open_journal
+from robsmooth._support.extras import pyarrow
 from robsmooth._support.files import atomic_path
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.discrete import DiscreteSmoother
-from robsmooth.io import formats
-from robsmooth.io.formats import Record
+from robsmooth.io.formats import Record, table_of
 
 HEADER = 128  # bytes of an NPY file
 KEPT = 64  # chunks, after each of which the journal takes a note
@@ -125,18 +125,16 @@ def writer(
             npy.write_array_header_1_0(file, header)
             return
         write, style = (
-            formats.pyarrow().csv.write_csv,
+            pyarrow().csv.write_csv,
             {"delimiter": delimiter, "quoting_style": "none"},
         )
-        bare = formats.pyarrow().csv.WriteOptions(include_header=False, **style)
+        bare = pyarrow().csv.WriteOptions(include_header=False, **style)
         zipped = gzip.GzipFile("", "wb", 6, file, 0) if path.suffix.lower() == ".gz" else None
         with zipped or nullcontext(file) as sink:
             if not begin:
-                names = formats.table_of(np.empty(0), np.empty((0, outputs))).column_names
+                names = table_of(np.empty(0), np.empty((0, outputs))).column_names
                 sink.write(f"{delimiter.join(names)}\n".encode())
             yield (
-                lambda times, w: write(
-                    formats.table_of(record.in_clock(clock, times), w), sink, bare
-                ),
+                lambda times, w: write(table_of(record.in_clock(clock, times), w), sink, bare),
                 file,
             )

@@ -137,7 +137,7 @@ def test_in_a_checkout_the_command_says_what_is_not_installed(run):
             "import robsmooth as rs; system = rs.homodyne.PAPER.uncertain_system(); "
             "smoother = rs.baselines.kalman_bucy(system).discretize(1e-7); "
             "rs.smooth_record(smoother, 'y.csv', 'w.npy')",
-            "a CSV or Parquet file needs the package pyarrow: [records]",
+            "a data frame, CSV or Parquet needs the package pyarrow: [records]",
         ),
         (
             "from robsmooth.workbench import connect; connect('tcp://127.0.0.1:8786').__enter__()",
