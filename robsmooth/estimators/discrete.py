@@ -6,22 +6,27 @@ the equations in continuous time that they are (`robsmooth.estimators.held`).
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from threading import RLock
 from typing import Any, Literal, overload
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
-from robsmooth.estimators import sample_loop
+from robsmooth.estimators.copies import Functions, running_copies, running_functions
 from robsmooth.estimators.exact import ExactFilter
 from robsmooth.estimators.held import HeldEstimator
+from robsmooth.estimators.sample_loop import Samples
 from robsmooth.systems.system import covariance_root
 
 Floats = NDArray[np.float64]
 Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
 DELAYS = ("exact", "model")
+SAMPLES = ("means", "instants")
+_FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of samples that are as most are
+_SHORTEST = 1e-6  # times dt
+_ROWS = 4096  # of samples with lengths of their own, whose matrices are in memory at a time
 
 
 class DiscreteSmoother:
@@ -70,6 +75,7 @@ class DiscreteSmoother:
         delay: str | None = None,
         mean: ArrayLike | None = None,
         offset: ArrayLike | None = None,
+        samples: str = "means",
     ) -> None:
         self.dt: float = validation.positive("dt", dt)
         self.delay: float = estimator.plant.delay
@@ -88,15 +94,20 @@ class DiscreteSmoother:
         self._mean = _vector("mean", mean, system.n)
         self._offset = _vector("offset", offset, self.l) + system.C2 @ self._mean
         self._w = system.C0 @ self._mean
-        self._running = sample_loop.running_copies(estimator)
+        self._running = running_copies(estimator)
         arguments = [c.C @ self._mean for c in system.nonlinearities]
         self._shift = np.array(arguments).reshape(-1)[self._running]
-        run = sample_loop.running_functions(system.nonlinearities, functions, self._running)
-        self.compiled: bool = (
-            all(map(sample_loop.takes_numbers, run)) and not numba.config.DISABLE_JIT
-        )
-        kind = ExactFilter if self.exact else HeldEstimator
-        self._engine = kind(estimator, self.dt, self._running, run, self.compiled)
+        run = Functions(running_functions(system.nonlinearities, functions, self._running))
+        self.compiled: bool = run.compiled
+        given = estimator, self.dt, self._running, run
+        instants = validation.choice("samples", samples, SAMPLES) == "instants"
+        self._engine: ExactFilter | HeldEstimator
+        self._engine = ExactFilter(*given, instants) if self.exact else HeldEstimator(*given)
+        self._engine.usual = -self._shift
+        if instants:
+            self._exact("samples='instants'")
+        self._moved = bool(self._mean.any() or self._offset.any())
+        self._lock = RLock()
         self.reset()
 
     def __repr__(self) -> str:
@@ -136,6 +147,8 @@ class DiscreteSmoother:
         (rows,) array, s from the start or the last `reset`
         """
         rows = validation.integer("rows", rows, low=0)
+        if not self._even:
+            raise ValueError("rows had intervals of their own: their ends are np.cumsum(intervals)")
         if rows > self.samples:
             raise ValueError(f"rows must be at most the {self.samples} samples taken, got {rows}")
         delay = self.delay if validation.choice("output", output, OUTPUTS) == "smoothed" else 0.0
@@ -171,8 +184,10 @@ class DiscreteSmoother:
         if covariance is not None:
             root = covariance_root("covariance", covariance, n)
             covariance = root @ root.T
-        self._engine.start(state, covariance)
-        self.samples: int = samples
+        with self._lock:
+            self._engine.start(state, covariance)
+            self.samples: int = samples
+            self._even = True  # whether all samples had intervals of dt
 
     def step(
         self,
@@ -180,23 +195,37 @@ class DiscreteSmoother:
         *,
         reference: ArrayLike | None = None,
         inputs: ArrayLike | None = None,
+        interval: float | None = None,
     ) -> Floats:
         """Take one sample.
 
         Parameters
         ----------
-        y, reference, inputs : (l,), (g,) and (p,) arrays, a row of those of `run`
+        y, reference, inputs : (l,), (g,) and (p,) arrays, a row of those of `run`; y may be a float
+        interval : float, optional
+            The length of the sample's interval, s, `dt` by default
 
         Returns
         -------
         (m,) array, the smoothed estimate at the interval's end; `filtered` has the other
         """
-        y = np.asanyarray(y)
-        if y.ndim != 1:
-            raise ValueError(f"y must have shape ({self.l},), got shape {y.shape}")
-        rows = (None if each is None else np.asanyarray(each)[None] for each in (reference, inputs))
-        reference, inputs = rows
-        return self.run(y[None], reference=reference, inputs=inputs)[0]
+        if type(y) in _PLAIN and reference is None and interval is None and not self.p:
+            row = np.asarray(y)
+            if row.dtype is _FLOAT and row.size == self.l and row.ndim < 2:
+                with self._lock:
+                    found = self._engine.step(row - self._offset if self._moved else row)
+                    if found is not None:
+                        self.samples += 1
+                        return found + self._w if self._moved else found
+        rows = [
+            None if each is None else np.asanyarray(each)[None] for each in (y, reference, inputs)
+        ]
+        if rows[0].ndim == 1 and self.l == 1:
+            rows[0] = rows[0][:, None]
+        if rows[0].ndim != 2:
+            raise ValueError(f"y must have shape ({self.l},), got shape {np.shape(y)}")
+        of = None if interval is None else np.asarray(interval)[None]
+        return self._take(self._given(*rows, of), "smoothed", None, False)[0][0, 0]
 
     @overload
     def run(
@@ -206,6 +235,7 @@ class DiscreteSmoother:
         reference: ArrayLike | None = None,
         output: str = "smoothed",
         inputs: ArrayLike | None = None,
+        intervals: ArrayLike | None = None,
         return_std: Literal[False] = False,
     ) -> Floats: ...
     @overload
@@ -217,6 +247,7 @@ class DiscreteSmoother:
         reference: ArrayLike | None = None,
         output: str = "smoothed",
         inputs: ArrayLike | None = None,
+        intervals: ArrayLike | None = None,
         return_std: bool = False,
     ) -> Floats | Pair:
         r"""Take the samples of a record, or of a piece of it.
@@ -233,6 +264,9 @@ class DiscreteSmoother:
         output : {"smoothed", "filtered"}, which estimates to return
         inputs : (N, p) array, optional
             The means of the known inputs over the intervals, where the system has any.
+        intervals : (N,) array, optional
+            The lengths of the rows' intervals, s, where they are not `dt`; rounded to 1e-9 dt. The
+            matrices of each length are exact, and made once for those that come again.
         return_std : bool
             Whether to return the standard deviations of the errors, too. An exact smoother knows
             them for its nominal system: they grow in a gap, and at both ends of a record.
@@ -251,10 +285,11 @@ class DiscreteSmoother:
         ArithmeticError
             Where the state leaves the range of floats.
         """
-        lag = self._engine.samples_back if output == "smoothed" else 0
         if validation.boolean("return_std", return_std):
             self._exact("return_std")
-        found, spread = self._take(y, reference, inputs, output, [lag], return_std)
+        validation.choice("output", output, OUTPUTS)
+        given = self._given(y, reference, inputs, intervals)
+        found, spread = self._take(given, output, None, return_std)
         return (found[:, 0], spread[:, 0]) if return_std else found[:, 0]
 
     def bank(
@@ -264,12 +299,13 @@ class DiscreteSmoother:
         *,
         reference: ArrayLike | None = None,
         inputs: ArrayLike | None = None,
+        intervals: ArrayLike | None = None,
     ) -> Floats:
         """Take samples, and return the estimates at many lags in one pass.
 
         Parameters
         ----------
-        y, reference, inputs : as in `run`
+        y, reference, inputs, intervals : as in `run`
         lags : sequence of int
             In samples, ascending, at most the delay. A lag of d belongs to d intervals before the
             end of the row's.
@@ -284,7 +320,8 @@ class DiscreteSmoother:
         lags = [validation.integer("lags", lag, low=0) for lag in lags]
         if not lags or lags != sorted(set(lags)) or lags[-1] > longest:
             raise ValueError(f"lags must ascend, and be at most {longest}, got {lags}")
-        return self._take(y, reference, inputs, "filtered", lags, False)[0]
+        given = self._given(y, reference, inputs, intervals)
+        return self._take(given, "filtered", lags, False)[0]
 
     def two_sided(
         self,
@@ -292,6 +329,7 @@ class DiscreteSmoother:
         *,
         reference: ArrayLike | None = None,
         inputs: ArrayLike | None = None,
+        intervals: ArrayLike | None = None,
     ) -> Pair:
         """Return the estimates that use a whole record: fixed-interval smoothing.
 
@@ -299,14 +337,15 @@ class DiscreteSmoother:
 
         Parameters
         ----------
-        y, reference, inputs : as in `run`
+        y, reference, inputs, intervals : as in `run`
 
         Returns
         -------
         (N, m) array, estimates of w at the ends of the intervals
         (N, m) array, the standard deviations of their errors
         """
-        found, spread = self._exact("two_sided").two_sided(*self._given(y, reference, inputs))
+        engine = self._exact("two_sided")
+        found, spread = engine.two_sided(self._given(y, reference, inputs, intervals))
         return found + self._w, spread
 
     def innovations(
@@ -315,6 +354,7 @@ class DiscreteSmoother:
         *,
         reference: ArrayLike | None = None,
         inputs: ArrayLike | None = None,
+        intervals: ArrayLike | None = None,
     ) -> Floats:
         """Return the normalised innovations of a record: white, of variance one, by the model.
 
@@ -323,7 +363,7 @@ class DiscreteSmoother:
 
         Parameters
         ----------
-        y, reference, inputs : as in `two_sided`
+        y, reference, inputs, intervals : as in `run`
 
         Returns
         -------
@@ -333,7 +373,8 @@ class DiscreteSmoother:
         --------
         robsmooth.check_record : tells whether they are what the model says.
         """
-        return self._exact("innovations").innovations(*self._given(y, reference, inputs))
+        engine = self._exact("innovations")
+        return engine.innovations(self._given(y, reference, inputs, intervals))
 
     def _exact(self, name: str) -> ExactFilter:
         if isinstance(self._engine, ExactFilter):
@@ -344,25 +385,42 @@ class DiscreteSmoother:
         )
 
     def _take(
-        self, y: Any, reference: Any, inputs: Any, output: str, lags: Sequence[int], spread: bool
+        self, given: Samples, output: str, lags: Sequence[int] | None, spread: bool
     ) -> tuple[Floats, Floats]:
-        validation.choice("output", output, OUTPUTS)
-        given = self._given(y, reference, inputs)
-        found, deviations = self._engine.take(*given, output, lags, spread)
-        self.samples += len(given[0])
-        return found + self._w if self._w.any() else found, deviations
+        rows = len(given.y) if given.intervals is None else _ROWS
+        with self._lock:
+            before = self._engine.memory
+            try:
+                found = [
+                    self._engine.take(_rows(given, slice(i, i + rows)), output, lags, spread)
+                    for i in range(0, len(given.y) or 1, rows or 1)
+                ]
+            except BaseException:
+                self._engine.memory = before
+                raise
+            self.samples += len(given.y)
+            self._even = self._even and given.intervals is None
+        estimates, deviations = map(np.concatenate, zip(*found, strict=True))
+        return estimates + self._w, deviations
 
-    def _given(self, y: Any, reference: Any, inputs: Any) -> tuple[Floats, Floats, Floats | None]:
-        """Return samples, references of the copies that run, and inputs, after their check."""
+    def _given(self, y: Any, reference: Any, inputs: Any, intervals: Any) -> Samples:
+        """Return samples, and what stands beside them, after their check."""
         y = checked("y", y, self.l)
         refuse("y must be finite, or nan where it is missing", y, np.isinf(y))
         reference = self._beside("reference", reference, self.g, len(y))
         if inputs is None and self.p:
             raise ValueError(f"inputs must be given: the system has {self.p}; zeros where none act")
-        if inputs is not None:
-            inputs = self._beside("inputs", inputs, self.p, len(y))
-        y = y - self._offset if self._offset.any() else y
-        return y, np.ascontiguousarray(reference[:, self._running] - self._shift), inputs
+        inputs = self._beside("inputs", inputs, self.p, len(y))
+        reference = np.ascontiguousarray(reference[:, self._running] - self._shift)
+        if intervals is not None:
+            intervals = validation.array("intervals", intervals, ndim=1) / self.dt
+            if len(intervals) != len(y) or not (intervals > _SHORTEST).all():
+                rule = f"the lengths of {len(y)} intervals, positive and not below {_SHORTEST:g} dt"
+                raise ValueError(
+                    f"intervals must be {rule}: rows in order of their times have such"
+                )
+            intervals = np.round(intervals, 9) * self.dt
+        return Samples(y - self._offset, reference, inputs, intervals)
 
     def _beside(self, name: str, given: ArrayLike | None, columns: int, rows: int) -> Floats:
         """Return what stands beside y, zero by default."""
@@ -376,10 +434,21 @@ class DiscreteSmoother:
 
     def _checkpoint(self) -> tuple[Any, int]:
         """Return what `_restore` goes back to."""
-        return self._engine.memory, self.samples
+        with self._lock:
+            return self._engine.copied(), self.samples
 
     def _restore(self, checkpoint: tuple[Any, int]) -> None:
         self._engine.memory, self.samples = checkpoint
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _lock=RLock())
+
+
+def _rows(given: Samples, rows: slice) -> Samples:
+    return Samples(*(None if each is None else each[rows] for each in given))
 
 
 def _vector(name: str, given: ArrayLike | None, size: int) -> Floats:

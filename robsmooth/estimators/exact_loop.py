@@ -27,6 +27,17 @@ With the Cholesky factor :math:`\Sigma = LL'`, the normalised innovations :math:
 white with the covariance I, where the record is one of the model. Rows of a missing measurement are
 left out of H.
 
+Within sample j, a time :math:`\tau` after it began, the state is
+:math:`x(\tau) = \Phi_\tau x_j + d_\tau + w_\tau`, and with `r` and `N` of the samples after j and
+:math:`C = \Phi_\tau P_j\Psi_j' + \operatorname{E}w_\tau w_j' - \operatorname{E}w_\tau v_j'K_j'`,
+its estimate and the covariance of that are
+
+.. math::
+
+    \Phi_\tau\hat x_j + d_\tau + G\Sigma^{-1}e_j + Cr, \qquad
+    \Phi_\tau P_j\Phi_\tau' + \operatorname{E}w_\tau w_\tau' - G\Sigma^{-1}G' - CNC', \qquad
+    G = \Phi_\tau P_jH' + \operatorname{E}w_\tau v_j' .
+
 Where modes V of the state are not known at the start, :math:`x_0 = \hat x_0 + V\delta`, the filter
 runs with :math:`\delta = 0` until the innovations determine it (the same author, "The diffuse
 Kalman filter", Ann. Stat. 19(2), 1991). With :math:`V \leftarrow \Psi V`, they are
@@ -40,10 +51,10 @@ predicted, at its end, and held to be linear in time.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from robsmooth._support.kernels import kept
+from robsmooth.estimators.copies import call
 
 Floats = NDArray[np.float64]
 _STEADY = 1e-15  # of the variances: a covariance that changes by less stays as it is
@@ -54,68 +65,78 @@ _MOST = 1e10
 
 
 class Sampled(NamedTuple):
-    """The system in discrete time: the model that is run, and that of the gain."""
+    """The system in samples of some lengths: the state at the end and the measurement, below it.
 
-    transition: Floats  # (N, N) of the model
-    measurement: Floats  # (l, N)
-    copies: Floats  # (2, N, g) what a copy's first value does to the state, and its change
-    of_copies: Floats  # (2, l, g) and to the measurement
-    arguments: Floats  # (g, N) C_nu
-    Phi: Floats  # (N, N) ...
-    H: Floats  # (l, N) ...
-    Q: Floats  # (N, N) ...
-    S: Floats  # (N, l) ...
-    R: Floats  # (l, l) ... of the gain's
+    What drives it in a sample are d numbers: the copies' values at its beginning, their changes
+    until its end, and known inputs.
+    """
+
+    interval: Floats  # (K,) s
+    model: Floats  # (K, n + l, n + d) of state and drive, by the model that is run
+    gain: Floats  # (K, n + l, n) Phi and H, by the gain's
+    noise: Floats  # (K, n + l, n + l) Q and S, S' and R, by the gain's
+
+
+class Within(NamedTuple):
+    """The same for the state at times within samples."""
+
+    model: Floats  # (T, n, n + d)
+    gain: Floats  # (T, n, n) Phi_tau
+    noise: Floats  # (T, n, n + n + l) covariances of w_tau with itself, w and v
 
 
 class Memory(NamedTuple):
-    """What is kept between samples: the state, and a ring of those in the longest lag."""
+    """What is kept of the samples in the longest lag, in a ring, and in its last row of now."""
 
-    x: Floats  # (N,)
-    P: Floats  # (N, N)
-    gain: Floats  # (N, l), of the sample before
-    white: Floats  # (l, l) the inverse of its L, with zeros for what is missing
-    seen: Floats  # (l, N) that times H
-    closed: Floats  # (N, N) Psi
-    pattern: NDArray[np.bool_]  # (l,) which of its measurements were there
+    states: Floats  # (ring + 1, n + d) the state before a sample, and its drive
+    covariances: Floats  # (ring + 1, n, n) P
+    closed: Floats  # (ring + 1, n, n + l) Psi and K; in the last row those of the sample before
+    seen: Floats  # (ring + 1, l, n + l) H and I times the inverse of L; zeros for what is missing
+    innovations: Floats  # (ring + 1, l) normalised
+    intervals: Floats  # (ring + 1,) s
+    lost: NDArray[np.bool_]  # (ring + 1,) whether too little is known to smooth
+    pattern: NDArray[np.bool_]  # (l,) which measurements of the sample before were there
     # samples taken, how many of the last had one covariance, from which on the state is known or -1
     counts: NDArray[np.int64]
-    unknown: Floats  # (N, d) V, of what is not known until then
-    information: Floats  # (d, d) the inverse of delta's covariance
-    score: Floats  # (d,) that times delta
-    states: Floats  # (ring, N)
-    covariances: Floats  # (ring, N, N)
-    errors: Floats  # (ring, N) `seen`' times the normalised innovation
-    sights: Floats  # (ring, l, N) `seen`
-    transitions: Floats  # (ring, N, N)
-    lost: NDArray[np.bool_]  # (ring,) of which too little is known
+    unknown: Floats  # (n, u) V, of what is not known until then
+    information: Floats  # (u, u) the inverse of delta's covariance
+    score: Floats  # (u,) that times delta
+
+
+class Reading(NamedTuple):
+    """Which estimates are read: in the row for a sample, or in the only one for all."""
+
+    readout: Floats  # (m, n)
+    lags: NDArray[np.int64]  # (rows or 1, L) at the beginning of which sample, back from the end
+    times: NDArray[np.int64]  # (rows or 1, L) or, where this is not -1, at which time within it
+    within: Within
 
 
 @kept()
-def _gains(sampled, P, present):
-    """Return gain, the inverse of L, Psi, the next P, and whether P is too large to smooth."""
-    H, l = sampled.H, len(sampled.H)  # noqa: E741
-    rows = np.flatnonzero(present)
-    white, lost = np.zeros((l, l)), False
-    covariance = H @ np.ascontiguousarray(P @ H.T) + sampled.R
+def _gains(gain, noise, P, present):
+    """Return Psi and K, `seen`, the next P, and whether P is too large to smooth."""
+    n, l = len(P), len(present)  # noqa: E741
+    rows, white, lost = np.flatnonzero(present), np.zeros((l, l)), False
+    through = gain @ P @ np.ascontiguousarray(gain.T) + noise  # of the state and the measurement
     for i in range(l):
-        lost = lost or covariance[i, i] > _MOST * sampled.R[i, i]
+        lost = lost or through[n + i, n + i] > _MOST * noise[n + i, n + i]
     if len(rows):
         some = np.empty((len(rows), len(rows)))
         for i in range(len(rows)):
             for j in range(len(rows)):
-                some[i, j] = covariance[rows[i], rows[j]]
+                some[i, j] = through[n + rows[i], n + rows[j]]
         root = np.linalg.inv(np.linalg.cholesky(some))
         for i in range(len(rows)):
             for j in range(i + 1):
                 white[rows[i], rows[j]] = root[i, j]
     inverse = np.ascontiguousarray(white.T) @ white
-    gain = (sampled.Phi @ np.ascontiguousarray(P @ H.T) + sampled.S) @ inverse
-    closed = sampled.Phi - gain @ H
-    cross = sampled.S @ np.ascontiguousarray(gain.T)
-    following = closed @ P @ np.ascontiguousarray(closed.T) + sampled.Q - cross - cross.T
-    following += gain @ sampled.R @ np.ascontiguousarray(gain.T)
-    return gain, white, closed, (following + following.T) / 2, lost
+    closing = np.eye(n, n + l)  # I and -K, of the state and the measurement
+    closing[:, n:] = -np.ascontiguousarray(through[:n, n:]) @ inverse
+    closed = np.hstack((closing @ gain, -closing[:, n:]))
+    seen = np.hstack((white @ np.ascontiguousarray(gain[n:]), white))
+    after = closed[:, :n].copy() @ P @ np.ascontiguousarray(closed[:, :n].T)
+    after += closing @ noise @ np.ascontiguousarray(closing.T)
+    return closed, seen, (after + after.T) / 2, lost
 
 
 @kept()
@@ -129,108 +150,169 @@ def _same(P, following):
 
 @kept()
 def _add(result, matrix, vector, sign):
+    """Add a matrix, as many rows and columns as there are, times a vector."""
     for i in range(len(result)):
         for j in range(len(vector)):
             result[i] += sign * matrix[i, j] * vector[j]
 
 
-@njit
-def advance(copies, sampled, memory, readout, lags, within, given, result, spread, normalised):
-    """Take samples; write the estimates, (rows, lags, m), deviations and normalised innovations.
-
-    The latter two are not wanted where they have no rows. Row k of `known` is taken off the
-    measurement, `drive` goes to the state, NaN is missing. `within` is one where the estimates are
-    of a time within the sample before, else zero.
-    """
-    y, known, drive, reference = given
-    g, l, n, ring = len(sampled.arguments), y.shape[1], len(memory.x), len(memory.states)  # noqa: E741
-    mu, change, arguments = np.zeros(g), np.zeros(g), np.zeros(g)
-    error, following, present = np.zeros(l), np.zeros(n), np.zeros(l, dtype=np.bool_)
-    z, deviations = np.zeros(l), np.zeros((len(lags), len(readout)))
-    for k in range(len(y)):
-        x = memory.x
-        for i in range(n):
-            following[i] = drive[k, i]
-        _add(following, sampled.transition, x, 1.0)
-        for i in range(l):
-            error[i], z[i] = y[k, i] - known[k, i], 0.0
-        _add(error, sampled.measurement, x, -1.0)
-        if copies is not None:
-            arguments[:] = -reference[k]
-            _add(arguments, sampled.arguments, x, 1.0)
-            copies(arguments, mu)
-            _add(following, sampled.copies[0], mu, 1.0)
-            arguments[:] = -reference[k]
-            _add(arguments, sampled.arguments, following, 1.0)
-            copies(arguments, change)
-            change -= mu
-            _add(following, sampled.copies[1], change, 1.0)
-            _add(error, sampled.of_copies[0], mu, -1.0)
-            _add(error, sampled.of_copies[1], change, -1.0)
-        changed = memory.counts[1] == 0
-        for i in range(l):
-            present[i] = not np.isnan(y[k, i])
-            changed = changed or present[i] != memory.pattern[i]
-            if not present[i]:
-                error[i] = 0.0
-        slot, known_in_ring = memory.counts[0] % max(ring, 1), memory.counts[1] > ring
-        if ring:
-            for i in range(n):
-                memory.states[slot, i] = x[i]
-            if not known_in_ring:
-                memory.covariances[slot] = memory.P
-        if changed:
-            gain, white, closed, after, lost = _gains(sampled, memory.P, present)
-            if ring:
-                memory.lost[slot] = lost
-            memory.gain[:], memory.white[:], memory.closed[:] = gain, white, closed
-            memory.seen[:] = white @ sampled.H
-            memory.pattern[:] = present
-            memory.counts[1] = 1 if _same(memory.P, after) else 0
-            memory.P[:] = after
-        else:
-            memory.counts[1] += 1
-        _add(following, memory.gain, error, 1.0)
-        for i in range(n):
-            x[i] = following[i]
-        _add(z, memory.white, error, 1.0)
-        if len(normalised):
-            normalised[k] = np.where(present, z, np.nan)
-        if ring:
-            for i in range(n):
-                memory.errors[slot, i] = 0.0
-                for j in range(l):
-                    memory.errors[slot, i] += memory.seen[j, i] * z[j]
-            if changed or not known_in_ring:
-                memory.transitions[slot], memory.sights[slot] = memory.closed, memory.seen
-        memory.counts[0] += 1
-        if memory.counts[2] < 0:
-            _determine(memory, z)
-            normalised[k : k + 1] = np.nan
-        read(memory, readout, lags, within, result[k])
-        if len(spread):
-            if k == 0 or memory.counts[1] <= ring + 1:
-                spread_of(memory, readout, lags, within, deviations)
-            spread[k] = deviations
+@kept()
+def _add_transposed(result, matrix, vector, sign):
+    for j in range(len(vector)):
+        for i in range(len(result)):
+            result[i] += sign * matrix[j, i] * vector[j]
 
 
 @kept()
-def advance_linear(sampled, memory, readout, lags, within, given, result, spread, normalised):
-    """Do as `advance` without copies; it need not be compiled anew."""
-    advance(None, sampled, memory, readout, lags, within, given, result, spread, normalised)
+def _copies(functions, arguments, x, reference, values):
+    """Write what the copies give at a state."""
+    for i in range(len(functions)):
+        argument = -reference[i]
+        for j in range(arguments.shape[1]):
+            argument += arguments[i, j] * x[j]
+        values[i] = call(functions[i], argument)
+
+
+@kept()
+def _predict(functions, arguments, model, state, inputs, reference, following):
+    """Write the drive into a state, and what follows on that, state and measurement."""
+    n, g = arguments.shape[1], len(functions)
+    state[n : n + 2 * g] = 0.0
+    state[n + 2 * g :] = inputs
+    if g:
+        values = state[n : n + g]
+        _copies(functions, arguments, state, reference, values)
+        following[:] = 0.0
+        _add(following, model, state, 1.0)
+        changes = state[n + g : n + 2 * g]
+        _copies(functions, arguments, following, reference, changes)
+        changes -= values
+    following[:] = 0.0
+    _add(following, model, state, 1.0)
+
+
+@kept()
+def advance(functions, arguments, sampled, kinds, memory, reading, given, results):
+    """Take samples; write estimates, (rows, lags, m), their deviations and normalised innovations.
+
+    The latter two are not wanted where they have no rows. NaN is missing. Where a state is not
+    finite, return False, with the memory as the sample before left it.
+    """
+    y, inputs, reference = given
+    result, spread, normalised = results
+    now, l, n = len(memory.states) - 1, y.shape[1], arguments.shape[1]  # noqa: E741
+    error, z, following = np.zeros(l), np.zeros(l), np.zeros(n + l)
+    present, state, P = np.zeros(l, dtype=np.bool_), memory.states[now], memory.covariances[now]
+    for k in range(len(y)):
+        kind = kinds[k] if len(kinds) else 0
+        model = sampled.model[kind]
+        _predict(functions, arguments, model, state, inputs[k], reference[k], following)
+        changed = memory.counts[1] == 0 or sampled.interval[kind] != memory.intervals[now]
+        for i in range(l):
+            present[i] = not np.isnan(y[k, i])
+            changed = changed or present[i] != memory.pattern[i]
+            error[i] = y[k, i] - following[n + i] if present[i] else 0.0
+        closed, seen, after, lost = memory.closed[now], memory.seen[now], P, memory.lost[now]
+        if changed:
+            closed, seen, after, lost = _gains(sampled.gain[kind], sampled.noise[kind], P, present)
+        finite = True
+        for i in range(n):
+            for j in range(l):
+                following[i] += closed[i, n + j] * error[j]
+            finite = finite and np.isfinite(following[i])
+        if not finite or (changed and not np.isfinite(after).all()):
+            return False
+        for i in range(l):
+            z[i] = 0.0
+            for j in range(i + 1):
+                z[i] += seen[i, n + j] * error[j]
+        slot, known_in_ring = memory.counts[0] % max(now, 1), memory.counts[1] > now
+        memory.states[slot], memory.innovations[slot] = state, z
+        if now and not known_in_ring:
+            memory.covariances[slot] = P
+        if now and (changed or not known_in_ring):
+            memory.closed[slot], memory.seen[slot], memory.lost[slot] = closed, seen, lost
+            memory.intervals[slot] = sampled.interval[kind]
+        if changed:
+            memory.closed[now], memory.seen[now], memory.lost[now] = closed, seen, lost
+            memory.pattern[:], memory.intervals[now] = present, sampled.interval[kind]
+            memory.counts[1] = 1 if _same(P, after) else 0
+            P[:] = after
+        else:
+            memory.counts[1] += 1
+        state[:n] = following[:n]
+        memory.counts[0] += 1
+        if len(normalised):
+            normalised[k] = np.where(present, z, np.nan)
+        if memory.counts[2] < 0:
+            _determine(memory, z)
+            normalised[k : k + 1] = np.nan
+        read(memory, reading, k, result[k])
+        if len(spread):
+            if k == 0 or memory.counts[1] <= now + 1 or len(reading.lags) > 1:
+                spread_of(memory, reading, k, spread[k])
+            else:
+                spread[k] = spread[k - 1]
+    return True
+
+
+@kept()
+def step(
+    functions,
+    arguments,
+    interval,
+    model,
+    states,
+    covariances,
+    closed,
+    seen,
+    innovations,
+    intervals,
+    lost,
+    pattern,
+    counts,
+    readout,
+    lags,
+    times,
+    within_model,
+    within_gain,
+    within_noise,
+    y,
+    inputs,
+    reference,
+    result,
+):
+    """Take a sample where all measurements are there and the gain is as before; else return False.
+
+    Each array is an argument of its own, because numba takes long to look into a tuple.
+    """
+    usual = counts[1] > 0 and counts[2] >= 0 and interval[0] == intervals[-1]
+    for i in range(len(pattern)):
+        usual = usual and pattern[i] and np.isfinite(y[0, i])
+    if not usual:
+        return False
+    now = covariances[-1]
+    sampled = Sampled(interval, model, covariances, covariances)  # the gain is known
+    rings = states, covariances, closed, seen, innovations, intervals, lost
+    memory = Memory(*rings, pattern, counts, now, now, states[-1])
+    reading = Reading(readout, lags, times, Within(within_model, within_gain, within_noise))
+    kinds = np.empty(0, dtype=np.int64)
+    given, results = (y, inputs, reference), (result, result[:0], y[:0])
+    return advance(functions, arguments, sampled, kinds, memory, reading, given, results)
 
 
 @kept()
 def _determine(memory, z):
     """Add what a sample tells of delta; where that is enough, add delta to the estimate."""
-    seen = memory.seen @ memory.unknown
+    n = len(memory.unknown)
+    seen = np.ascontiguousarray(memory.seen[-1][:, :n]) @ memory.unknown
     memory.information[:] += seen.T @ seen
-    _add(memory.score, seen.T, z, 1.0)
-    memory.unknown[:] = memory.closed @ memory.unknown
+    _add_transposed(memory.score, seen, z, 1.0)
+    memory.unknown[:] = np.ascontiguousarray(memory.closed[-1][:, :n]) @ memory.unknown
     if np.linalg.eigvalsh(memory.information)[0] > _KNOWN:
         inverse = np.linalg.inv(memory.information)
-        _add(memory.x, memory.unknown @ inverse, memory.score, 1.0)
-        memory.P[:] += memory.unknown @ inverse @ memory.unknown.T
+        _add(memory.states[-1][:n], memory.unknown @ inverse, memory.score, 1.0)
+        memory.covariances[-1][:] += memory.unknown @ inverse @ memory.unknown.T
         memory.counts[1], memory.counts[2] = 0, memory.counts[0]
 
 
@@ -241,58 +323,78 @@ def _known(memory):
 
 
 @kept()
-def read(memory, readout, lags, within, result):
-    """Write the estimates at some lags, in samples, which ascend."""
-    samples, ring, n = memory.counts[0], len(memory.states), len(memory.x)
-    known = _known(memory)
-    r, before, done, slot = np.zeros(n), np.zeros(n), 0, samples % max(ring, 1)
-    for at in range(len(lags)):
-        if lags[at] + within > known:
+def read(memory, reading, row, result):
+    """Write the estimates at the lags of a row, which ascend."""
+    samples, ring, n = memory.counts[0], len(memory.states) - 1, reading.readout.shape[1]
+    row, l = min(row, len(reading.lags) - 1), memory.innovations.shape[1]  # noqa: E741
+    known, done, slot = _known(memory), 0, samples % max(ring, 1)
+    r, later, part, x = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    closed, seen, innovations = memory.closed, memory.seen, memory.innovations
+    for at in range(reading.lags.shape[1]):
+        lag, time = reading.lags[row, at], reading.times[row, at]
+        if lag > known:
             result[at] = np.nan
             continue
-        for _ in range(done, lags[at]):
+        for _ in range(done, lag):
             slot = (slot if slot else ring) - 1
             for i in range(n):
-                before[i] = r[i]
-            for i in range(n):
-                r[i] = memory.errors[slot, i]
-                for j in range(n):
-                    r[i] += memory.transitions[slot, j, i] * before[j]
-        done = lags[at]
-        if done == 0:
-            for i in range(n):
-                before[i] = memory.x[i]
-        else:
-            for i in range(n):
-                before[i] = memory.states[slot, i]
-            _add(before, memory.covariances[slot], r, 1.0)
-        for i in range(len(readout)):
-            result[at, i] = 0.0
+                later[i], r[i] = r[i], 0.0
             for j in range(n):
-                result[at, i] += readout[i, j] * before[j]
-            if done > 0 and memory.lost[slot]:
-                result[at, i] = np.nan
+                for i in range(n):
+                    r[i] += closed[slot, j, i] * later[j]
+            for j in range(l):
+                for i in range(n):
+                    r[i] += seen[slot, j, i] * innovations[slot, j]
+        done = lag
+        part[:] = 0.0
+        if lag:
+            _add(part, memory.covariances[slot], r, 1.0)
+        before = memory.states[slot if lag else ring]
+        if time < 0:
+            x[:] = before[:n] + part
+        else:
+            with_noise = np.zeros(n + l)
+            _add_transposed(with_noise, seen[slot], innovations[slot], 1.0)
+            _add_transposed(with_noise, closed[slot], later, -1.0)
+            with_noise = np.concatenate((np.zeros(n), later, with_noise[n:]))
+            x[:] = 0.0
+            _add(x, reading.within.model[time], before, 1.0)
+            _add(x, reading.within.gain[time], part, 1.0)
+            _add(x, reading.within.noise[time], with_noise, 1.0)
+        result[at] = np.nan if lag and memory.lost[slot] else 0.0
+        _add(result[at], reading.readout, x, 1.0)
 
 
 @kept()
-def spread_of(memory, readout, lags, within, result):
+def spread_of(memory, reading, row, result):
     """Write the standard deviations of the errors of these estimates."""
-    samples, ring, n = memory.counts[0], len(memory.states), len(memory.x)
-    known, information, done, slot = _known(memory), np.zeros((n, n)), 0, samples % max(ring, 1)
-    for at in range(len(lags)):
-        if lags[at] + within > known:
+    samples, ring, n = memory.counts[0], len(memory.states) - 1, reading.readout.shape[1]
+    row = min(row, len(reading.lags) - 1)
+    known, done, slot = _known(memory), 0, samples % max(ring, 1)
+    N = later = np.zeros((n, n))
+    for at in range(reading.lags.shape[1]):
+        lag, time = reading.lags[row, at], reading.times[row, at]
+        if lag > known:
             result[at] = np.nan
             continue
-        for _ in range(done, lags[at]):
-            slot = (slot if slot else ring) - 1
-            closed = memory.transitions[slot]
-            information = np.ascontiguousarray(closed.T) @ information @ closed
-            information += np.ascontiguousarray(memory.sights[slot].T) @ memory.sights[slot]
-        done = lags[at]
-        covariance, lost = memory.P.copy(), False
-        if done > 0:
-            P, lost = memory.covariances[slot], memory.lost[slot]
-            covariance = P - P @ information @ P
-        for i in range(len(readout)):
-            variance = max(readout[i] @ covariance @ readout[i], 0.0)
-            result[at, i] = np.nan if lost else np.sqrt(variance)
+        for _ in range(done, lag):
+            slot, later = (slot if slot else ring) - 1, N
+            closed = np.ascontiguousarray(memory.closed[slot][:, :n])
+            seen = np.ascontiguousarray(memory.seen[slot][:, :n])
+            N = np.ascontiguousarray(closed.T) @ later @ closed
+            N += np.ascontiguousarray(seen.T) @ seen
+        done = lag
+        P = memory.covariances[slot if lag else ring]
+        covariance = P - P @ N @ P if lag else P.copy()
+        if time >= 0:  # of w_tau with itself, with what follows and with what is seen
+            gain, noise = reading.within.gain[time], reading.within.noise[time]
+            through = np.hstack((gain @ P, noise[:, 2 * n :]))
+            onto = through @ np.ascontiguousarray(memory.seen[slot].T)
+            through[:, n:] *= -1.0
+            into = through @ np.ascontiguousarray(memory.closed[slot].T) + noise[:, n : 2 * n]
+            covariance = gain @ P @ np.ascontiguousarray(gain.T) + noise[:, :n]
+            covariance -= into @ later @ np.ascontiguousarray(into.T)
+            covariance -= onto @ np.ascontiguousarray(onto.T)
+        for i in range(len(reading.readout)):
+            variance = max(reading.readout[i] @ covariance @ reading.readout[i], 0.0)
+            result[at, i] = np.nan if lag and memory.lost[slot] else np.sqrt(variance)

@@ -27,15 +27,18 @@ innovation is zero. This changes `A` and :math:`B_\mu`, so that every set of mis
 matrices of its own. In a long gap the estimates go back to the prior, zero.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robsmooth.estimators import sample_loop
-from robsmooth.estimators.sample_loop import Record, Steps
+from robsmooth.estimators.copies import Functions
+from robsmooth.estimators.sample_loop import Record, Samples, Steps, steps_of
 
+_KEPT = 1000  # kinds of samples whose matrices are kept
 Floats = NDArray[np.float64]
 
 
@@ -43,15 +46,9 @@ class HeldEstimator:
     """The equations of an estimator in steps of dt."""
 
     samples_back = 0  # its delay is a part of it
+    usual: Floats  # the references of a sample that has none of its own
 
-    def __init__(
-        self,
-        estimator: Any,
-        dt: float,
-        running: list[int],
-        functions: Sequence[Callable[[Any], Any]],
-        compiled: bool,
-    ) -> None:
+    def __init__(self, estimator: Any, dt: float, running: list[int], functions: Functions) -> None:
         system, self.states = estimator.plant.system, len(estimator.A_c)
         if system.p:
             raise ValueError(
@@ -63,58 +60,88 @@ class HeldEstimator:
         self._C_nu = np.ascontiguousarray(estimator.C_c[system.m :][running])
         self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
         self._sizes = sample_loop.sizes_of(self.states, system.l, system.m, len(running))
-        loops = sample_loop.advance, sample_loop.advance_linear
-        self._advance = sample_loop.loop_of(*loops, tuple(functions), compiled)
-        self._patterns: dict[bytes, int] = {}  # of missing channels, to a row of the steps
-        self._steps: Steps | None = None
-        self._pattern(np.zeros(system.l, dtype=bool))
+        self._functions = functions
+        self._functions, self._step = functions, None
+        self._kept: dict[bytes, Steps] = {}
+        self._present = np.append(np.zeros(system.l), dt)  # a sample with all measurements
+        self._steps(self._present)
 
     def start(self, state: Floats | None, covariance: None) -> None:
         """Begin a record with a state, zero by default."""
         self.memory = np.zeros(self.states) if state is None else state.copy()
+        self._next = self.memory.copy()
 
     @property
     def state(self) -> Floats:
         """The estimator's state now."""
         return self.memory
 
+    def copied(self) -> Floats:
+        """Return a copy of the memory."""
+        return self.memory.copy()
+
     def estimate(self, output: str) -> Floats:
         """Return an estimate now."""
         return self._outputs[output] @ self.memory
 
+    def step(self, y: Floats) -> Floats | None:
+        """Take a sample as most are; return None where it is not taken, and `take` has to."""
+        if self._step is None:
+            self._step = self._bind()
+        take_one, row, estimate = self._step
+        row[:] = y
+        if not take_one(self.memory, self._next, estimate):
+            return None
+        self.memory, self._next = self._next, self.memory
+        return estimate[0].copy()
+
+    def _bind(self) -> tuple[partial[bool], Floats, Floats]:
+        """Return what takes a sample, and where that and the estimate stand."""
+        y, reference = np.zeros((1, self._estimator.plant.system.l)), self.usual[None].copy()
+        row = Record(y, reference, np.array([0, 1]), np.zeros(1, dtype=np.intp))
+        of_model = *self._steps(self._present), self._C_nu, self._outputs["smoothed"]
+        bound = partial(sample_loop.step, self._sizes, self._functions.addresses, *of_model, *row)
+        return bound, y, np.empty((1, len(self._outputs["smoothed"])))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_step": None}  # addresses of functions are those of a process
+
     def take(
-        self,
-        y: Floats,
-        reference: Floats,
-        _inputs: None,
-        output: str,
-        lags: Sequence[int],
-        spread: bool,
+        self, given: Samples, output: str, _lags: Sequence[int] | None, _spread: bool
     ) -> tuple[Floats, Floats]:
         """Take samples; return the estimates, (rows, 1, m), and no deviations."""
-        readout, record = self._outputs[output], self._record(y, reference)
-        state, result = self.memory.copy(), np.empty((len(y), len(readout)))
-        self._advance(self._sizes, self._steps, self._C_nu, readout, record, state, result)
-        sample_loop.check_state(state)
+        readout, state = self._outputs[output], self.memory.copy()
+        result = np.empty((len(given.y), len(readout)))
+        steps, record = self._recorded(given)
+        functions = self._functions.addresses
+        finite = sample_loop.advance(
+            self._sizes, functions, steps, self._C_nu, readout, record, state, result
+        )
+        self._functions.check(finite, "the estimator's state")
         self.memory = state
         return result[:, None], result[:0, None]
 
-    def _record(self, y: NDArray[np.float64], reference: NDArray[np.float64]) -> Record:
-        """Return the samples, in segments with the same measurements missing."""
-        if np.isfinite(y).all():
-            return Record(y, reference, np.array([0, len(y)]), np.zeros(1, dtype=np.intp))
-        missing = np.isnan(y)
-        changes = 1 + np.flatnonzero((missing[1:] != missing[:-1]).any(axis=1))
-        starts = np.array([0, *changes, len(y)])
-        patterns = np.array([self._pattern(row) for row in missing[starts[:-1]]])
-        return Record(np.where(missing, 0.0, y), reference, starts, patterns)
+    def _recorded(self, given: Samples) -> tuple[Steps, Record]:
+        """Return the samples in segments that have the same matrices, and these."""
+        missing, lengths = np.isnan(given.y), given.intervals
+        if not missing.any() and (lengths is None or not len(lengths)):
+            different, starts, patterns = [self._present], np.array([0, len(missing)]), [0]
+        else:
+            lengths = np.full(len(missing), self._dt) if lengths is None else lengths
+            kinds = np.column_stack([missing, lengths])
+            changes = 1 + np.flatnonzero((kinds[1:] != kinds[:-1]).any(axis=1))
+            starts = np.array([0, *changes, len(missing)])
+            different, patterns = np.unique(kinds[starts[:-1]], axis=0, return_inverse=True)
+        steps = Steps(*map(np.concatenate, zip(*map(self._steps, different), strict=True)))
+        y = np.where(missing, 0.0, given.y)
+        return steps, Record(y, given.reference, starts, np.asarray(patterns))
 
-    def _pattern(self, missing: NDArray[np.bool_]) -> int:
-        """Return the index of the matrices for these missing channels; make them where needed."""
-        key = missing.tobytes()
-        if key not in self._patterns:
-            steps = sample_loop.steps_of(self._estimator, self._running, self._dt, missing)
-            if self._steps is not None:
-                steps = Steps(*map(np.concatenate, zip(self._steps, steps, strict=True)))
-            self._patterns[key], self._steps = len(self._patterns), steps
-        return self._patterns[key]
+    def _steps(self, kind: Floats) -> Steps:
+        """Return the matrices of a sample, for which channels are missing in it and its length."""
+        key = kind.tobytes()
+        if key not in self._kept:
+            if len(self._kept) >= _KEPT:
+                self._kept.clear()
+            missing, length = kind[:-1].astype(bool), kind[-1]
+            self._kept[key] = steps_of(self._estimator, self._running, length, missing)
+        return self._kept[key]
