@@ -99,11 +99,10 @@ class DiscreteSmoother:
         self._shift = np.array(arguments).reshape(-1)[self._running]
         run = Functions(running_functions(system.nonlinearities, functions, self._running))
         self.compiled: bool = run.compiled
-        given = estimator, self.dt, self._running, run
+        given = estimator, self.dt, self._running, run, self._shift
         instants = validation.choice("samples", samples, SAMPLES) == "instants"
         self._engine: ExactFilter | HeldEstimator
         self._engine = ExactFilter(*given, instants) if self.exact else HeldEstimator(*given)
-        self._engine.usual = -self._shift
         if instants:
             self._exact("samples='instants'")
         self._moved = bool(self._mean.any() or self._offset.any())
@@ -209,14 +208,22 @@ class DiscreteSmoother:
         -------
         (m,) array, the smoothed estimate at the interval's end; `filtered` has the other
         """
-        if type(y) in _PLAIN and reference is None and interval is None and not self.p:
-            row = np.asarray(y)
-            if row.dtype is _FLOAT and row.size == self.l and row.ndim < 2:
-                with self._lock:
-                    found = self._engine.step(row - self._offset if self._moved else row)
-                    if found is not None:
-                        self.samples += 1
-                        return found + self._w if self._moved else found
+        row, known = _plain(y, self.l), None if reference is None else _plain(reference, self.g)
+        if (
+            row is not None
+            and interval is None
+            and not self.p
+            and (known is None) == (reference is None)
+        ):
+            if self._moved:
+                row = row - self._offset
+            if known is not None:
+                known = known[self._running] - self._shift
+            with self._lock:
+                found = self._engine.step(row, known)
+                if found is not None:
+                    self.samples += 1
+                    return found + self._w if self._moved else found
         rows = [
             None if each is None else np.asanyarray(each)[None] for each in (y, reference, inputs)
         ]
@@ -445,6 +452,13 @@ class DiscreteSmoother:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, _lock=RLock())
+
+
+def _plain(given: Any, size: int) -> Floats | None:
+    """Return a sample as an array where it is what most are: floats in no array of another kind."""
+    row = np.asarray(given) if type(given) in _PLAIN else None
+    usual = row is not None and row.dtype is _FLOAT and row.size == size and row.ndim < 2
+    return row.reshape(-1) if usual else None
 
 
 def _rows(given: Samples, rows: slice) -> Samples:

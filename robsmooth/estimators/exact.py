@@ -10,7 +10,6 @@ a filter of the plant with its delay model, and runs as such (`robsmooth.estimat
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,17 +20,10 @@ from robsmooth._numerics.modes import rates, separations
 from robsmooth._numerics.steps import MULTIPLE_TOLERANCE
 from robsmooth._support.blas import one_thread
 from robsmooth.estimators.copies import Functions
-from robsmooth.estimators.exact_loop import (
-    Memory,
-    Reading,
-    advance,
-    read,
-    spread_of,
-    step,
-)
+from robsmooth.estimators.engine import Engine
 from robsmooth.estimators.exact_model import SampledModel
 from robsmooth.estimators.kalman import kalman_gain
-from robsmooth.estimators.sample_loop import Samples
+from robsmooth.estimators.sample_loop import Memory, Reading, Samples, empty_memory, read, spread_of
 from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import UncertainSystem
 
@@ -42,16 +34,21 @@ _NEVER = 2**62  # samples back: before the record
 Floats = NDArray[np.float64]
 
 
-class ExactFilter:
+class ExactFilter(Engine):
     """The classical filter and smoother of an estimator's nominal system, in steps of dt."""
 
-    usual: Floats  # the references of a sample that has none of its own
-
     def __init__(
-        self, estimator: Any, dt: float, running: list[int], functions: Functions, instants: bool
+        self,
+        estimator: Any,
+        dt: float,
+        running: list[int],
+        functions: Functions,
+        shift: Floats,
+        instants: bool,
     ) -> None:
-        self._functions, self._dt, self._delay = functions, dt, estimator.plant.delay
+        self._dt, self._delay = dt, estimator.plant.delay
         self._model = SampledModel(estimator, dt, running, instants)
+        super().__init__(functions, self._model.arguments, shift)
         self.states, self._C0 = self._model.n, np.ascontiguousarray(estimator.nominal[0].C0)
         self._even = self._model.sampled([dt])
         ratio = self._delay / dt
@@ -86,7 +83,6 @@ class ExactFilter:
     def start(self, state: Floats | None, covariance: Floats | None) -> None:
         """Begin a record: with what is known of the state, or with nothing but its model."""
         self._begin = state, covariance
-        self._bound: Any = None
         self._uneven = False  # whether samples had lengths of their own
         self.memory = self._fresh(self.samples_back)
         if self._stationary and state is None and covariance is None:
@@ -96,23 +92,9 @@ class ExactFilter:
 
     def _fresh(self, ring: int) -> Memory:
         state, covariance = self._begin
-        n, l, rows = self.states, self._model.l, ring + 1  # noqa: E741 - the paper's letter
-        unknown = (self._unknown if covariance is None else self._unknown[:, :0]).copy()
-        u = unknown.shape[1]
-        memory = Memory(
-            states=np.zeros((rows, self._even.model.shape[2])),
-            covariances=np.zeros((rows, n, n)),
-            closed=np.zeros((rows, n, n + l)),
-            seen=np.zeros((rows, l, n + l)),
-            innovations=np.zeros((rows, l)),
-            intervals=np.zeros(rows),
-            lost=np.zeros(rows, dtype=bool),
-            pattern=np.zeros(l, dtype=bool),
-            counts=np.array([0, 0, -1 if u else 0]),
-            unknown=unknown,
-            information=np.zeros((u, u)),
-            score=np.zeros(u),
-        )
+        n, l = self.states, self._model.l  # noqa: E741 - the paper's letter
+        unknown = self._unknown if covariance is None else self._unknown[:, :0]
+        memory = empty_memory(n, l, self._even.model.shape[2] - n, ring, unknown)
         memory.states[-1, :n] = 0.0 if state is None else state
         memory.covariances[-1] = self._prior if covariance is None else covariance
         return memory
@@ -157,26 +139,13 @@ class ExactFilter:
         self._run(self._fresh(0), self._at([]), given, (none, none[:0], result))
         return result
 
-    def step(self, y: Floats) -> Floats | None:
+    def step(self, y: Floats, reference: Floats | None) -> Floats | None:
         """Take a sample as most are; return None where it is not taken, and `take` has to."""
-        if self._bound is None or self._bound[0] is not self.memory:
-            self._bound = self._bind()
-        _, take_one, row, estimate = self._bound
-        row[:] = y
-        return estimate[0, 0].copy() if not self._uneven and take_one() else None
+        return None if self._uneven else super().step(y, reference)
 
-    def _bind(self) -> tuple[Memory, partial[bool], Floats, Floats]:
-        """Return a memory, what takes a sample into it, and where that and the estimate stand."""
-        row, estimate = self._model.nothing(1), np.empty((1, 1, len(self._C0)))
-        row.reference[:] = self.usual
-        constants = self._functions.addresses, self._model.arguments, *self._even[:2]
-        of_reading = *self._reading[:3], *self._reading.within
-        of_row = row.y, row.inputs, row.reference, estimate
-        bound = partial(step, *constants, *self.memory[:9], *of_reading, *of_row)
-        return self.memory, bound, row.y, estimate
-
-    def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_bound": None}  # addresses of functions are those of a process
+    def _row(self) -> tuple[Floats, Floats, Floats]:
+        y, reference, inputs, _ = self._model.nothing(1)
+        return y, inputs, reference
 
     def _run(
         self, memory: Memory, reading: Reading, given: Samples, results: tuple[Floats, ...]
@@ -186,13 +155,7 @@ class ExactFilter:
             lengths, kinds = np.unique(given.intervals, return_inverse=True)
             sampled = self._model.sampled(lengths)
         samples = given.y, given.inputs, given.reference
-        functions = self._functions.addresses, self._model.arguments
-        try:
-            finite = advance(*functions, sampled, kinds, memory, reading, samples, results)
-        except np.linalg.LinAlgError:
-            finite = False
-        what = "the estimate, or with too few samples for a mode that grows its covariance,"
-        self._functions.check(finite, what)
+        self._advance(sampled, kinds, memory, reading, samples, results)
 
     def _delayed(self, memory: Memory, lengths: Floats) -> tuple[Memory, Reading]:
         """Return the reading one delay before the ends of samples, and a ring that has it."""
@@ -212,11 +175,6 @@ class ExactFilter:
         self._check_ring(ring)
         return _grown(memory, ring), self._of(lags, parts)
 
-    @property
-    def state(self) -> Floats:
-        """The estimate of the system's state now."""
-        return self.memory.states[-1, : self.states]
-
     def estimate(self, output: str) -> Floats:
         """Return an estimate now, as the last sample left it."""
         memory, reading = self.memory, self._reading if output == "smoothed" else self._at([0])
@@ -225,10 +183,6 @@ class ExactFilter:
         result = np.empty((1, len(self._C0)))
         read(memory, reading, 0, result)
         return result[0]
-
-    def copied(self) -> Memory:
-        """Return a copy of the memory."""
-        return Memory(*(each.copy() for each in self.memory))
 
 
 def _slots(memory: Memory, ring: int) -> NDArray[np.int64]:

@@ -16,8 +16,7 @@ from scipy.linalg import expm
 from robsmooth._numerics.lyapunov import noise_root
 from robsmooth._numerics.steps import responses
 from robsmooth._support.blas import one_thread
-from robsmooth.estimators.exact_loop import Sampled, Within
-from robsmooth.estimators.sample_loop import Samples
+from robsmooth.estimators.sample_loop import Sampled, Samples, Within
 
 Floats = NDArray[np.float64]
 

@@ -28,27 +28,30 @@ matrices of its own. In a long gap the estimates go back to the prior, zero.
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth.estimators import sample_loop
+from robsmooth._numerics.steps import responses
+from robsmooth._support.blas import one_thread
 from robsmooth.estimators.copies import Functions
-from robsmooth.estimators.sample_loop import Record, Samples, Steps, steps_of
+from robsmooth.estimators.engine import Engine
+from robsmooth.estimators.sample_loop import Reading, Sampled, Samples, Within, empty_memory
 
 _KEPT = 1000  # kinds of samples whose matrices are kept
+_NO_WITHIN = Within(*np.empty((3, 0, 0, 0)))
 Floats = NDArray[np.float64]
 
 
-class HeldEstimator:
-    """The equations of an estimator in steps of dt."""
+class HeldEstimator(Engine):
+    """The equations of an estimator in steps of dt: to the loop, y are inputs."""
 
     samples_back = 0  # its delay is a part of it
-    usual: Floats  # the references of a sample that has none of its own
 
-    def __init__(self, estimator: Any, dt: float, running: list[int], functions: Functions) -> None:
+    def __init__(
+        self, estimator: Any, dt: float, running: list[int], functions: Functions, shift: Floats
+    ) -> None:
         system, self.states = estimator.plant.system, len(estimator.A_c)
         if system.p:
             raise ValueError(
@@ -56,92 +59,80 @@ class HeldEstimator:
                 "design without delay='model': this one runs a model of its delay; a design of "
                 "the system without B2 and D22 takes no inputs"
             )
+        super().__init__(functions, estimator.C_c[system.m :][running], shift)
         self._estimator, self._dt, self._running = estimator, dt, running
-        self._C_nu = np.ascontiguousarray(estimator.C_c[system.m :][running])
-        self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
-        self._sizes = sample_loop.sizes_of(self.states, system.l, system.m, len(running))
-        self._functions = functions
-        self._functions, self._step = functions, None
-        self._kept: dict[bytes, Steps] = {}
+        now = np.zeros((1, 1), dtype=np.int64)
+        outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
+        self._readings = {name: Reading(C, now, now - 1, _NO_WITHIN) for name, C in outputs.items()}
+        self._reading, self._kept = self._readings["smoothed"], dict[bytes, Floats]()
         self._present = np.append(np.zeros(system.l), dt)  # a sample with all measurements
-        self._steps(self._present)
+        self._even = self._sampled([self._present])
 
     def start(self, state: Floats | None, covariance: None) -> None:
         """Begin a record with a state, zero by default."""
-        self.memory = np.zeros(self.states) if state is None else state.copy()
-        self._next = self.memory.copy()
-
-    @property
-    def state(self) -> Floats:
-        """The estimator's state now."""
-        return self.memory
-
-    def copied(self) -> Floats:
-        """Return a copy of the memory."""
-        return self.memory.copy()
+        drives = self._even.model.shape[2] - self.states
+        self.memory = empty_memory(self.states, 0, drives, 0, np.empty((self.states, 0)))
+        self.memory.states[-1, : self.states] = 0.0 if state is None else state
+        self.memory.counts[1] = 1  # there is no covariance that could change
 
     def estimate(self, output: str) -> Floats:
         """Return an estimate now."""
-        return self._outputs[output] @ self.memory
-
-    def step(self, y: Floats) -> Floats | None:
-        """Take a sample as most are; return None where it is not taken, and `take` has to."""
-        if self._step is None:
-            self._step = self._bind()
-        take_one, row, estimate = self._step
-        row[:] = y
-        if not take_one(self.memory, self._next, estimate):
-            return None
-        self.memory, self._next = self._next, self.memory
-        return estimate[0].copy()
-
-    def _bind(self) -> tuple[partial[bool], Floats, Floats]:
-        """Return what takes a sample, and where that and the estimate stand."""
-        y, reference = np.zeros((1, self._estimator.plant.system.l)), self.usual[None].copy()
-        row = Record(y, reference, np.array([0, 1]), np.zeros(1, dtype=np.intp))
-        of_model = *self._steps(self._present), self._C_nu, self._outputs["smoothed"]
-        bound = partial(sample_loop.step, self._sizes, self._functions.addresses, *of_model, *row)
-        return bound, y, np.empty((1, len(self._outputs["smoothed"])))
-
-    def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_step": None}  # addresses of functions are those of a process
+        return self._readings[output].readout @ self.state
 
     def take(
         self, given: Samples, output: str, _lags: Sequence[int] | None, _spread: bool
     ) -> tuple[Floats, Floats]:
         """Take samples; return the estimates, (rows, 1, m), and no deviations."""
-        readout, state = self._outputs[output], self.memory.copy()
-        result = np.empty((len(given.y), len(readout)))
-        steps, record = self._recorded(given)
-        functions = self._functions.addresses
-        finite = sample_loop.advance(
-            self._sizes, functions, steps, self._C_nu, readout, record, state, result
-        )
-        self._functions.check(finite, "the estimator's state")
-        self.memory = state
-        return result[:, None], result[:0, None]
-
-    def _recorded(self, given: Samples) -> tuple[Steps, Record]:
-        """Return the samples in segments that have the same matrices, and these."""
-        missing, lengths = np.isnan(given.y), given.intervals
-        if not missing.any() and (lengths is None or not len(lengths)):
-            different, starts, patterns = [self._present], np.array([0, len(missing)]), [0]
-        else:
+        missing, lengths, memory = np.isnan(given.y), given.intervals, self.copied()
+        sampled, kinds = self._even, np.empty(0, dtype=np.int64)
+        if missing.any() or lengths is not None:
             lengths = np.full(len(missing), self._dt) if lengths is None else lengths
-            kinds = np.column_stack([missing, lengths])
-            changes = 1 + np.flatnonzero((kinds[1:] != kinds[:-1]).any(axis=1))
-            starts = np.array([0, *changes, len(missing)])
-            different, patterns = np.unique(kinds[starts[:-1]], axis=0, return_inverse=True)
-        steps = Steps(*map(np.concatenate, zip(*map(self._steps, different), strict=True)))
-        y = np.where(missing, 0.0, given.y)
-        return steps, Record(y, given.reference, starts, np.asarray(patterns))
+            every = np.column_stack([missing, lengths])
+            different, kinds = np.unique(every, axis=0, return_inverse=True)
+            sampled = self._sampled(different)
+        reading = self._readings[output]
+        result = np.empty((len(missing), 1, len(reading.readout)))
+        samples = given.y[:, :0], np.where(missing, 0.0, given.y), given.reference
+        results = result, result[:0], given.y[:0]
+        self._advance(sampled, kinds, memory, reading, samples, results)
+        self.memory = memory
+        return result, result[:0]
 
-    def _steps(self, kind: Floats) -> Steps:
-        """Return the matrices of a sample, for which channels are missing in it and its length."""
+    def _row(self) -> tuple[Floats, Floats, Floats]:
+        return (
+            np.empty((1, 0)),
+            np.empty((1, self._estimator.plant.system.l)),
+            self._usual[None] + 0.0,
+        )
+
+    def _sampled(self, kinds: Sequence[Floats] | Floats) -> Sampled:
+        """Return the estimator in samples of these kinds: which channels are missing, a length."""
+        models = np.array([self._of_kind(kind) for kind in kinds] or [self._of_kind(self._present)])
+        none = np.empty((len(models), 0, 0))
+        return Sampled(np.zeros(len(models)), models, none, none)
+
+    def _of_kind(self, kind: Floats) -> Floats:
         key = kind.tobytes()
         if key not in self._kept:
             if len(self._kept) >= _KEPT:
                 self._kept.clear()
             missing, length = kind[:-1].astype(bool), kind[-1]
-            self._kept[key] = steps_of(self._estimator, self._running, length, missing)
+            self._kept[key] = step_of(self._estimator, self._running, length, missing)
         return self._kept[key]
+
+
+@one_thread
+def step_of(estimator: Any, running: list[int], dt: float, missing: NDArray[np.bool_]) -> Floats:
+    r"""Return what a step does to the state, the copies' values and changes, and y.
+
+    :math:`C_2 \hat x + D\mu` is in the place of what is missing.
+    """
+    system, g = estimator.plant.system, len(running)
+    B_y, B_mu = np.hsplit(estimator.B_c, [system.l])
+    _, _, D = system.stacked(system.nonlinearities)
+    gain = B_y * missing
+    inputs = np.hstack([(B_mu + gain @ D)[:, running], B_y * ~missing])
+    A = estimator.A_c.copy()
+    A[:, : estimator.plant.n] += gain @ estimator.plant.C2_tilde[: system.l]
+    transition, held, ramp = responses(A, inputs, dt)
+    return np.hstack([transition, held[:, :g], ramp[:, :g], held[:, g:]])
