@@ -192,31 +192,39 @@ def _add_transposed(result, matrix, vector, sign):
 
 
 @kept()
-def _copies(functions, arguments, x, reference, values):
-    """Write what the copies give at a state."""
-    for i in range(len(functions)):
-        argument = -reference[i]
-        for j in range(arguments.shape[1]):
-            argument += arguments[i, j] * x[j]
-        values[i] = call(functions[i], argument)
+def _through(following, model, state):
+    """Write a model, as many of its rows as there are, times a state."""
+    for i in range(len(following)):
+        following[i] = 0.0
+        for j in range(len(state)):
+            following[i] += model[i, j] * state[j]
 
 
 @kept()
-def _predict(functions, arguments, model, state, inputs, reference, following):
+def _copies(functions, arguments, x, reference, k, values, first):
+    """Write what the copies give at a state, from an entry of `values` on."""
+    for i in range(len(functions)):
+        argument = -reference[k, i]
+        for j in range(arguments.shape[1]):
+            argument += arguments[i, j] * x[j]
+        values[first + i] = call(functions[i], argument)
+
+
+@kept()
+def _predict(functions, arguments, model, state, inputs, reference, k, following):
     """Write the drive into a state, and what follows on that, state and measurement."""
     n, g = arguments.shape[1], len(functions)
-    state[n : n + 2 * g] = 0.0
-    state[n + 2 * g :] = inputs
+    for i in range(inputs.shape[1]):
+        state[n + 2 * g + i] = inputs[k, i]
+    for i in range(g):
+        state[n + g + i] = 0.0
     if g:
-        values = state[n : n + g]
-        _copies(functions, arguments, state, reference, values)
-        following[:] = 0.0
-        _add(following, model, state, 1.0)
-        changes = state[n + g : n + 2 * g]
-        _copies(functions, arguments, following, reference, changes)
-        changes -= values
-    following[:] = 0.0
-    _add(following, model, state, 1.0)
+        _copies(functions, arguments, state, reference, k, state, n)
+        _through(following, model, state)
+        _copies(functions, arguments, following, reference, k, state, n + g)
+        for i in range(g):
+            state[n + g + i] -= state[n + i]
+    _through(following, model, state)
 
 
 @kept()
@@ -228,19 +236,22 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
     """
     y, inputs, reference = given
     result, spread, normalised = results
-    now, l, n = len(memory.states) - 1, y.shape[1], arguments.shape[1]  # noqa: E741
+    states, innovations, counts = memory.states, memory.innovations, memory.counts
+    now, l, n = len(states) - 1, y.shape[1], arguments.shape[1]  # noqa: E741
     error, z, following = np.zeros(l), np.zeros(l), np.zeros(n + l)
-    present, state, P = np.zeros(l, dtype=np.bool_), memory.states[now], memory.covariances[now]
+    present, state, P = np.zeros(l, dtype=np.bool_), states[now], memory.covariances[now]
+    closed, seen, after, lost, kind = memory.closed[now], memory.seen[now], P, False, 0
+    model, only_now = sampled.model[0], now == 0 and l == 0 and reading.lags.shape[1] == 1
     for k in range(len(y)):
-        kind = kinds[k] if len(kinds) else 0
-        model = sampled.model[kind]
-        _predict(functions, arguments, model, state, inputs[k], reference[k], following)
-        changed = memory.counts[1] == 0 or sampled.interval[kind] != memory.intervals[now]
+        if len(kinds):
+            kind = kinds[k]
+            model = sampled.model[kind]
+        _predict(functions, arguments, model, state, inputs, reference, k, following)
+        changed = counts[1] == 0 or sampled.interval[kind] != memory.intervals[now]
         for i in range(l):
             present[i] = not np.isnan(y[k, i])
             changed = changed or present[i] != memory.pattern[i]
             error[i] = y[k, i] - following[n + i] if present[i] else 0.0
-        closed, seen, after, lost = memory.closed[now], memory.seen[now], P, memory.lost[now]
         if changed:
             closed, seen, after, lost = _gains(sampled.gain[kind], sampled.noise[kind], P, present)
         finite = True
@@ -254,30 +265,43 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
             z[i] = 0.0
             for j in range(i + 1):
                 z[i] += seen[i, n + j] * error[j]
-        slot, known_in_ring = memory.counts[0] % max(now, 1), memory.counts[1] > now
-        memory.states[slot], memory.innovations[slot] = state, z
-        if now and not known_in_ring:
-            memory.covariances[slot] = P
-        if now and (changed or not known_in_ring):
-            memory.closed[slot], memory.seen[slot], memory.lost[slot] = closed, seen, lost
-            memory.intervals[slot] = sampled.interval[kind]
+        if now:
+            slot, known_in_ring = counts[0] % now, counts[1] > now
+            for i in range(len(state)):
+                states[slot, i] = state[i]
+            for i in range(l):
+                innovations[slot, i] = z[i]
+            if not known_in_ring:
+                memory.covariances[slot] = P
+            if changed or not known_in_ring:
+                memory.closed[slot], memory.seen[slot] = closed, seen
+                memory.lost[slot] = lost if changed else memory.lost[now]
+                memory.intervals[slot] = sampled.interval[kind]
         if changed:
             memory.closed[now], memory.seen[now], memory.lost[now] = closed, seen, lost
+            closed, seen = memory.closed[now], memory.seen[now]
             memory.pattern[:], memory.intervals[now] = present, sampled.interval[kind]
-            memory.counts[1] = 1 if _same(P, after) else 0
+            counts[1] = 1 if _same(P, after) else 0
             P[:] = after
         else:
-            memory.counts[1] += 1
-        state[:n] = following[:n]
-        memory.counts[0] += 1
+            counts[1] += 1
+        for i in range(n):
+            state[i] = following[i]
+        counts[0] += 1
         if len(normalised):
             normalised[k] = np.where(present, z, np.nan)
-        if memory.counts[2] < 0:
+        if counts[2] < 0:
             _determine(memory, z)
             normalised[k : k + 1] = np.nan
-        read(memory, reading, k, result[k])
+        if only_now:
+            for i in range(len(reading.readout)):
+                result[k, 0, i] = 0.0
+                for j in range(n):
+                    result[k, 0, i] += reading.readout[i, j] * state[j]
+        else:
+            read(memory, reading, k, result[k])
         if len(spread):
-            if k == 0 or memory.counts[1] <= now + 1 or len(reading.lags) > 1:
+            if k == 0 or counts[1] <= now + 1 or len(reading.lags) > 1:
                 spread_of(memory, reading, k, spread[k])
             else:
                 spread[k] = spread[k - 1]
