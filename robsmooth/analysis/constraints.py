@@ -25,11 +25,11 @@ from robsmooth.estimators.certificate import (
     ConstraintProblem,
     largest_fraction,
     least_certificate,
+    model_loop,
 )
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop, scaled, which_loop
-from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.delay import pade_delay
+from robsmooth.systems.augmented import AugmentedSystem, augment
 
 _DELAY_ORDER = 10
 
@@ -51,8 +51,8 @@ class AnalysisBound:
     multipliers : (k + 3g,) array
         theta, s (unit of w)^2; infinity for a constraint that allows its input no energy.
     feedback : (r + 2g, N) array
-        The worst input as a feedback of the states X, and after them those of the delay's model.
-        Both are empty where there is no bound.
+        The worst input as a feedback of the states X, those of the delay's model among them. Both
+        are empty where there is no bound.
 
     Examples
     --------
@@ -99,8 +99,8 @@ def analysis_bound(
 ) -> AnalysisBound:
     """Return the largest error that the constraints on the uncertainty allow an estimator.
 
-    Where `output` is "smoothed", it is that against a Pade model of order 10 of the delayed w, with
-    states of its own: the true delay has no finite state.
+    Where `output` is "smoothed", it is that against a Pade model of order 10 of the delayed w: the
+    true delay has no finite state.
 
     Parameters
     ----------
@@ -126,7 +126,9 @@ def analysis_bound(
     loop = which_loop(loop, copy_noise)
     opened = open_loop(smoother, output, loop)
     if opened.delay > 0.0:
-        opened = _with_delay_model(opened, _DELAY_ORDER)
+        plant = smoother.plant
+        finer = augment(plant.system, plant.delay, _DELAY_ORDER, J_21=plant.J_21)
+        opened = model_loop(replace(smoother, plant=finer), loop)
     proven = guarantee(smoother, output, loop)
     opened, x = scaled(opened)
     fraction, problem, theta = _feasible(opened, smoother.plant)
@@ -162,19 +164,3 @@ def _feasible(
         if larger > fraction:
             return larger, reduced, found
     return fraction, problem, theta
-
-
-def _with_delay_model(loop: OpenLoop, order: int) -> OpenLoop:
-    """Return the loop with its delay of the truth as a Pade model, in states of its own."""
-    model = pade_delay(loop.delay, order, len(loop.truth))
-    below, beside = ((0, len(model.F)), (0, 0)), ((0, 0), (0, len(model.F)))
-    return replace(
-        loop,
-        A=np.vstack([np.pad(loop.A, beside), np.hstack([model.G @ loop.truth, model.F])]),
-        B=np.pad(loop.B, below),
-        inputs=np.pad(loop.inputs, below),
-        outputs=np.pad(loop.outputs, beside),
-        truth=np.hstack([model.J @ loop.truth, model.H]),
-        estimate=np.pad(loop.estimate, beside),
-        delay=0.0,
-    )

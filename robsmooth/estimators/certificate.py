@@ -181,11 +181,11 @@ def problem_of(estimator: Estimator, kept: np.ndarray | None = None) -> Constrai
     return ConstraintProblem(model_loop(estimator), estimator.plant, kept)
 
 
-def model_loop(estimator: Estimator) -> OpenLoop:
-    """Return the loop with the error of w-hat against the delay model's output."""
+def model_loop(estimator: Estimator, loop: str = "real") -> OpenLoop:
+    """Return the loop with the error of the smoothed estimate against the delay model's output."""
     plant, none = estimator.plant, np.zeros_like(estimator.C_a)
     return replace(
-        open_loop(estimator, "filtered", "real"),
+        open_loop(estimator, "filtered", loop),
         truth=np.hstack([plant.C_a, none]),
         estimate=np.hstack([np.zeros_like(plant.C_a), estimator.C_a]),
     )
