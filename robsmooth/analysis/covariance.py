@@ -1,18 +1,7 @@
 r"""Closed loop, stationary error covariance, and the worst constant uncertainty (Section III-A).
 
-With the uncertainty :math:`\tilde\xi = \Delta\tilde\zeta`, the plant and the estimator form the
-loop :math:`dX = \mathbf A X\,dt + \mathbf B\,dW` of (eqclosed). Its stationary covariance
-:math:`\mathbf P` solves :math:`\mathbf{AP} + \mathbf{PA}' + \mathbf{BB}' = 0`, and the smoothed
-error is (eqCo), with the transposes that the paper leaves out,
-
-.. math::
-
-    P_{sa} = C\mathbf P C' - C_s e^{\mathbf A\delta}\mathbf P C' -
-             (C_s e^{\mathbf A\delta}\mathbf P C')' + C_s\mathbf P C_s', \qquad
-    C = [C_{p0}\; 0],\quad C_s = [0\; C_a].
-
-Its terms nearly cancel where the estimate is good. What is computed here is the same in two that
-cannot be negative,
+The smoothed error of the loop (eqclosed) has the covariance (eqCo), whose terms nearly cancel where
+the estimate is good. What is computed here is the same in two terms that cannot be negative,
 
 .. math::
 

@@ -98,8 +98,6 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
         Where no estimator has a finite guarantee; it says with which fraction of the uncertainty
         one has. Where a measurement has no noise, no measurement sees a mode that does not decay,
         or an uncertainty does.
-    ValueError, TypeError
-        For an argument that is not as described.
 
     See Also
     --------

@@ -155,8 +155,8 @@ def stationary_errors(
 
     Raises
     ------
-    TypeError, ValueError
-        For an argument that is not as described, or more than 6000 unknowns, before any work.
+    ValueError
+        Where there are more than 6000 unknowns, before any work.
     UnstableLoopError
         Where the loop is unstable, or by statistical linearisation not in lock.
     ArithmeticError

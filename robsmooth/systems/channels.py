@@ -28,11 +28,6 @@ class Uncertainty:
     D : (l, r_s) array
         :math:`D_{21,s}`, how the uncertainty input enters the measurement rate.
 
-    Raises
-    ------
-    ValueError, TypeError
-        For a matrix that is not 2-D, real and finite.
-
     Examples
     --------
     A rate of decay that is known to 10%, in a system of one state:
@@ -69,21 +64,16 @@ class Nonlinearity:
         :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`. Either this
         or `sector` is given; of a sector it is the larger size of its ends.
     function : callable, optional
-        :math:`\psi_i`, vectorised or compiled by numba, for scalars too. A design needs none.
+        :math:`\psi_i`, zero at zero, vectorised or compiled by numba, for scalars too. A design
+        needs none.
     reference : {None, "filtered", "smoothed"}
         The estimate :math:`r_i` of :math:`\nu_i` that the detector is steered by: the nonlinearity
         acts on :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. `simulate` uses it,
         designs and their guarantees do not.
     sector : (float, float), optional
         The least and the largest slope :math:`(\psi_i(a) - \psi_i(b))/(a - b)`, which need not lie
-        around zero. `UncertainSystem` takes the slope in the middle for a linear part.
-
-    Raises
-    ------
-    ValueError, TypeError
-        For a matrix that is not 2-D, real and finite, a constant that is not positive, a function
-        that is not callable, not vectorised or not zero at zero, another reference, no sector, or
-        one around another slope than zero with a reference and a B that is not zero.
+        around zero. `UncertainSystem` takes the slope in the middle for a linear part. With a
+        reference and a B that is not zero it must lie around zero.
 
     See Also
     --------

@@ -83,9 +83,8 @@ def sector(function: Function, reach: float) -> Sector:
 
     Raises
     ------
-    ValueError, TypeError
-        For a function that is not as described, not finite, of unbounded slope or linear, and for a
-        `reach` that is not positive.
+    ValueError
+        For a function that is not finite, of unbounded slope or linear.
 
     See Also
     --------

@@ -69,11 +69,6 @@ class UncertainSystem:
         measurement. An estimator that is told them has the same error as without, but for what
         uncertainty makes of the states that they move: its outputs :math:`C_1x` are larger.
 
-    Raises
-    ------
-    ValueError, TypeError
-        For any matrix that is not 2-D, real, finite and of the shape above.
-
     See Also
     --------
     augment : the next step, a model of the delay.
