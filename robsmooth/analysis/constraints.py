@@ -28,8 +28,8 @@ from robsmooth.estimators.certificate import (
     model_loop,
 )
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import OpenLoop, guarantee, open_loop, scaled, which_loop
-from robsmooth.systems.augmented import AugmentedSystem, augment
+from robsmooth.estimators.loop import guarantee, open_loop, scaled, which_loop
+from robsmooth.systems.augmented import augment
 
 _DELAY_ORDER = 10
 
@@ -131,7 +131,15 @@ def analysis_bound(
         opened = model_loop(replace(smoother, plant=finer), loop)
     proven = guarantee(smoother, output, loop)
     opened, x = scaled(opened)
-    fraction, problem, theta = _feasible(opened, smoother.plant)
+    problem, g = ConstraintProblem(opened, smoother.plant), smoother.plant.system.g
+    fraction, theta = largest_fraction(problem)
+    if fraction < 1.0 and g:
+        # what the constraints of a nonlinearity or a copy by itself let in may have no effect
+        differences = np.repeat([True, False], [len(smoother.plant.M_i) - 2 * g, 2 * g])
+        reduced = ConstraintProblem(opened, smoother.plant, differences)
+        larger, found = largest_fraction(reduced)
+        if larger > fraction:
+            fraction, problem, theta = larger, reduced, found
     if fraction < 1.0:
         return AnalysisBound(math.inf, math.nan, fraction, proven, np.empty(0), np.empty((0, 0)))
     theta = least_certificate(problem, theta)
@@ -144,23 +152,3 @@ def analysis_bound(
         multipliers=frozen(problem.all_multipliers(theta)),
         feedback=frozen(point.feedback @ problem.states / x),
     )
-
-
-def _feasible(
-    loop: OpenLoop, plant: AugmentedSystem
-) -> tuple[float, ConstraintProblem, np.ndarray]:
-    """Return the largest fraction of the uncertainty that has a bound, the problem and its theta.
-
-    Where there is none with all constraints, those of the nonlinearities and of the copies by
-    themselves are left out: what they let in may have no effect on the error.
-    """
-    problem = ConstraintProblem(loop, plant)
-    fraction, theta = largest_fraction(problem)
-    g = plant.system.g
-    if fraction < 1.0 and g:
-        kept = np.repeat([True, False], [plant.system.k + g, 2 * g])
-        reduced = ConstraintProblem(loop, plant, kept)
-        larger, found = largest_fraction(reduced)
-        if larger > fraction:
-            return larger, reduced, found
-    return fraction, problem, theta

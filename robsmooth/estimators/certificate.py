@@ -294,7 +294,7 @@ def _quasi_newton(
         trial = np.exp(logarithms)
         try:
             point = problem.at(trial, fraction)
-        except RiccatiError:
+        except (RiccatiError, LinAlgError):  # multipliers that rounding takes for zero
             return _INFEASIBLE, np.zeros_like(trial)
         if point.mean_square < best[0]:
             best = point.mean_square, trial
