@@ -28,7 +28,6 @@ from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.constant import mean_square, worst_delta
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import (
-    OUTPUTS,
     Reference,
     drifting_error,
     error_rows,
@@ -157,7 +156,6 @@ def error_covariance(
     >>> rs.error_covariance(smoother, plant.structured_delta([], [-0.5]), loop="real").round(4)
     array([[0.0609]])
     """
-    validation.choice("output", output, OUTPUTS)
     validation.instance("smoother", smoother, Estimator)
     plant = smoother.plant
     Delta = validation.matrix("Delta", Delta, (plant.B1_tilde.shape[1], len(plant.C1_tilde)))
@@ -198,7 +196,6 @@ def delta_sweep(
     """
     validation.instance("smoother", smoother, Estimator)
     slopes = validation.array("nonlinearities", nonlinearities, ndim=1)
-    validation.choice("output", output, OUTPUTS)
     plant = smoother.plant
     pattern = plant.structured_delta((), [1.0] * plant.system.g)
     _check_norm(plant, np.abs(slopes).max(initial=0.0) * pattern)
@@ -242,11 +239,7 @@ class WorstCase:
 
 
 @one_thread
-def worst_case(
-    smoother: Estimator,
-    output: str = "smoothed",
-    loop: str = "theory",
-) -> WorstCase:
+def worst_case(smoother: Estimator, output: str = "smoothed", loop: str = "theory") -> WorstCase:
     """Search for the constant admissible uncertainty with the largest mean square error.
 
     Parameters

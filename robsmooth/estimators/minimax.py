@@ -104,11 +104,6 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     minimize_bound : the paper's design, with the least bound V.
     analysis_bound : the certified error of any estimator.
 
-    References
-    ----------
-    J. C. Geromel, "Optimal linear filtering under parameter uncertainty", IEEE Trans. Signal
-    Process. 47(1), 1999.
-
     Examples
     --------
     >>> import robsmooth as rs

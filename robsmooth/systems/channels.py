@@ -111,7 +111,11 @@ class Nonlinearity:
     ) -> None:
         _set_matrices(self, B, C, D)
         if sector is not None:
-            sector = _slopes(sector)
+            slopes = validation.array("Nonlinearity sector", sector, ndim=1).tolist()
+            if len(slopes) != 2 or not slopes[0] < slopes[1]:
+                wanted = "two slopes, the least and the largest"
+                raise ValueError(f"Nonlinearity sector must be {wanted}, got {sector!r}")
+            sector = tuple(slopes)
             if lipschitz not in (None, max(map(abs, sector))):
                 raise TypeError("Nonlinearity must have a lipschitz or a sector, got both")
             lipschitz = max(map(abs, sector))
@@ -182,12 +186,3 @@ def _set_matrices(channel: Channel, B: ArrayLike, C: ArrayLike, D: ArrayLike) ->
 
 def _text(channel: Channel) -> str:
     return ", ".join(f"{name}={notation.array(getattr(channel, name))}" for name in "BCD")
-
-
-def _slopes(sector: tuple[float, float]) -> tuple[float, float]:
-    """Return a sector as two floats, the lesser first."""
-    slopes = validation.array("Nonlinearity sector", sector, ndim=1)
-    if len(slopes) != 2 or not slopes[0] < slopes[1]:
-        wanted = "two slopes, the least and the largest"
-        raise ValueError(f"Nonlinearity sector must be {wanted}, got {sector!r}")
-    return float(slopes[0]), float(slopes[1])
