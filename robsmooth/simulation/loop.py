@@ -36,7 +36,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -52,7 +51,7 @@ from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import matrices, reference_outputs
+from robsmooth.estimators.loop import blocks_of, matrices, reference_outputs
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.functions import on_arrays
 
@@ -228,8 +227,8 @@ def _uncertainties(plant: AugmentedSystem, given: Uncertainties) -> tuple[Matrix
     values = list(given) if np.iterable(given) else []
     constants = [0.0 if callable(value) else value for value in values]
     delta, functions = plant.structured_delta(constants or given), []
-    channels = zip(values, _ranges(plant.input_sizes), _ranges(plant.output_sizes), strict=False)
-    for s, (value, inputs, outputs) in enumerate(channels):
+    for s, (value, block) in enumerate(zip(values, blocks_of(plant), strict=False)):
+        inputs, outputs = (np.r_[each].tolist() for each in block.places[0])
         if callable(value):
             shape = np.shape(value(0.0, np.zeros((len(outputs), 2))))
             if shape != (len(inputs), 2):
@@ -268,11 +267,6 @@ def _nonlinearities(smoother: Estimator, arguments: Matrix) -> list[Function]:
 
         functions.append(Function(inputs, outputs, function, elementwise=True))
     return functions
-
-
-def _ranges(sizes: Sequence[int]) -> list[list[int]]:
-    ends = np.cumsum((0, *sizes))
-    return [list(range(start, end)) for start, end in pairwise(ends)]
 
 
 class ExponentialIntegrator:
