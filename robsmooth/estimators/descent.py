@@ -52,15 +52,19 @@ class Slopes:
         return np.concatenate([part.ravel() for part in parts])
 
 
-def variables(estimator: Estimator) -> tuple[Matrix, ...]:
-    """Return drift, gains, the copies' arguments and the read-out."""
+def variables(estimator: Estimator) -> np.ndarray:
+    """Return drift, gains, the copies' arguments and the read-out as one array."""
+    return np.concatenate([part.ravel() for part in _parts(estimator)])
+
+
+def _parts(estimator: Estimator) -> tuple[Matrix, ...]:
     system = estimator.plant.system
     return estimator.A_c, estimator.B_c[:, : system.l], estimator.C_c[system.m :], estimator.C_a
 
 
 def with_variables(estimator: Estimator, x: np.ndarray) -> Estimator:
     """Return the estimator that has these variables; its C_c and C_a read the same estimate."""
-    parts = variables(estimator)
+    parts = _parts(estimator)
     ends = np.cumsum([part.size for part in parts])[:-1]
     A_c, gain, arguments, C_a = (
         values.reshape(part.shape).copy()
@@ -93,7 +97,7 @@ def descend(
     ArithmeticError or LinAlgError where the estimator is not to be considered.
     """
     estimator = balanced(estimator)
-    start = np.concatenate([*map(np.ravel, variables(estimator)), more])
+    start = np.concatenate([variables(estimator), more])
     own = len(start) - len(more)
 
     def value(x: np.ndarray) -> tuple[float, np.ndarray]:
