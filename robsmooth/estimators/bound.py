@@ -82,11 +82,6 @@ def minimize_bound(
         constraints vanish, those are at most a millionth of the largest, `bound_infimum` is the
         limit of the bound, and `limit` that of the designs; otherwise these two are None.
 
-    Raises
-    ------
-    InfeasibleDesignError
-        Where no design was found.
-
     See Also
     --------
     design_smoother, best_lag, choose_lag : at given tau and lambda; the delay and the order, too.

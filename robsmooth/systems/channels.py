@@ -78,7 +78,6 @@ class Nonlinearity:
     See Also
     --------
     sector : finds the slopes of a function, and makes its nonlinearity.
-    Uncertainty, UncertainSystem : the other channels, and what they are part of.
 
     Examples
     --------

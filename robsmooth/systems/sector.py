@@ -86,10 +86,6 @@ def sector(function: Function, reach: float) -> Sector:
     ValueError
         For a function that is not finite, of unbounded slope or linear.
 
-    See Also
-    --------
-    Nonlinearity : what it is for.
-
     Examples
     --------
     The noise of a sensor that saturates has the intensity 0.1:
