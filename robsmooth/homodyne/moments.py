@@ -65,7 +65,6 @@ GAIN_OF_A_STEP = 10.0  # by which a step in degree is believed to reduce the tru
 DEFAULT_UNKNOWNS, MOST_UNKNOWNS = 2500, 6000  # at most: of the default degree, and at all
 DECAYED = 30.0  # time constants of the loop's slowest mode after which e^{Lt} is zero
 _LARGEST_RESIDUAL = 1e-10  # relative residual up to which the moments are solved for
-_ZERO_ENTRY = 1e-16  # of a matrix, relative to its largest entry, below which it is zero
 
 LARGEST_DEVIATION = math.pi / 2  # standard deviation of the argument of a sine in lock, rad
 _NEGLIGIBLE_REMAINDER = 1e-15  # of what sin(v) - v does to the state in a time constant
@@ -241,11 +240,7 @@ def _generator(problem: WhitenedLoop, basis: HermiteBasis) -> sparse.csr_array:
     terms = [a.T @ basis.derivative(column) for a, column in columns]
     for row, slope, gain in problem.sines:
         terms.append(_remainder(row, slope, basis) @ basis.derivative(gain))
-    generator = sum(terms).tocsr()
-    size = np.abs(generator.data)
-    generator.data[size < _ZERO_ENTRY * size.max()] = 0.0  # they would only fill the factors
-    generator.eliminate_zeros()
-    return generator
+    return sum(terms).tocsr()
 
 
 def _remainder(row: Matrix, slope: float, basis: HermiteBasis) -> sparse.csr_array:
