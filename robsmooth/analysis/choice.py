@@ -203,9 +203,7 @@ def best_smoother(
     Raises
     ------
     InfeasibleDesignError
-        Where no estimator has a finite error; for the certified one it says which fraction of the
-        uncertainty has one. Where a measurement has no noise, no measurement sees a mode that does
-        not decay, or an uncertainty does.
+        Where no estimator has a finite error, and as in `minimax_smoother`.
 
     Warns
     -----

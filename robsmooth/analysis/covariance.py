@@ -1,18 +1,7 @@
 r"""Closed loop, stationary error covariance, and the worst constant uncertainty (Section III-A).
 
-With the uncertainty :math:`\tilde\xi = \Delta\tilde\zeta`, the plant and the estimator form the
-loop :math:`dX = \mathbf A X\,dt + \mathbf B\,dW` of (eqclosed). Its stationary covariance
-:math:`\mathbf P` solves :math:`\mathbf{AP} + \mathbf{PA}' + \mathbf{BB}' = 0`, and the smoothed
-error is (eqCo), with the transposes that the paper leaves out,
-
-.. math::
-
-    P_{sa} = C\mathbf P C' - C_s e^{\mathbf A\delta}\mathbf P C' -
-             (C_s e^{\mathbf A\delta}\mathbf P C')' + C_s\mathbf P C_s', \qquad
-    C = [C_{p0}\; 0],\quad C_s = [0\; C_a].
-
-Its terms nearly cancel where the estimate is good. What is computed here is the same in two that
-cannot be negative,
+The smoothed error of the loop (eqclosed) has the covariance (eqCo), whose terms nearly cancel where
+the estimate is good. What is computed here is the same in two terms that cannot be negative,
 
 .. math::
 
@@ -39,7 +28,6 @@ from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.constant import mean_square, worst_delta
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import (
-    OUTPUTS,
     Reference,
     drifting_error,
     error_rows,
@@ -168,7 +156,6 @@ def error_covariance(
     >>> rs.error_covariance(smoother, plant.structured_delta([], [-0.5]), loop="real").round(4)
     array([[0.0609]])
     """
-    validation.choice("output", output, OUTPUTS)
     validation.instance("smoother", smoother, Estimator)
     plant = smoother.plant
     Delta = validation.matrix("Delta", Delta, (plant.B1_tilde.shape[1], len(plant.C1_tilde)))
@@ -209,7 +196,6 @@ def delta_sweep(
     """
     validation.instance("smoother", smoother, Estimator)
     slopes = validation.array("nonlinearities", nonlinearities, ndim=1)
-    validation.choice("output", output, OUTPUTS)
     plant = smoother.plant
     pattern = plant.structured_delta((), [1.0] * plant.system.g)
     _check_norm(plant, np.abs(slopes).max(initial=0.0) * pattern)
@@ -253,11 +239,7 @@ class WorstCase:
 
 
 @one_thread
-def worst_case(
-    smoother: Estimator,
-    output: str = "smoothed",
-    loop: str = "theory",
-) -> WorstCase:
+def worst_case(smoother: Estimator, output: str = "smoothed", loop: str = "theory") -> WorstCase:
     """Search for the constant admissible uncertainty with the largest mean square error.
 
     Parameters

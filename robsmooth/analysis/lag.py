@@ -92,11 +92,6 @@ def lag_sweep(
     -------
     LagSweep
 
-    Raises
-    ------
-    InfeasibleDesignError
-        Where there is no design.
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -141,7 +136,7 @@ def best_lag(system: UncertainSystem, order: int) -> tuple[float, float]:
     Raises
     ------
     InfeasibleDesignError
-        Where there is no design, or smoothing gains nothing.
+        Where smoothing gains nothing.
 
     Examples
     --------

@@ -134,9 +134,8 @@ def check_record(
 
     Raises
     ------
-    ValueError, TypeError
-        For an argument that is not as described; for a smoother that runs a model of its delay,
-        and so has no innovations.
+    ValueError
+        For a smoother that runs a model of its delay, and so has no innovations.
 
     See Also
     --------

@@ -82,11 +82,6 @@ def minimize_bound(
         constraints vanish, those are at most a millionth of the largest, `bound_infimum` is the
         limit of the bound, and `limit` that of the designs; otherwise these two are None.
 
-    Raises
-    ------
-    InfeasibleDesignError
-        Where no design was found.
-
     See Also
     --------
     design_smoother, best_lag, choose_lag : at given tau and lambda; the delay and the order, too.
@@ -119,7 +114,7 @@ def minimize_bound(
     if multipliers.all():
         return design_smoother(plant, tau, multipliers, cost)
     limit = limiting_smoother(plant, tau, multipliers, cost)
-    return replace(_design_near(limit, search), bound_infimum=limit.bound, limit=limit)
+    return replace(_design_near(limit), bound_infimum=limit.bound, limit=limit)
 
 
 @one_thread
@@ -129,10 +124,17 @@ def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float
     The bound falls with tau, from the least one that has a design, and then grows. Where no tau has
     a design, the design at this one says why.
     """
-    return _Search.of(plant, cost).best_tau(np.asarray(multipliers, dtype=float))
+    search, multipliers = _Search.of(plant, cost), np.asarray(multipliers, dtype=float)
+
+    def log_of(log_tau: float) -> float:
+        value = search.log_bound(math.exp(log_tau), multipliers)
+        return value if value < _REFUSED else _REFUSED - log_tau  # tau is too small
+
+    ends, options = np.log([1.0 / _LARGEST_TAU, _LARGEST_TAU]), {"xatol": _TAU_TOLERANCE}
+    return search.tau * math.exp(minimize_scalar(log_of, bounds=ends, options=options).x)
 
 
-def _design_near(limit: RobustSmoother, search: "_Search") -> RobustSmoother:
+def _design_near(limit: RobustSmoother) -> RobustSmoother:
     """Return a design next to a limit."""
     plant, design = limit.plant, limit
     for fraction in VANISHING * 0.1 ** np.arange(7):
@@ -140,7 +142,7 @@ def _design_near(limit: RobustSmoother, search: "_Search") -> RobustSmoother:
         multipliers = np.where(limit.multipliers > 0.0, limit.multipliers, small)
         multipliers /= conditions.multiplier_level(plant, multipliers)
         with suppress(InfeasibleDesignError):
-            tau = search.best_tau(multipliers)
+            tau = best_tau(plant, multipliers, limit.cost)
             design = design_smoother(plant, tau, multipliers, limit.cost)
             if design.bound < (1.0 + _EXCESS) * limit.bound:
                 break
@@ -171,16 +173,6 @@ class _Search:
         with suppress(InfeasibleDesignError):
             return math.log(tau) + log_bound(self.problem, tau * multipliers)
         return _REFUSED
-
-    def best_tau(self, multipliers: np.ndarray) -> float:
-        """Return the tau, s (unit of w)^2, with the least bound at multipliers."""
-
-        def log_of(log_tau: float) -> float:
-            value = self.log_bound(math.exp(log_tau), multipliers)
-            return value if value < _REFUSED else _REFUSED - log_tau  # tau is too small
-
-        ends, options = np.log([1.0 / _LARGEST_TAU, _LARGEST_TAU]), {"xatol": _TAU_TOLERANCE}
-        return self.tau * math.exp(minimize_scalar(log_of, bounds=ends, options=options).x)
 
     def arguments(self, point: np.ndarray) -> tuple[float, np.ndarray]:
         """Return tau and all multipliers."""

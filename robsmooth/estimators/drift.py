@@ -6,11 +6,9 @@ The modes that hardly decay, and that no uncertainty sees, are :math:`x = Vz` wi
 .. math:: dx_0 = (Ax_0 + VW\bar B\tilde\mu)\,dt + L_0\,dy', \qquad
           dy' = dy - (C_2x_0 + \bar D\tilde\mu)\,dt, \qquad x_0 = Vz_0,
 
-leaves the plant of :math:`x - x_0` with the measurement :math:`dy'`: the drift :math:`A - L_0C_2`,
-the noise :math:`B_1 - L_0D_{21}`, the channels' inputs :math:`B - L_0D`, and the same outputs. The
-outputs of the copies, which are known, are taken off what the observer has of them. What is left is
-stable, and an estimator for it and the observer are one for the plant. The least error does not
-depend on :math:`L_0`: any observer will do.
+leaves the plant of :math:`x - x_0` with the measurement :math:`dy'`. It is stable, and an estimator
+for it and the observer are one for the plant. The outputs of the copies, which are known, are taken
+off what the observer has of them.
 """
 
 from dataclasses import dataclass, replace
@@ -69,8 +67,13 @@ class Drift:
         kept = np.ones(k + 3 * g, dtype=bool)
         for i, channel in enumerate(system.nonlinearities, start=k):
             kept[[i + g, i + 2 * g]] = not replace(found, V=V).seen_by(channel.C).any()
-        left = replace(plant, system=_left(system, gain), taken_off=taken_off)
-        return cls(left, V, W, gain, kept)
+        left = {
+            kind: [replace(c, B=c.B - gain @ c.D) for c in getattr(system, kind)]
+            for kind in ("uncertainties", "nonlinearities")
+        }
+        A, B1 = system.A - gain @ system.C2, system.B1 - gain @ system.D21
+        system = replace(system, A=A, B1=B1, **left)
+        return cls(replace(plant, system=system, taken_off=taken_off), V, W, gain, kept)
 
     def restored(self, plant: AugmentedSystem, fields: dict[str, Any]) -> dict[str, Any]:
         """Return the fields of an estimator of the plant, from those of one of what is left.
@@ -120,13 +123,3 @@ def _unseen(found: Modes, system: UncertainSystem, rate: float) -> Matrix:
             raise InfeasibleDesignError("A bounded uncertainty", detail)
         rest = rest @ null_space((np.eye(len(rest)) - unseen @ unseen.T) @ rest)
     return rest
-
-
-def _left(system: UncertainSystem, gain: Matrix) -> UncertainSystem:
-    """Return the system of what the observer leaves, all but functions and known inputs."""
-    channels = {
-        kind: [replace(c, B=c.B - gain @ c.D) for c in getattr(system, kind)]
-        for kind in ("uncertainties", "nonlinearities")
-    }
-    A, B1 = system.A - gain @ system.C2, system.B1 - gain @ system.D21
-    return replace(system, A=A, B1=B1, **channels)

@@ -170,7 +170,7 @@ def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
     A, B, inputs, outputs = matrices(smoother, loop)
     blocks = tuple(
         block
-        for block in _structure(smoother.plant)
+        for block in blocks_of(smoother.plant)
         if any(inputs[:, rows].any() and outputs[columns].any() for rows, columns in block.places)
     )
     return OpenLoop(A, B, inputs, outputs, truth, estimate, delay, blocks)
@@ -248,7 +248,7 @@ def guarantee(smoother: Estimator, output: str, loop: str) -> float | None:
     return smoother.mean_square_bound if covered else None
 
 
-def _structure(plant: AugmentedSystem) -> list[Block]:
+def blocks_of(plant: AugmentedSystem) -> list[Block]:
     """Return the blocks of Delta: the k uncertainties, then the g nonlinearities."""
     shapes = list(zip(plant.input_sizes, plant.output_sizes, strict=True))
     ends = zip(shapes, np.cumsum(shapes, axis=0), strict=True)

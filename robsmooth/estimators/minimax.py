@@ -98,18 +98,11 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
         Where no estimator has a finite guarantee; it says with which fraction of the uncertainty
         one has. Where a measurement has no noise, no measurement sees a mode that does not decay,
         or an uncertainty does.
-    ValueError, TypeError
-        For an argument that is not as described.
 
     See Also
     --------
     minimize_bound : the paper's design, with the least bound V.
     analysis_bound : the certified error of any estimator.
-
-    References
-    ----------
-    J. C. Geromel, "Optimal linear filtering under parameter uncertainty", IEEE Trans. Signal
-    Process. 47(1), 1999.
 
     Examples
     --------

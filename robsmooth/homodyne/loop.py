@@ -1,13 +1,8 @@
 r"""The adaptive homodyne loop of Section IV with a linear estimator in it.
 
-The phase drifts and the photocurrent measures it against the local oscillator's phase :math:`u`,
-
-.. math::
-
-    d\varphi &= -\lambda\varphi\,dt + \sqrt\kappa\,dV,\\
-    I\,dt &= 2\alpha\sin(\varphi - u)\,dt + \sqrt s\,dW .
-
-The estimator is driven by the measurement and by its own copy of the nonlinearity,
+The phase and the photocurrent are those of `robsmooth.homodyne.parameters`, with the local
+oscillator's phase :math:`u` in place of the estimate, and a noise of the power s. The estimator is
+driven by the measurement and by its own copy of the nonlinearity,
 
 .. math::
 

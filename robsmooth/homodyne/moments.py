@@ -65,7 +65,6 @@ GAIN_OF_A_STEP = 10.0  # by which a step in degree is believed to reduce the tru
 DEFAULT_UNKNOWNS, MOST_UNKNOWNS = 2500, 6000  # at most: of the default degree, and at all
 DECAYED = 30.0  # time constants of the loop's slowest mode after which e^{Lt} is zero
 _LARGEST_RESIDUAL = 1e-10  # relative residual up to which the moments are solved for
-_ZERO_ENTRY = 1e-16  # of a matrix, relative to its largest entry, below which it is zero
 
 LARGEST_DEVIATION = math.pi / 2  # standard deviation of the argument of a sine in lock, rad
 _NEGLIGIBLE_REMAINDER = 1e-15  # of what sin(v) - v does to the state in a time constant
@@ -155,8 +154,8 @@ def stationary_errors(
 
     Raises
     ------
-    TypeError, ValueError
-        For an argument that is not as described, or more than 6000 unknowns, before any work.
+    ValueError
+        Where there are more than 6000 unknowns, before any work.
     UnstableLoopError
         Where the loop is unstable, or by statistical linearisation not in lock.
     ArithmeticError
@@ -198,21 +197,16 @@ def _converged(problem: WhitenedLoop) -> StationaryErrors:
     errors, results = [_errors(problem, 2)], []
     for degree in count(LEAST_DEGREE, 2):
         errors.append(_errors(problem, degree))
-        results.append(_result(problem, errors, degree))
+        with np.errstate(invalid="ignore"):  # infinite errors make a truncation that is none
+            steps = np.abs(np.diff(errors[-3:], axis=0))
+            steps[:-1] /= GAIN_OF_A_STEP
+            truncation = steps.max(axis=0) + problem.rounding * errors[-1]
+        results.append(StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree))
         best = min(results, key=lambda result: result._relative_truncation)
         gains_nothing = degree >= best.degree + 2 * STEPS_WITHOUT_GAIN
         too_large = _unknowns(len(problem.drift), degree + 2) > DEFAULT_UNKNOWNS
         if gains_nothing or too_large or best._relative_truncation <= TOLERANCE:
             return best
-
-
-def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> StationaryErrors:
-    """Return the last errors, with the truncation estimated from the last two steps in degree."""
-    with np.errstate(invalid="ignore"):  # infinite errors make a truncation that is none
-        steps = np.abs(np.diff(errors[-3:], axis=0))
-        steps[:-1] /= GAIN_OF_A_STEP
-        truncation = steps.max(axis=0) + problem.rounding * errors[-1]
-    return StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree)
 
 
 def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
@@ -246,11 +240,7 @@ def _generator(problem: WhitenedLoop, basis: HermiteBasis) -> sparse.csr_array:
     terms = [a.T @ basis.derivative(column) for a, column in columns]
     for row, slope, gain in problem.sines:
         terms.append(_remainder(row, slope, basis) @ basis.derivative(gain))
-    generator = sum(terms).tocsr()
-    size = np.abs(generator.data)
-    generator.data[size < _ZERO_ENTRY * size.max()] = 0.0  # they would only fill the factors
-    generator.eliminate_zeros()
-    return generator
+    return sum(terms).tocsr()
 
 
 def _remainder(row: Matrix, slope: float, basis: HermiteBasis) -> sparse.csr_array:

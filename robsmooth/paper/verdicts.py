@@ -102,7 +102,9 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     if "simulation" in kinds:
         folder = Path(data_dir) if data_dir else published.data_folder()
         simulation = published.read_simulation(folder)
-        recompute["simulation"] = lambda: [_simulated(simulation)]
+        names = "error covariance, smoother", "error covariance, NGCF"
+        errors = statements.simulated_errors(simulation)
+        recompute["simulation"] = lambda: [dict(zip(names, errors, strict=True))]
     recomputed = {kind: values() for kind, values in recompute.items() if kind in kinds}
     found, checks = Verdicts(), statements.checks(simulation)
     for entry in published.published()["quantity"]:
@@ -162,11 +164,6 @@ def _design() -> list[Values]:
         matrices = {name: getattr(estimator, name) for name in ("A_c", "B_c", "C_c")}
         found.append(matrices | {"V at the printed tau, lambda": bound})
     return found
-
-
-def _simulated(errors: published.SimulatedErrors) -> Values:
-    names = ("error covariance, smoother", "error covariance, NGCF")
-    return dict(zip(names, statements.simulated_errors(errors), strict=True))
 
 
 def _verdicts_on(entry: dict, values: Sequence[float | Matrix]) -> Iterator[Verdict]:

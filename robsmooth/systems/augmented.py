@@ -193,11 +193,6 @@ class AugmentedSystem:
         -------
         (r + 2g, h + 2g) array
 
-        Raises
-        ------
-        ValueError, TypeError
-            For an entry too few or many, or one that is no number or block of its channel's size.
-
         Examples
         --------
         >>> import robsmooth as rs
@@ -232,11 +227,6 @@ def augment(
     Returns
     -------
     AugmentedSystem
-
-    Raises
-    ------
-    ValueError, TypeError
-        For a bad delay, order or J_21.
 
     See Also
     --------

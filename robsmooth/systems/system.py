@@ -69,11 +69,6 @@ class UncertainSystem:
         measurement. An estimator that is told them has the same error as without, but for what
         uncertainty makes of the states that they move: its outputs :math:`C_1x` are larger.
 
-    Raises
-    ------
-    ValueError, TypeError
-        For any matrix that is not 2-D, real, finite and of the shape above.
-
     See Also
     --------
     augment : the next step, a model of the delay.
@@ -129,17 +124,12 @@ class UncertainSystem:
             kept.append(channel)
             if slope:
                 A, C2 = map(frozen, with_feedback(A, C2, channel, slope * channel.C))
-        given = {"B2": (B2, n), "D22": (D22, len(C2))}
-        inputs = {
-            name: validation.matrix(name, value, (rows, None))
-            for name, (value, rows) in given.items()
-            if value is not None
-        }
-        p = next((value.shape[1] for value in inputs.values()), 0)
-        B2, D22 = (
-            validation.matrix(name, inputs.get(name, np.zeros((rows, p))), (rows, p))
-            for name, (_, rows) in given.items()
-        )
+        if B2 is None:
+            none = np.zeros((len(C2), 0)) if D22 is None else D22
+            B2 = np.zeros((n, validation.matrix("D22", none, (len(C2), None)).shape[1]))
+        B2 = validation.matrix("B2", B2, (n, None))
+        D22 = np.zeros((len(C2), B2.shape[1])) if D22 is None else D22
+        D22 = validation.matrix("D22", D22, (len(C2), B2.shape[1]))
         vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21, B2=B2, D22=D22)
         vars(self).update(uncertainties=uncertainties, nonlinearities=tuple(kept))
 

@@ -19,9 +19,10 @@ from robsmooth import (
     homodyne,
 )
 from robsmooth._numerics.riccati import solve_riccati
-from robsmooth.analysis.constraints import _with_delay_model, analysis_bound
+from robsmooth.analysis.constraints import analysis_bound
 from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators import baselines
+from robsmooth.estimators.certificate import model_loop
 from robsmooth.estimators.loop import LOOPS, OUTPUTS, open_loop
 from tests.helpers.loops import looking_at_nothing
 from tests.helpers.strategies import admissible_delta, designs, seeds
@@ -85,7 +86,9 @@ def test_worst_input_meets_the_constraints_and_attains_the_bound(design, output)
     found = analysis_bound(design, output)
     loop = open_loop(design, output, "theory")
     if loop.delay > 0.0:
-        loop = _with_delay_model(loop, 10)
+        plant = design.plant
+        finer = augment(plant.system, plant.delay, 10, J_21=plant.J_21)
+        loop = model_loop(replace(design, plant=finer), "theory")
     K = found.feedback
     # another route than the gradient: the loop with this input, and its energies
     P = solve_continuous_lyapunov(loop.A + loop.inputs @ K, -loop.B @ loop.B.T)

@@ -187,9 +187,9 @@ def monte_carlo(
 
     Raises
     ------
-    TypeError, ValueError
-        For an argument that is not as described, a step with which the Euler scheme is unstable
-        ("paper"), or a checkpoint of another call (CheckpointError), before anything is simulated.
+    ValueError
+        For a step with which the Euler scheme is unstable ("paper"), or a checkpoint of another
+        call (CheckpointError), before anything is simulated.
     UnstableLoopError, RuntimeError
         Where the linearised loop is not stable ("ergodic"); where a path overflows, or numba's
         compiler is switched off.
