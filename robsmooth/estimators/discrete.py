@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from robsmooth._support import validation
 from robsmooth.estimators import sample_loop
 from robsmooth.estimators.exact import ExactFilter
+from robsmooth.estimators.exports import Exports
 from robsmooth.estimators.held import HeldEstimator
 from robsmooth.systems.system import covariance_root
 
@@ -24,7 +25,7 @@ OUTPUTS = ("smoothed", "filtered")
 DELAYS = ("exact", "model")
 
 
-class DiscreteSmoother:
+class DiscreteSmoother(Exports):
     r"""An estimator that is fed the samples of a record, one by one or many at a time.
 
     Made by ``estimator.discretize(dt)``. Sample k, from zero since the start or the last `reset`,
