@@ -20,7 +20,7 @@ from robsmooth.estimators import sample_loop
 from robsmooth.systems.system import state_space
 
 Floats = NDArray[np.float64]
-Functions = Sequence[str | None] | None
+Texts = Sequence[str | None] | None
 _MOST_CHANNELS = 4  # which can be missing: each set of them has sums of its own
 _ROWS = 200  # of the record to test with
 _EXPRESSION = r"[\w\s.,+*/()?:<>=&|!-]+"
@@ -142,9 +142,7 @@ class Exports:
         through = {(name, "y"): C @ B for name, C in reads.items()}
         return state_space(A, {"y": B}, {k: C @ A for k, C in reads.items()}, through, self.dt)
 
-    def to_c(
-        self, path: str | Path, functions: Functions = None, precision: str = "double"
-    ) -> None:
+    def to_c(self, path: str | Path, functions: Texts = None, precision: str = "double") -> None:
         """Write an estimator with its delay model as C99, which needs math.h and no allocation.
 
         NAME.c and NAME.h have NAME_init and NAME_step. Compiled with ROBSMOOTH_TEST, they are a
@@ -186,7 +184,7 @@ class Exports:
             files.write_text(path.with_suffix(suffix), text.replace("@", "f" * (real == "float")))
 
 
-def _functions(discrete: Any, given: Functions) -> str:
+def _functions(discrete: Any, given: Texts) -> str:
     """Return the nonlinearities of the copies as C functions."""
     psi, running = [None] * discrete.g if given is None else given, discrete._running
     right = not isinstance(psi, str) and len(psi) == discrete.g

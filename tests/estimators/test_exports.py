@@ -77,6 +77,16 @@ def test_the_program_sees_a_wrong_function(tmp_path):
     assert checked_by_its_record(tmp_path / "wrong.c") > 1e-6
 
 
+def test_a_function_of_ones_own_is_called_by_its_name(tmp_path):
+    """As a table is: it is declared by a header that the compiler includes."""
+    (tmp_path / "mine.h").write_text(
+        "#include <math.h>\nstatic inline double mine(double x) { return tanh(x); }\n"
+    )
+    of_copies(3).discretize(0.1, delay="model").to_c(tmp_path / "made.c", ["mine(x)", "sin(x)"])
+    include = ("-include", str(tmp_path / "mine.h"))
+    assert checked_by_its_record(tmp_path / "made.c", None, *include) < DOUBLE
+
+
 def test_single_precision_rounds_and_does_no_more(tmp_path):
     """A step rounds the state once, and the terms of its change, which are smaller, a few times.
 
