@@ -44,7 +44,7 @@ int {name}_step({name}_state *s, const {name}_real *y{reference},
 """
 _CODE = """\
 /* {name}: estimates from samples every {dt:g} s, by robsmooth.
-   A step takes {counts}.
+   A step takes at most {counts}.
    Compile without -ffast-math: NAN marks what is missing. */
 #include <math.h>
 #include "{name}.h"
@@ -227,8 +227,8 @@ def _statements(discrete: Any) -> dict[str, str]:
         for i, row in enumerate(cases[0][output])
     ]
     blocks = [[f"case {i}:", *move, "break;"] for i, move in enumerate(moves)]
-    whole = " ".join([*begin, *moves[0], *reads])
-    counts = [len(re.findall(f" [{signs}] ", whole)) for signs in ("*", "+-")]
+    texts = [" ".join([*begin, *move, *reads]) for move in moves]
+    counts = [max(len(re.findall(f" [{signs}] ", text)) for text in texts) for signs in ("*", "+-")]
     return {
         "begin": "\n    ".join(begin),
         "cases": "\n    ".join("\n        ".join(block) for block in blocks),
