@@ -31,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         report.peers_table(results),
         *report.scale_tables(results),
         report.records_table(results),
+        *report.latency_tables(results),
         report.design_table(results),
         report.guarantees_table(results),
     ):
@@ -50,6 +51,7 @@ def measure(quick: bool, peers: str) -> dict:
     started, load = time.perf_counter(), os.getloadavg()[0]
     race = on_one_core("benchmarks.race", "--peers", peers, *(["--quick"] if quick else []))
     records = on_one_core("benchmarks.throughput", *(["--quick"] if quick else []))
+    latency = on_one_core("benchmarks.latency", *(["--quick"] if quick else []))
     curves = scales.scales(scales.QUICK if quick else scales.FULL)
     waits = design_and_sweep(5 if quick else 31)
     certified = guarantees(1 if quick else 5)
@@ -57,8 +59,8 @@ def measure(quick: bool, peers: str) -> dict:
     about["load_before"] = load
     about["compiler"] = cpp.version()
     about["versions"] |= {name: version(name) for name in ("jax", "diffrax")}
-    measured = {"race": race, "scales": curves, "records": records, "design": waits}
-    return {"about": about, **measured, "guarantees": certified}
+    measured = {"race": race, "scales": curves, "records": records, "latency": latency}
+    return {"about": about, **measured, "design": waits, "guarantees": certified}
 
 
 def on_one_core(module: str, *arguments: str) -> dict:

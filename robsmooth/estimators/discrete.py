@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from robsmooth._support import validation
 from robsmooth.estimators.copies import Functions, running_copies, running_functions
 from robsmooth.estimators.exact import ExactFilter
+from robsmooth.estimators.exports import Exports
 from robsmooth.estimators.held import HeldEstimator
 from robsmooth.estimators.sample_loop import Samples
 from robsmooth.systems.system import covariance_root
@@ -29,7 +30,7 @@ _SHORTEST = 1e-6  # times dt
 _ROWS = 4096  # of samples with lengths of their own, whose matrices are in memory at a time
 
 
-class DiscreteSmoother:
+class DiscreteSmoother(Exports):
     r"""An estimator that is fed the samples of a record, one by one or many at a time.
 
     Made by ``estimator.discretize(dt)``. Sample k, from zero since the start or the last `reset`,

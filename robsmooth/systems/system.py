@@ -334,6 +334,7 @@ def state_space(
     inputs: Mapping[str, Matrix],
     outputs: Mapping[str, Matrix],
     feedthrough: Mapping[tuple[str, str], Matrix],
+    dt: float = 0.0,
 ) -> "control.StateSpace":
     """Return a python-control object with signals by name: inputs (n, .) and outputs (., n).
 
@@ -352,7 +353,7 @@ def state_space(
         np.hstack(list(inputs.values())),
         np.vstack(list(outputs.values())),
         np.block(D),
-        0,
+        dt,
         inputs=[f"{u}[{i}]" for u, B in inputs.items() for i in range(B.shape[1])],
         outputs=[f"{y}[{i}]" for y, C in outputs.items() for i in range(len(C))],
         remove_useless_states=False,

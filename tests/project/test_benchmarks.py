@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks import __main__ as bench
-from benchmarks import race, report, throughput
+from benchmarks import latency, race, report, throughput
 from benchmarks.peers import PEERS, cpp, numpy_vectorised, octave, robsmooth_kernel
 from benchmarks.problem import Sample, Unavailable, literal_problem
 from robsmooth import cli
@@ -147,6 +147,26 @@ def test_a_wrong_contender_is_found_out(monkeypatch):
     assert [name for name, row in found.items() if not row["agrees"]] == ["other"]
 
 
+def test_c_code_that_steps_otherwise_is_found_out(monkeypatch):
+    if latency.shutil.which("cc") is None:
+        pytest.skip("there is no compiler cc")
+    effort = latency.Effort(rounds=1, calls=10, samples=10)
+    right = latency.latency(effort)["contenders"]
+    assert all(row["agrees"] for row in right.values())
+    assert list(map(len, (row["nanoseconds"] for row in right.values()))) == [3, 3, 3, 3, 1, 1, 1]
+    monkeypatch.setattr(latency, "DRIVER", latency.DRIVER.replace("B[i] * y[k]", "B[i] * 2 * y[k]"))
+    wrong = latency.latency(effort)["contenders"]
+    assert [name for name, row in wrong.items() if not row["agrees"]] == [latency.BY_HAND]
+
+
+def test_without_a_compiler_the_steps_of_python_are_timed(monkeypatch, results):
+    monkeypatch.setattr(latency.shutil, "which", lambda name: None)
+    found = latency.latency(latency.Effort(rounds=1, calls=10, samples=10))
+    assert not any(name.startswith("C,") for name in found["contenders"])
+    (table,) = report.latency_tables({**results, "latency": found})
+    assert f"| {latency.OURS} |" in table.markdown()
+
+
 def test_a_workload_takes_the_time_it_is_given():
     peer = replace(BY_NAME["NumPy, float32"], width=1000)
     assert race.workload(peer, rate=1e9, seconds=0.5) == (5000, 100_000)
@@ -168,7 +188,15 @@ def test_bench_measures_and_prints(capfd):
     before = [path.stat().st_mtime_ns for path in kept]
     assert cli.main(["bench", "--quick", "--peers", "NumPy,Octave"]) == 0
     printed = capfd.readouterr().out
-    for text in ("| NumPy, float64 |", "| threads |", "| order |", "runs^", "steps^", "lfilter |"):
+    for text in (
+        "| NumPy, float64 |",
+        "| threads |",
+        "| order |",
+        "runs^",
+        "steps^",
+        "lfilter |",
+        "| 99.9% |",
+    ):
         assert text in printed
     skipped = "skipped: Octave, vectorised: octave is not installed"
     assert ("| Octave, vectorised |" in printed) != (skipped in printed)
