@@ -420,7 +420,7 @@ class DiscreteSmoother(Exports):
             raise ValueError(f"inputs must be given: the system has {self.p}; zeros where none act")
         inputs = self._beside("inputs", inputs, self.p, len(y))
         reference = np.ascontiguousarray(reference[:, self._running] - self._shift)
-        if intervals is not None:
+        if intervals is not None and len(y):
             intervals = validation.array("intervals", intervals, ndim=1) / self.dt
             if len(intervals) != len(y) or not (intervals > _SHORTEST).all():
                 rule = f"the lengths of {len(y)} intervals, positive and not below {_SHORTEST:g} dt"
@@ -428,7 +428,7 @@ class DiscreteSmoother(Exports):
                     f"intervals must be {rule}: rows in order of their times have such"
                 )
             intervals = np.round(intervals, 9) * self.dt
-        return Samples(y - self._offset, reference, inputs, intervals)
+        return Samples(y - self._offset, reference, inputs, intervals if len(y) else None)
 
     def _beside(self, name: str, given: ArrayLike | None, columns: int, rows: int) -> Floats:
         """Return what stands beside y, zero by default."""

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robsmooth._support import files, validation
-from robsmooth.estimators import sample_loop
 from robsmooth.systems.system import state_space
 
 Floats = NDArray[np.float64]
@@ -115,19 +114,28 @@ class Exports:
         With the delay model ``x = transition @ x + measurement @ y + copies @ mu + correction @
         change``: the copies give mu for ``arguments @ x`` now, and the change is to the end of the
         step without it. Estimates are ``smoothed @ x`` and ``filtered @ x``. An exact smoother has
-        those of `robsmooth.estimators.exact_loop`.
+        ``transition`` and ``measurement``, which give the state and y at the end of a sample that
+        nothing drives; ``Phi``, ``H``, ``Q``, ``S`` and ``R``, for which its gain is; ``filtered``.
         """
         return MappingProxyType(self._matrices(np.zeros(self.l, dtype=bool)))
 
     def _matrices(self, missing: NDArray[np.bool_]) -> dict[str, Floats]:
         engine: Any = self._engine
         if self.exact:
-            found = engine._sampled._asdict()
+            _, model, gain, noise = (each[0] for each in engine._even)
+            n = engine.states
+            parts = model[:n, :n], model[n:, :n], gain[:n], gain[n:]
+            parts += noise[:n, :n], noise[:n, n:], noise[n:, n:], engine._reading.readout
+            names = "transition", "measurement", "Phi", "H", "Q", "S", "R", "filtered"
+            found = dict(zip(names, parts, strict=True))
         else:
-            steps = sample_loop.steps_of(engine._estimator, self._running, self.dt, missing)
-            found = {name: each[0].T for name, each in steps._asdict().items()}
-            found["arguments"] = engine._C_nu
-        return {k: validation.frozen(each.copy()) for k, each in (found | engine._outputs).items()}
+            n, g = engine.states, len(self._running)
+            parts = np.split(engine.model(missing, self.dt), [n, n + g, n + 2 * g], axis=1)
+            names = "transition", "copies", "correction", "measurement"
+            found = dict(zip(names, parts, strict=True))
+            found |= {name: of.readout for name, of in engine._readings.items()}
+        found["arguments"] = engine._arguments
+        return {name: validation.frozen(np.array(each)) for name, each in found.items()}
 
     def to_statespace(self) -> Any:
         """Return an estimator with its delay model, without copies, as a python-control object.
@@ -250,7 +258,7 @@ def _record(discrete: Any) -> Floats:
     rows, reference = [], np.zeros(discrete.g)
     discrete.reset()
     for sample in y + discrete._offset:
-        steered = discrete._engine._C_nu @ discrete.state / 2
+        steered = discrete._engine._arguments @ discrete.state / 2
         reference[discrete._running] = steered + discrete._shift
         smoothed = discrete.step(sample, reference=reference)
         rows.append([*sample, *reference, *smoothed, *discrete.filtered])

@@ -27,7 +27,7 @@ innovation is zero. This changes `A` and :math:`B_\mu`, so that every set of mis
 matrices of its own. In a long gap the estimates go back to the prior, zero.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -65,8 +65,7 @@ class HeldEstimator(Engine):
         outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
         self._readings = {name: Reading(C, now, now - 1, _NO_WITHIN) for name, C in outputs.items()}
         self._reading, self._kept = self._readings["smoothed"], dict[bytes, Floats]()
-        self._present = np.append(np.zeros(system.l), dt)  # a sample with all measurements
-        self._even = self._sampled([self._present])
+        self._even = self._sampled([np.append(np.zeros(system.l), dt)])
 
     def start(self, state: Floats | None, covariance: None) -> None:
         """Begin a record with a state, zero by default."""
@@ -99,40 +98,33 @@ class HeldEstimator(Engine):
         return result, result[:0]
 
     def _row(self) -> tuple[Floats, Floats, Floats]:
-        return (
-            np.empty((1, 0)),
-            np.empty((1, self._estimator.plant.system.l)),
-            self._usual[None] + 0.0,
-        )
+        l = self._estimator.plant.system.l  # noqa: E741 - the paper's letter
+        return np.empty((1, 0)), np.empty((1, l)), self._usual[None].copy()
 
-    def _sampled(self, kinds: Sequence[Floats] | Floats) -> Sampled:
+    def _sampled(self, kinds: Iterable[Floats]) -> Sampled:
         """Return the estimator in samples of these kinds: which channels are missing, a length."""
-        models = np.array([self._of_kind(kind) for kind in kinds] or [self._of_kind(self._present)])
+        models = np.array([self.model(kind[:-1].astype(bool), kind[-1]) for kind in kinds])
         none = np.empty((len(models), 0, 0))
         return Sampled(np.zeros(len(models)), models, none, none)
 
-    def _of_kind(self, kind: Floats) -> Floats:
-        key = kind.tobytes()
-        if key not in self._kept:
-            if len(self._kept) >= _KEPT:
-                self._kept.clear()
-            missing, length = kind[:-1].astype(bool), kind[-1]
-            self._kept[key] = step_of(self._estimator, self._running, length, missing)
+    @one_thread
+    def model(self, missing: NDArray[np.bool_], length: float) -> Floats:
+        r"""Return what a sample does to the state, the copies' values and changes, and y.
+
+        :math:`C_2\hat x + D\mu` is in the place of what is missing.
+        """
+        key = missing.tobytes() + np.float64(length).tobytes()
+        if key in self._kept:
+            return self._kept[key]
+        estimator, system, g = self._estimator, self._estimator.plant.system, len(self._running)
+        B_y, B_mu = np.hsplit(estimator.B_c, [system.l])
+        _, _, D = system.stacked(system.nonlinearities)
+        gain = B_y * missing
+        inputs = np.hstack([(B_mu + gain @ D)[:, self._running], B_y * ~missing])
+        A = estimator.A_c.copy()
+        A[:, : estimator.plant.n] += gain @ estimator.plant.C2_tilde[: system.l]
+        transition, held, ramp = responses(A, inputs, length)
+        if len(self._kept) >= _KEPT:
+            self._kept.clear()
+        self._kept[key] = np.hstack([transition, held[:, :g], ramp[:, :g], held[:, g:]])
         return self._kept[key]
-
-
-@one_thread
-def step_of(estimator: Any, running: list[int], dt: float, missing: NDArray[np.bool_]) -> Floats:
-    r"""Return what a step does to the state, the copies' values and changes, and y.
-
-    :math:`C_2 \hat x + D\mu` is in the place of what is missing.
-    """
-    system, g = estimator.plant.system, len(running)
-    B_y, B_mu = np.hsplit(estimator.B_c, [system.l])
-    _, _, D = system.stacked(system.nonlinearities)
-    gain = B_y * missing
-    inputs = np.hstack([(B_mu + gain @ D)[:, running], B_y * ~missing])
-    A = estimator.A_c.copy()
-    A[:, : estimator.plant.n] += gain @ estimator.plant.C2_tilde[: system.l]
-    transition, held, ramp = responses(A, inputs, dt)
-    return np.hstack([transition, held[:, :g], ramp[:, :g], held[:, g:]])
