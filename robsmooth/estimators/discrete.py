@@ -209,13 +209,9 @@ class DiscreteSmoother(Exports):
         -------
         (m,) array, the smoothed estimate at the interval's end; `filtered` has the other
         """
-        row, known = _plain(y, self.l), None if reference is None else _plain(reference, self.g)
-        if (
-            row is not None
-            and interval is None
-            and not self.p
-            and (known is None) == (reference is None)
-        ):
+        row, known = _plain(y, self.l), _plain(reference, self.g)
+        is_plain = row is not None and (reference is None or known is not None)
+        if is_plain and interval is None and not self.p:
             if self._moved:
                 row = row - self._offset
             if known is not None:
@@ -225,15 +221,12 @@ class DiscreteSmoother(Exports):
                 if found is not None:
                     self.samples += 1
                     return found + self._w if self._moved else found
-        rows = [
-            None if each is None else np.asanyarray(each)[None] for each in (y, reference, inputs)
-        ]
-        if rows[0].ndim == 1 and self.l == 1:
-            rows[0] = rows[0][:, None]
-        if rows[0].ndim != 2:
+        beside = y, reference, inputs, interval
+        rows = [None if each is None else np.atleast_1d(each)[None] for each in beside]
+        if rows[0].ndim != 2 or (np.ndim(y) == 0 and self.l > 1):
             raise ValueError(f"y must have shape ({self.l},), got shape {np.shape(y)}")
-        of = None if interval is None else np.asarray(interval)[None]
-        return self._take(self._given(*rows, of), "smoothed", None, False)[0][0, 0]
+        rows[3] = None if interval is None else rows[3][0]
+        return self._take(self._given(*rows), "smoothed", None, False)[0][0, 0]
 
     @overload
     def run(

@@ -113,7 +113,7 @@ OBJECTS = {
     ),
     "Nonlinearity": (
         lambda: PAPER.uncertain_system().nonlinearities[0],
-        ["C=[[929.6]]", "lipschitz=1", "function=channel"],
+        ["C=[[929.6]]", "lipschitz=1", "function=HomodyneParameters.channel"],
     ),
     "RecordCheck": (
         lambda: rs.check_record(
