@@ -310,30 +310,11 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
 
 @kept()
 def step(
-    functions,
-    arguments,
-    interval,
-    model,
-    states,
-    covariances,
-    closed,
-    seen,
-    innovations,
-    intervals,
-    lost,
-    pattern,
-    counts,
-    readout,
-    lags,
-    times,
-    within_model,
-    within_gain,
-    within_noise,
-    y,
-    inputs,
-    reference,
-    result,
-):
+    functions, arguments, interval, model,
+    states, covariances, closed, seen, innovations, intervals, lost, pattern, counts,
+    readout, lags, times, within_model, within_gain, within_noise,
+    y, inputs, reference, result,
+):  # fmt: skip
     """Take a sample where all measurements are there and the gain is as before; else return False.
 
     Each array is an argument of its own, because numba takes long to look into a tuple.
