@@ -64,7 +64,7 @@ _TIGHT = 1e-11  # a pass that takes less off log V is the last
 
 @one_thread
 def minimize_bound(
-    plant: AugmentedSystem, cost: str | None = None, *, starts: int = 4, seed: int = 0
+    plant: AugmentedSystem, cost: str | None = None, *, starts: int = 4
 ) -> RobustSmoother:
     r"""Design the smoother with the least bound V over :math:`\tau` and :math:`\lambda`.
 
@@ -72,8 +72,8 @@ def minimize_bound(
     ----------
     plant, cost
         As in `design_smoother`; by default the smoothed error's where the plant has a delay.
-    starts, seed : int
-        Number of starting points, the best of a random sample over decades, and its seed.
+    starts : int
+        Number of starting points, the best of a random sample over decades.
 
     Returns
     -------
@@ -98,17 +98,21 @@ def minimize_bound(
     if cost is None:
         cost = "smoothed" if plant.delay > 0.0 else "filtered"
     starts = validation.integer("starts", starts, low=1)
-    seed = validation.integer("seed", seed, low=0)
     conditions.check_stable(plant)
     search, alone = _Search.of(plant, cost), conditions.of_measurements(plant)
-    value, tau, multipliers = search.least(starts, seed)
+    value, tau, multipliers = search.least(starts)
     if alone.size and alone.all():
         positive = np.arange(len(search.levels)) < plant.system.k + plant.system.g
-        there = replace(search, positive=positive).least(starts, seed)
+        there = replace(search, positive=positive).least(starts)
         if there[0] < value + _SAME:
             value, tau, multipliers = there
     if value >= _REFUSED:
-        raise search.not_found()
+        raise InfeasibleDesignError(
+            "Assumption 3",
+            "no design was found; with smaller uncertainty outputs or Lipschitz constants there "
+            "may be one, and minimax_smoother needs less",
+            verb="failed where the search ended",
+        )
     level = conditions.multiplier_level(plant, multipliers)
     tau, multipliers = tau * search.tau * level, multipliers / level
     if multipliers.all():
@@ -127,8 +131,8 @@ def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float
     search, multipliers = _Search.of(plant, cost), np.asarray(multipliers, dtype=float)
 
     def log_of(log_tau: float) -> float:
-        value = search.log_bound(math.exp(log_tau), multipliers)
-        return value if value < _REFUSED else _REFUSED - log_tau  # tau is too small
+        value = log_tau + log_bound(search.problem, math.exp(log_tau) * multipliers)
+        return min(value, _REFUSED - log_tau)  # tau is too small
 
     ends, options = np.log([1.0 / _LARGEST_TAU, _LARGEST_TAU]), {"xatol": _TAU_TOLERANCE}
     return search.tau * math.exp(minimize_scalar(log_of, bounds=ends, options=options).x)
@@ -168,12 +172,6 @@ class _Search:
         levels = plant.J.T @ np.array(plant.M_i) @ plant.J
         return cls(problem, units.time * units.w**2, levels, np.ones(len(levels), dtype=bool))
 
-    def log_bound(self, tau: float, multipliers: np.ndarray) -> float:
-        """Return log V, or more than any where there is no design."""
-        with suppress(InfeasibleDesignError):
-            return math.log(tau) + log_bound(self.problem, tau * multipliers)
-        return _REFUSED
-
     def arguments(self, point: np.ndarray) -> tuple[float, np.ndarray]:
         """Return tau and all multipliers."""
         multipliers = np.zeros(len(self.positive))
@@ -181,8 +179,9 @@ class _Search:
         return math.exp(point[0]), multipliers
 
     def objective(self, point: np.ndarray) -> float:
-        """Return log V at a point."""
-        return self.log_bound(*self.arguments(point))
+        """Return log V at a point, or more than any where there is no design."""
+        tau, multipliers = self.arguments(point)
+        return min(math.log(tau) + log_bound(self.problem, tau * multipliers), _REFUSED)
 
     def gradient(self, point: np.ndarray) -> np.ndarray:
         """Return the slopes of the objective, zero next to points without a design."""
@@ -205,9 +204,9 @@ class _Search:
         sizes = np.linalg.norm(self.levels, 2, axis=(1, 2))[self.positive]
         return 1.0 / np.where(sizes > _ROUNDING, sizes, 1.0)
 
-    def least(self, starts: int, seed: int) -> tuple[float, float, np.ndarray]:
+    def least(self, starts: int) -> tuple[float, float, np.ndarray]:
         """Return the least log V found, tau and the multipliers."""
-        found = [self.descent(start, _ROUGH) for start in self.starts(starts, seed)]
+        found = [self.descent(start, _ROUGH) for start in self.starts(starts)]
         if not found:
             return _REFUSED, 1.0, np.zeros(len(self.positive))
         lowest, best = min(found, key=itemgetter(0))
@@ -230,9 +229,9 @@ class _Search:
         point = point + largest * np.r_[1.0, -np.ones(len(point) - 1)]  # onto the constraint
         return self.objective(point), point
 
-    def starts(self, count: int, seed: int) -> list[np.ndarray]:
+    def starts(self, count: int) -> list[np.ndarray]:
         """Return the lowest points of a random sample, and one for each channel ignored."""
-        rng, k, natural = np.random.default_rng(seed), self.problem.k, self.natural()
+        rng, k, natural = np.random.default_rng(0), self.problem.k, self.natural()
         of_pairs = np.arange(k, k + len(self.problem.lipschitz))
         channels = np.concatenate([np.arange(k), np.tile(of_pairs, 3)])[self.positive]
 
@@ -248,41 +247,25 @@ class _Search:
         sample += [start(each) for each in range(channels.max() + 1)]
         return [point for value, point in sample if value < _REFUSED]
 
-    def not_found(self) -> InfeasibleDesignError:
-        """Return the error of a search without a start, with the condition at one point."""
-        try:
-            log_bound(self.problem, self.natural())
-            condition = "A design"
-        except InfeasibleDesignError as error:
-            condition = error.condition
-        detail = (
-            "no design was found; with smaller uncertainty outputs or Lipschitz constants there "
-            "may be one, and minimax_smoother needs less"
-        )
-        return InfeasibleDesignError(condition, detail, verb="failed where the search ended")
-
 
 @np.errstate(all="ignore")
 def log_bound(problem: DesignProblem, theta: np.ndarray) -> float:
-    """Return log v of a problem in natural units.
-
-    Raises InfeasibleDesignError where there is no design, or numbers leave the range of floats.
-    """
-    of_Y = conditions.ASSUMPTION_Y
-    with suppress(LinAlgError):
+    """Return log v of a problem in natural units; infinity where there is no design."""
+    with suppress(LinAlgError, InfeasibleDesignError):
         equations = DesignEquations(problem, 1.0, theta)
-        Y = _stabilising(of_Y, *equations.equation_Y)
+        Y = _stabilising(*equations.equation_Y)
         spectrum = np.linalg.eigvalsh(Y)
-        conditions.check_nonnegative(of_Y, spectrum[0] / (np.abs(spectrum).max() or 1.0))
-        X = _stabilising(conditions.ASSUMPTION_X, *equations.equation_X())
+        if spectrum[0] < -conditions.EQUALITY_SLACK * np.abs(spectrum).max():
+            return math.inf
+        X = _stabilising(*equations.equation_X())
         *_, v, _ = equations.solution(X, Y)
         if np.isfinite(v):
             return float(np.log(max(v, np.finfo(float).tiny)))
-    raise conditions.refusal(of_Y, "numbers leave the range of floats")
+    return math.inf
 
 
-def _stabilising(condition: str, A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return the stabilising solution of A'X + XA + Q - XSX = 0, which the condition asks for."""
+def _stabilising(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
+    """Return the stabilising solution of A'X + XA + Q - XSX = 0; a LinAlgError says: none."""
     n = len(A)
     size_Q, size_S = np.linalg.norm(Q), np.linalg.norm(S)
     unit = np.sqrt(size_Q / size_S) if size_Q > 0.0 < size_S else 1.0 / (size_S or 1.0)
@@ -295,4 +278,4 @@ def _stabilising(condition: str, A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
             decays = stable == n and -form.diagonal()[:n].max() > _STABILITY_MARGIN * size
             if decays and np.linalg.norm(X) < _LARGEST:
                 return (X + X.T) / 2
-    raise conditions.refusal(condition, "there is no stabilising solution")
+    raise LinAlgError("there is no stabilising solution")

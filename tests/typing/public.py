@@ -81,7 +81,6 @@ assert_type(rs.baselines.tuned_fixed_lag_smoother(plant, "admissible", "filtered
 for_constant = rs.constant_minimax_smoother(plant, "filtered")
 assert_type(for_constant, rs.ConstantMinimaxSmoother)
 assert_type(for_constant.worst_constant, float)
-assert_type(for_constant.Deltas, Floats)
 choice_of = rs.best_smoother(plant, against="constant")
 assert_type(choice_of, rs.Choice)
 assert_type(choice_of.estimator, rs.Estimator)
