@@ -185,7 +185,7 @@ def test_nothing_depends_on_the_unit_of_time(unit):
     """The same estimator with its rates told in another unit."""
     estimator = design()
     delay = estimator.plant.delay_model
-    plant = replace(estimator.plant, delay_model=replace(delay, delay=unit * delay.delay))
+    plant = replace(estimator.plant, delay_model=delay._replace(delay=unit * delay.delay))
     scaled = replace(estimator, plant=plant, A_c=estimator.A_c / unit, B_c=estimator.B_c / unit)
     y, dt = record(200, gaps=0.1), 0.2
     one, other = held(estimator, dt), held(scaled, unit * dt)
