@@ -8,13 +8,12 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from types import ModuleType
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, Self
 
 import numba
 import numpy as np
 
 from robsmooth._numerics.steps import (
-    MULTIPLE_TOLERANCE,
     dividing_step,
     steps_in,
     warn_of_long_step,
@@ -43,31 +42,6 @@ STABLE_PART = 0.5  # of the longest step for which the Euler-Maruyama scheme is 
 
 FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, below which there are no control variates
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
-
-
-class Schedule(NamedTuple):
-    """When to sample, in steps: the order of the fields is the kernel's contract."""
-
-    start: int  # after which the phase is first recorded
-    stride: int  # between records
-    lag: int  # records: the age of the phase for the smoothed error
-    samples: int  # of the errors, from when the first record is that old
-
-    @property
-    def steps(self) -> int:
-        """Steps of a path."""
-        return self.start + (self.lag + self.samples - 1) * self.stride
-
-
-def time_average(warm_up: int, steps: int, delay: int, longest_stride: int) -> Schedule:
-    """Samples along `steps` steps after `warm_up` steps, for a lag of `delay` steps.
-
-    The stride must divide the delay, and is the longest such up to `longest_stride`.
-    """
-    stride = max(1, min(longest_stride, steps))
-    if delay > 0:
-        stride = max(s for s in range(1, min(stride, delay) + 1) if delay % s == 0)
-    return Schedule(max(warm_up - delay, 0), stride, delay // stride, steps // stride + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +83,7 @@ class Simulation:
                 (real(0),) * n,
                 np.concatenate([np.ravel(part) for part in self.coefficients]).astype(real),
                 self.readout.ravel(),
-                tuple(self.schedule),
+                self.schedule,
                 np.uint64(self.seed),
                 first,
                 results.reshape(count, -1),
@@ -173,24 +147,22 @@ class ErgodicSimulation(Simulation):
         slopes = splitting.control_slopes(loop)
         slowest = decay_rate(loop.linearised_drift(*slopes)[1:, 1:])
         duration = duration or max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
-        longest = STEP_OF_TIME_CONSTANT * loop.response_time()
-        default = dividing_step(loop.delay, longest, duration)
+        response = loop.response_time()
+        default = dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * response, duration)
         step = step or default
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
-        stride = int(longest / step + MULTIPLE_TOLERANCE)
         steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
-        warn_of_long_step(step, loop.response_time(), SILENT_SPLITTING, default, stacklevel=5)
+        warn_of_long_step(step, response, SILENT_SPLITTING, default, stacklevel=5)
         filtered, lagged = loop.linear_errors(*slopes)
-        schedule = time_average(warm_up, steps, delay, longest_stride=stride)
         return cls(
             **numbers,
             step=step,
             warm_up=warm_up * step,
-            duration=(schedule.samples - 1) * schedule.stride * step,
-            steps=schedule.steps,
+            duration=steps * step,
+            steps=warm_up + steps,
             readout=loop.readout,
             coefficients=splitting.coefficients_of(loop, step, slopes),
-            schedule=schedule,
+            schedule=(warm_up, delay, steps),
             control=np.array([filtered, lagged, 3 * filtered**2]),  # it is Gaussian
         )
 
