@@ -7,7 +7,7 @@ the equations in continuous time that they are (`robsmooth.estimators.held`).
 
 from collections.abc import Callable, Iterable, Sequence
 from threading import RLock
-from typing import Any, Literal, overload
+from typing import Any, Literal, TypedDict, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,14 @@ SAMPLES = ("means", "instants")
 _FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of samples that are as most are
 _SHORTEST = 1e-6  # times dt
 _ROWS = 4096  # of samples with lengths of their own, whose matrices are in memory at a time
+
+
+class Beside(TypedDict, total=False):
+    """What may stand beside the samples of a record: see `DiscreteSmoother.run`."""
+
+    reference: ArrayLike | None
+    inputs: ArrayLike | None
+    intervals: ArrayLike | None
 
 
 class DiscreteSmoother(Exports):
@@ -233,11 +241,9 @@ class DiscreteSmoother(Exports):
         self,
         y: ArrayLike,
         *,
-        reference: ArrayLike | None = None,
         output: str = "smoothed",
-        inputs: ArrayLike | None = None,
-        intervals: ArrayLike | None = None,
         return_std: Literal[False] = False,
+        **beside: Unpack[Beside],
     ) -> Floats: ...
     @overload
     def run(self, y: ArrayLike, *, return_std: Literal[True], **of: Any) -> Pair: ...
@@ -293,20 +299,12 @@ class DiscreteSmoother(Exports):
         found, spread = self._take(given, output, None, return_std)
         return (found[:, 0], spread[:, 0]) if return_std else found[:, 0]
 
-    def bank(
-        self,
-        y: ArrayLike,
-        lags: Sequence[int],
-        *,
-        reference: ArrayLike | None = None,
-        inputs: ArrayLike | None = None,
-        intervals: ArrayLike | None = None,
-    ) -> Floats:
+    def bank(self, y: ArrayLike, lags: Sequence[int], **beside: Unpack[Beside]) -> Floats:
         """Take samples, and return the estimates at many lags in one pass.
 
         Parameters
         ----------
-        y, reference, inputs, intervals : as in `run`
+        y, **beside : the record, and reference, inputs and intervals, as in `run`
         lags : sequence of int
             In samples, ascending, at most the delay. A lag of d belongs to d intervals before the
             end of the row's.
@@ -321,24 +319,16 @@ class DiscreteSmoother(Exports):
         lags = [validation.integer("lags", lag, low=0) for lag in lags]
         if not lags or lags != sorted(set(lags)) or lags[-1] > longest:
             raise ValueError(f"lags must ascend, and be at most {longest}, got {lags}")
-        given = self._given(y, reference, inputs, intervals)
-        return self._take(given, "filtered", lags, False)[0]
+        return self._take(self._given(y, **beside), "filtered", lags, False)[0]
 
-    def two_sided(
-        self,
-        y: ArrayLike,
-        *,
-        reference: ArrayLike | None = None,
-        inputs: ArrayLike | None = None,
-        intervals: ArrayLike | None = None,
-    ) -> Pair:
+    def two_sided(self, y: ArrayLike, **beside: Unpack[Beside]) -> Pair:
         """Return the estimates that use a whole record: fixed-interval smoothing.
 
         The record begins as `reset` last said. The samples taken and the state stay as they are.
 
         Parameters
         ----------
-        y, reference, inputs, intervals : as in `run`
+        y, **beside : the record, and reference, inputs and intervals, as in `run`
 
         Returns
         -------
@@ -346,17 +336,10 @@ class DiscreteSmoother(Exports):
         (N, m) array, the standard deviations of their errors
         """
         engine = self._exact("two_sided")
-        found, spread = engine.two_sided(self._given(y, reference, inputs, intervals))
+        found, spread = engine.two_sided(self._given(y, **beside))
         return found + self._w, spread
 
-    def innovations(
-        self,
-        y: ArrayLike,
-        *,
-        reference: ArrayLike | None = None,
-        inputs: ArrayLike | None = None,
-        intervals: ArrayLike | None = None,
-    ) -> Floats:
+    def innovations(self, y: ArrayLike, **beside: Unpack[Beside]) -> Floats:
         """Return the normalised innovations of a record: white, of variance one, by the model.
 
         An innovation is what a sample differs by from what the filter expects of it. Those of a
@@ -364,7 +347,7 @@ class DiscreteSmoother(Exports):
 
         Parameters
         ----------
-        y, reference, inputs, intervals : as in `run`
+        y, **beside : the record, and reference, inputs and intervals, as in `run`
 
         Returns
         -------
@@ -375,7 +358,7 @@ class DiscreteSmoother(Exports):
         robsmooth.check_record : tells whether they are what the model says.
         """
         engine = self._exact("innovations")
-        return engine.innovations(self._given(y, reference, inputs, intervals))
+        return engine.innovations(self._given(y, **beside))
 
     def _exact(self, name: str) -> ExactFilter:
         if isinstance(self._engine, ExactFilter):
@@ -404,7 +387,9 @@ class DiscreteSmoother(Exports):
         estimates, deviations = map(np.concatenate, zip(*found, strict=True))
         return estimates + self._w, deviations
 
-    def _given(self, y: Any, reference: Any, inputs: Any, intervals: Any) -> Samples:
+    def _given(
+        self, y: Any, reference: Any = None, inputs: Any = None, intervals: Any = None
+    ) -> Samples:
         """Return samples, and what stands beside them, after their check."""
         y = checked("y", y, self.l)
         refuse("y must be finite, or nan where it is missing", y, np.isinf(y))
