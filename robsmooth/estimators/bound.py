@@ -12,12 +12,9 @@ What is known of the minimiser says where it is sought:
 - :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`: the least bound lies on the boundary of the
   constraint, and the step onto it is exact.
 - Where no nonlinearity enters the state, the bound may fall as all multipliers of the mu and
-  mu-tilde constraints vanish, so that the least one is an infimum that no design attains. So it is
-  in the paper's example, for both costs, at :math:`\lambda = (1, \tfrac12, 0, 0)`. This limit
-  (`limiting_smoother`) is searched, too, and the answer is then a design next to it. Other
-  multipliers that vanish end next to nothing.
-- V has more than one local minimum, so that there are several starts. In some of them a channel
-  is all but ignored.
+  mu-tilde constraints vanish. So it does in the paper's example, for both costs, towards
+  :math:`\lambda = (1, \tfrac12, 0, 0)`. This limit (`limiting_smoother`) is searched, too.
+- V has more than one local minimum: there are several starts. Some all but ignore a channel.
 """
 
 import math

@@ -42,12 +42,9 @@ with l rows of measurements in the place of l + g. (eqCparams) and (eqbound) bec
     A_c = A_p - KC_2 + Y(R + \Gamma\tilde C_c)/\tau,\\
     V &= \tfrac12\operatorname{tr}(YR + UXT).
 
-Where both multipliers of a nonlinearity and of its copy go to zero, and only that of their
-difference stays, the bound may fall all the way, and no design attains its infimum. Then f goes to
-zero, and the noise 1/f of the X equation has no bound. Where that noise does not enter the state,
-it is left out, and the equations are those of the limit. There the share a of the copy is one:
-this is the *nonlinear observer*, which takes the copy's output for the nonlinearity's, and is
-robust against their difference alone.
+Where o and c go to zero, f does, and the noise 1/f of the X equation has no bound. Where it does
+not enter the state, it is left out: these are the equations of the limit. There a is one: the
+*nonlinear observer* takes the copy's output for the nonlinearity's.
 """
 
 from dataclasses import dataclass

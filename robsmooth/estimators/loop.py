@@ -115,21 +115,14 @@ def _reference_rows(estimator: Estimator, reference: Reference) -> Matrix:
     rows = np.zeros(shape)
     for i, nonlinearity in enumerate(system.nonlinearities):
         name = nonlinearity.reference if reference == "system" else reference
-        if name is None:
-            continue
-        weights = argument_weights(system, i)
-        if weights is None:
-            raise ValueError(
-                f"reference must be a matrix of shape {shape} or None: there is no {name} estimate "
-                f"of the argument of nonlinearities[{i}], whose C is no combination of the rows of "
-                "C0; the matrix reads the references out of the estimator's state"
-            )
-        rows[i] = weights @ (estimator.C_f if name == "filtered" else estimator.C_a)
+        if name is not None:
+            read_out = estimator.C_f if name == "filtered" else estimator.C_a
+            rows[i] = _argument_weights(system, i) @ read_out
     return rows
 
 
-def argument_weights(system: UncertainSystem, index: int) -> Matrix | None:
-    """Return the (m,) weights of w in the argument of a nonlinearity, if it is made of w."""
+def _argument_weights(system: UncertainSystem, index: int) -> Matrix:
+    """Return the (m,) weights of w in the argument of a nonlinearity, which is made of w."""
     C, target = system.C0, system.nonlinearities[index].C[0]
     # states and outputs may have any units
     states = np.maximum(np.abs(C).max(axis=0), np.abs(target))
@@ -139,7 +132,11 @@ def argument_weights(system: UncertainSystem, index: int) -> Matrix | None:
     scaled, target = C / states / outputs[:, None], target / states
     weights = np.linalg.lstsq(scaled.T, target, rcond=None)[0]
     if np.abs(weights @ scaled - target).max() > _COMBINATION_TOLERANCE * np.abs(target).max():
-        return None
+        raise ValueError(
+            "reference must be None or a (g, n_c) matrix, which reads it out of the estimator's "
+            f"state: there is no estimate of the argument of nonlinearities[{index}], whose C is "
+            "no combination of the rows of C0"
+        )
     return weights / outputs
 
 

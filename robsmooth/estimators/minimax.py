@@ -87,11 +87,6 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     output : {"smoothed", "filtered"}
         The error: of the smoothed estimate against the delay model's output, or the filtered one.
 
-    Returns
-    -------
-    MinimaxSmoother
-        With its certificate: the Riccati equation of `analysis_bound` was solved for it.
-
     Raises
     ------
     InfeasibleDesignError
@@ -179,10 +174,11 @@ def _by_descent(natural: Natural) -> tuple[Estimator, np.ndarray, float]:
         )
     estimator, theta = best
     for _ in range(_ROUNDS):
-        start = np.log(theta)
-        estimator, logarithms, found = descend(estimator, partial(_objective, kept), start)
-        theta = np.exp(logarithms)
-    return estimator, np.where(kept, theta, 0.0), math.exp(found)
+        trial, logarithms, found = descend(estimator, partial(_objective, kept), np.log(theta))
+        if found > math.log(least):
+            break  # next to the edge of what has a certificate, new coordinates can lose it
+        estimator, theta, least = trial, np.exp(logarithms), math.exp(found)
+    return estimator, np.where(kept, theta, 0.0), least
 
 
 def _objective(
