@@ -72,8 +72,8 @@ class Nonlinearity:
         designs and their guarantees do not.
     sector : (float, float), optional
         The least and the largest slope :math:`(\psi_i(a) - \psi_i(b))/(a - b)`, which need not lie
-        around zero. `UncertainSystem` takes the slope in the middle for a linear part. With a
-        reference and a B that is not zero it must lie around zero.
+        around zero. `UncertainSystem` moves the slope in the middle to A and C2, and keeps the
+        rest of the function. With a reference and a B that is not zero it must lie around zero.
 
     See Also
     --------
@@ -128,8 +128,7 @@ class Nonlinearity:
                     f"Nonlinearity sector must be around zero, got {sector}, where B is not zero "
                     "and there is a reference, which would drive the state: give lipschitz instead"
                 )
-        vars(self).update(lipschitz=lipschitz, function=function, reference=reference)
-        vars(self).update(sector=sector)
+        vars(self).update(lipschitz=lipschitz, function=function, reference=reference, sector=sector)
 
     def __repr__(self) -> str:
         slopes = f"lipschitz={self.lipschitz:.5g}"
