@@ -128,7 +128,8 @@ class Nonlinearity:
                     f"Nonlinearity sector must be around zero, got {sector}, where B is not zero "
                     "and there is a reference, which would drive the state: give lipschitz instead"
                 )
-        vars(self).update(lipschitz=lipschitz, function=function, reference=reference, sector=sector)
+        vars(self).update(lipschitz=lipschitz, function=function, reference=reference)
+        vars(self).update(sector=sector)
 
     def __repr__(self) -> str:
         slopes = f"lipschitz={self.lipschitz:.5g}"
