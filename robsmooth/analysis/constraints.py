@@ -17,9 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.certificate import (
     ConstraintProblem,
@@ -28,7 +26,7 @@ from robsmooth.estimators.certificate import (
     model_loop,
 )
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import guarantee, open_loop, scaled, which_loop
+from robsmooth.estimators.loop import open_loop, scaled, which_loop
 from robsmooth.systems.augmented import augment
 
 _DELAY_ORDER = 10
@@ -47,7 +45,6 @@ class AnalysisBound:
         The share of `mean_square` that no admissible input was shown to reach, to first order.
     fraction : float
         The share of the uncertainty for which there is a bound: 0 for a loop unstable without it.
-    guarantee : float or None, twice the bound V of the design, where that is for this error
     multipliers : (k + 3g,) array
         theta, s (unit of w)^2; infinity for a constraint that allows its input no energy.
     feedback : (r + 2g, N) array
@@ -58,35 +55,21 @@ class AnalysisBound:
     --------
     >>> import robsmooth as rs
     >>> bound = rs.analysis_bound(rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system()))
-    >>> bound.mean_square < bound.guarantee, bound.gap < 1e-6  # an admissible input reaches it
-    (True, True)
+    >>> bound.gap < 1e-6  # an admissible input reaches it
+    True
     """
 
     mean_square: float
     gap: float
     fraction: float
-    guarantee: float | None
     multipliers: NDArray[np.float64]
     feedback: Matrix
 
     def __repr__(self) -> str:
-        given = "none" if self.guarantee is None else f"{self.guarantee:.5g}"
         return (
             f"AnalysisBound(mean_square={self.mean_square:.5g}, gap={self.gap:.1g}, "
-            f"fraction={self.fraction:.3g}, guarantee={given})"
+            f"fraction={self.fraction:.3g})"
         )
-
-    def _repr_html_(self) -> str:
-        rows = [
-            ("largest mean square error, (unit of $w$)²", self.mean_square),
-            ("share of it that no input was shown to reach", self.gap),
-            ("share of the uncertainty for which there is a bound", self.fraction),
-            ("guarantee, $2V$", self.guarantee),
-            (r"multipliers $\theta$, s (unit of $w$)²", f"${notation.matrix([self.multipliers])}$"),
-        ]
-        caption = "The worst that the constraints on the uncertainty allow."
-        known = [row for row in rows if row[1] is not None]
-        return Table(("", "value"), known, caption, digits=5).html()
 
 
 @one_thread
@@ -129,7 +112,6 @@ def analysis_bound(
         plant = smoother.plant
         finer = augment(plant.system, plant.delay, _DELAY_ORDER, J_21=plant.J_21)
         opened = model_loop(replace(smoother, plant=finer), loop)
-    proven = guarantee(smoother, output, loop)
     opened, x = scaled(opened)
     problem, g = ConstraintProblem(opened, smoother.plant), smoother.plant.system.g
     fraction, theta = largest_fraction(problem)
@@ -141,14 +123,13 @@ def analysis_bound(
         if larger > fraction:
             fraction, problem, theta = larger, reduced, found
     if fraction < 1.0:
-        return AnalysisBound(math.inf, math.nan, fraction, proven, np.empty(0), np.empty((0, 0)))
+        return AnalysisBound(math.inf, math.nan, fraction, np.empty(0), np.empty((0, 0)))
     theta = least_certificate(problem, theta)
     point = problem.at(theta)
     return AnalysisBound(
         mean_square=point.mean_square,
         gap=problem.gap(theta),
         fraction=1.0,
-        guarantee=proven,
         multipliers=frozen(problem.all_multipliers(theta)),
         feedback=frozen(point.feedback @ problem.states / x),
     )

@@ -31,7 +31,6 @@ from robsmooth.estimators.loop import (
     Reference,
     drifting_error,
     error_rows,
-    guarantee,
     matrices,
     open_loop,
     scaled,
@@ -216,7 +215,6 @@ class WorstCase:
     mean_square, nominal : float
         The mean square error under it and without uncertainty, in the squared unit of w; infinity
         where the loop is not stable.
-    guarantee : float or None, twice the bound V of the design, where that is for this error
 
     Examples
     --------
@@ -231,11 +229,9 @@ class WorstCase:
     Delta: Matrix
     mean_square: float
     nominal: float
-    guarantee: float | None
 
     def __repr__(self) -> str:
-        proven = "" if self.guarantee is None else f", guarantee={self.guarantee:.5g}"
-        return f"WorstCase(mean_square={self.mean_square:.5g}, nominal={self.nominal:.5g}{proven})"
+        return f"WorstCase(mean_square={self.mean_square:.5g}, nominal={self.nominal:.5g})"
 
 
 @one_thread
@@ -257,7 +253,7 @@ def worst_case(smoother: Estimator, output: str = "smoothed", loop: str = "theor
     >>> import robsmooth as rs
     >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
     >>> rs.worst_case(ngcf, "filtered")
-    WorstCase(mean_square=0.2053, nominal=0.12483, guarantee=0.24335)
+    WorstCase(mean_square=0.2053, nominal=0.12483)
     """
     opened, _ = scaled(open_loop(smoother, output, loop))
     _, Delta = worst_delta(opened, _STARTS)
@@ -267,5 +263,4 @@ def worst_case(smoother: Estimator, output: str = "smoothed", loop: str = "theor
             return np.inf
         return float(np.trace(error_covariance(smoother, Delta, output, loop)))
 
-    worst, nominal = error(Delta), error(np.zeros_like(Delta))
-    return WorstCase(frozen(Delta), worst, nominal, guarantee(smoother, output, loop))
+    return WorstCase(frozen(Delta), error(Delta), error(np.zeros_like(Delta)))

@@ -161,26 +161,19 @@ class LagChoice:
     lag, order : float, in seconds, and int, of the delay's Pade model
     error, target : float
         The classical smoother's nominal mean square error, and its limit, in the squared unit of w.
-    shortest : float, the lag (s) with which an exact delay meets the target
 
     Examples
     --------
     >>> import robsmooth as rs
-    >>> rs.choose_lag(rs.homodyne.PAPER.uncertain_system(), fraction=0.8)
-    LagChoice(lag=1.827e-06 s, order=1, error=0.051293, target=0.051293, shortest=1.731e-06 s)
+    >>> choice = rs.choose_lag(rs.homodyne.PAPER.uncertain_system(), target=0.05)
+    >>> round(choice.lag, 8), choice.order, choice.target
+    (2.08e-06, 1, 0.05)
     """
 
     lag: float
     order: int
     error: float
     target: float
-    shortest: float
-
-    def __repr__(self) -> str:
-        return (
-            f"LagChoice(lag={self.lag:.4g} s, order={self.order}, error={self.error:.5g}, "
-            f"target={self.target:.5g}, shortest={self.shortest:.4g} s)"
-        )
 
 
 @one_thread
@@ -220,21 +213,19 @@ def choose_lag(
     target = _target(system, target, fraction)
     filtered = _classical_error(system, 0, 0.0)
     if filtered <= target:
-        return LagChoice(0.0, 0, filtered, target, 0.0)
-    longest, shortest, least = _longest_lag(system), 0.0, math.inf
-    if _optimal_error(system, 0.0) > target:
-        shortest = _crossing(partial(_optimal_error, system), target, 0.0, longest)
+        return LagChoice(0.0, 0, filtered, target)
+    longest, least = _longest_lag(system), math.inf
     for order in range(1, _MOST_ORDER + 1):
         lags, errors = _errors_of_lags(system, order, longest)
         least = min(least, errors.min())
         if least <= target:
             error, first = partial(_classical_error, system, order), (errors <= target).argmax()
             lag = _crossing(error, target, lags[first - 1], lags[first])
-            return LagChoice(lag, order, error(lag), target, shortest)
+            return LagChoice(lag, order, error(lag), target)
     raise InfeasibleDesignError(
         "The target",
         f"no order up to {_MOST_ORDER} has a lag with an error of at most {target:.6g}; the least "
-        f"that was found is {least:.6g}; an exact delay would take {shortest:.4g} s",
+        f"that was found is {least:.6g}",
     )
 
 

@@ -24,7 +24,6 @@ from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.channels import REFERENCES
 from robsmooth.systems.system import UncertainSystem
@@ -233,16 +232,6 @@ def drifting_output(name: str, A: Matrix) -> str:
         f"eigenvalue of real part {rate:.4g} 1/s, so that the uncertainty has no limit either; "
         "give the mode a decay, or the channel an output of stable states"
     )
-
-
-def guarantee(smoother: Estimator, output: str, loop: str) -> float | None:
-    """Return the guarantee where it is proven for this error in this loop, else None.
-
-    What is proven for the theory's loop holds for the real one too, which has less noise.
-    """
-    covered = output == "guaranteed" or output == smoother.cost == "filtered"
-    covered &= loop == "real" or isinstance(smoother, RobustSmoother)
-    return smoother.mean_square_bound if covered else None
 
 
 def blocks_of(plant: AugmentedSystem) -> list[Block]:

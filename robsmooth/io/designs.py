@@ -153,9 +153,7 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
         raise ValueError(f"its content must be a table, got {reprlib.repr(content)}")
     header = {"format": (1,), "kind": tuple(_KINDS), "units": ("SI",)}
     for name, allowed in header.items():
-        if name not in content:
-            raise ValueError(f"{name} is missing")
-        validation.choice(name, content[name], allowed)
+        validation.choice(name, content.get(name), allowed)
     named: dict[str, None] = {}
 
     def of_table(name: str, table: object, path: str) -> Any:

@@ -72,8 +72,8 @@ class Nonlinearity:
         designs and their guarantees do not.
     sector : (float, float), optional
         The least and the largest slope :math:`(\psi_i(a) - \psi_i(b))/(a - b)`, which need not lie
-        around zero. `UncertainSystem` takes the slope in the middle for a linear part. With a
-        reference and a B that is not zero it must lie around zero.
+        around zero. `UncertainSystem` moves the slope in the middle to A and C2, and keeps the
+        rest of the function. With a reference and a B that is not zero it must lie around zero.
 
     See Also
     --------

@@ -14,10 +14,6 @@ paper's integral quadratic constraint.
 A detector may be steered by an estimate, the *reference* :math:`r_i`, as in homodyne detection by
 the phase of the local oscillator: :math:`\mu_i = \psi_i(\nu_i - r_i)`. The known :math:`r_i` has
 been added to the linear part of the measurement again, as in Section IV-A.
-
-A nonlinearity whose slopes lie in a sector around another slope than zero, :math:`c_i`, is centred:
-:math:`c_i \bar B_{1i} \bar C_{1,i}` goes to A, :math:`c_i \bar D_{21,i} \bar C_{1,i}` to
-:math:`C_2`, and :math:`\psi_i(\nu) - c_i\nu` is kept, whose constant is half the sector's width.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -66,8 +62,7 @@ class UncertainSystem:
         The g channels :math:`(\bar B_{1i}, \bar C_{1,i}, \bar D_{21,i}, \beta_i)`, centred.
     B2, D22 : (n, p) and (l, p) arrays, optional
         How known inputs u enter: :math:`B_2u` adds to the drift, :math:`D_{22}u` to the
-        measurement. An estimator that is told them has the same error as without, but for what
-        uncertainty makes of the states that they move: its outputs :math:`C_1x` are larger.
+        measurement.
 
     See Also
     --------
@@ -183,7 +178,12 @@ class UncertainSystem:
         >>> rs.UncertainSystem.from_plant(plant, process_noise=1.0, measurement_noise=0.01).D21
         array([[0. , 0.1]])
         """
-        check_continuous("plant", plant)
+        with extra("control", "a python-control system"):
+            import control
+
+        validation.instance("plant", plant, control.StateSpace, "; control.ss(...) makes one")
+        if plant.isdtime(strict=True):
+            raise ValueError(f"plant must be in continuous time, got steps of dt={plant.dt!r}")
         n, l = plant.nstates, plant.noutputs  # noqa: E741 - the paper's letter
         process = covariance_root("process_noise", process_noise, plant.ninputs)
         measurement = covariance_root("measurement_noise", measurement_noise, l)
@@ -358,17 +358,3 @@ def state_space(
         outputs=[f"{y}[{i}]" for y, C in outputs.items() for i in range(len(C))],
         remove_useless_states=False,
     )
-
-
-def check_continuous(name: str, sys: "control.StateSpace") -> None:
-    """Check that `sys` is a state-space system in continuous time, with a state."""
-    with extra("control", "a python-control system"):
-        import control
-
-    if not isinstance(sys, control.StateSpace):
-        hint = "; control.ss(...) makes it one" if isinstance(sys, control.TransferFunction) else ""
-        raise TypeError(f"{name} must be a control.StateSpace, got {type(sys).__name__}{hint}")
-    if sys.isdtime(strict=True):
-        raise ValueError(f"{name} must be in continuous time, got one in steps of dt={sys.dt!r}")
-    if sys.nstates == 0:
-        raise ValueError(f"{name} must have a state, got a static gain")

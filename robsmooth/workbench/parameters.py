@@ -14,9 +14,7 @@ from typing import NamedTuple
 from robsmooth._support import validation
 
 TYPES = {"bool": bool, "int": int, "float": float, "str": str}
-# Set by the pipeline, for each run anew, and of no influence on the results. Every notebook has the
-# folders that figures, and data, are written to; the others may be there: the address of a Dask
-# scheduler, and a folder to resume an interrupted run from.
+# Set by the pipeline, for each run anew, and of no influence on the results.
 OPTIONAL = ("scheduler", "checkpoint_dir")
 SET_BY_PIPELINE = ("output_dir", "data_dir", *OPTIONAL)
 

@@ -1,10 +1,6 @@
 """Run the notebooks that are not fresh, and publish what those that succeed have written.
 
-What a notebook that ran to its end has left in its staging folder is moved to where results live,
-each file by a rename; so a run that fails leaves the results of earlier ones as they were. Its
-checkpoints are there again when it is next run with the same inputs.
-
-A notebook is fresh when all it depends on has the hash it had, and all it produced is unchanged.
+environment.md says when a notebook is fresh, and what becomes of a failed one's files.
 """
 
 import hashlib
