@@ -10,7 +10,6 @@ import hashlib
 import itertools
 import logging
 import pickle
-import re
 import sys
 import threading
 import time
@@ -32,7 +31,6 @@ CALLS_PER_THREAD = 2  # sent ahead: one that is computed and one that waits for 
 CALLS_AHEAD = 2  # and some more, while results are on their way
 ANSWER_TIME = 30.0  # s, for the scheduler to answer, and how often it is asked while a call goes on
 JOIN_TIME = 30.0  # s, for a worker to join where there is none
-ADDRESS = re.compile(r"(?:tcp|tls)://(?:[^\s/:@\[\]]+|\[[\w:.%]+\]):(\d+)")
 PACKAGES = ("numpy", "numba", "scipy")  # what results depend on to the last bit
 LOGGERS = ("distributed", "distributed.client", "tornado.application")
 
@@ -104,10 +102,6 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
     if address == "":
         yield None
         return
-    parts = isinstance(address, str) and ADDRESS.fullmatch(address)
-    if not parts or not 0 < int(parts[1]) < 2**16:
-        known = "tcp://host:port or tls://host:port"
-        raise ValueError(f"the address of a scheduler must be {known}, got {address!r}")
     with extra("cluster", "a cluster"):
         from distributed import Client
     with ExitStack() as stack:

@@ -53,11 +53,6 @@ class Verdict:
     verdict: str
     reason: str
 
-    def __repr__(self) -> str:
-        found = f", ours {self.value:.6g}" if isinstance(self.value, float) else ""
-        short = self.printed if len(self.printed) <= 40 else f"{self.printed[:37]}..."
-        return f"Verdict({self.name}: printed {short}{found}, {self.verdict})"
-
 
 class Verdicts(list[Verdict]):
     """A list of verdicts, which a notebook shows as a table."""

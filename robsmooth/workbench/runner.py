@@ -12,10 +12,11 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from importlib import metadata
 from pathlib import Path
 
 from robsmooth._support import cluster, files
-from robsmooth._support.extras import check_installed, extra
+from robsmooth._support.extras import extra
 from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
 from robsmooth.workbench.execution import Execution
@@ -115,7 +116,8 @@ def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResul
 def plan(run: Request) -> list[Task]:
     """Select the notebooks, and check all that can be checked before anything is run."""
     with extra("notebooks", "a run of the notebooks"):
-        check_installed(*NEEDED)
+        for package in NEEDED:
+            metadata.version(package)  # raises where it is not installed, and imports nothing
     folder = run.root / "notebooks"
     profiles = _profiles(folder)
     names = select(profiles["notebooks"], run.only)
@@ -128,7 +130,7 @@ def plan(run: Request) -> list[Task]:
     try:
         with cluster.connect(run.dask):  # here an error is one sentence, and comes at once
             pass
-    except (ConnectionError, ImportError, ValueError) as error:
+    except (ConnectionError, ImportError) as error:
         raise PipelineError(f"--dask: {error}") from error
     return tasks
 

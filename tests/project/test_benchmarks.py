@@ -1,8 +1,10 @@
 """The benchmark: its peers simulate what robsmooth does, and the README says what was measured."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -186,7 +188,7 @@ def test_statistics_are_of_the_squares():
 def test_bench_measures_and_prints(capfd):
     kept = [ROOT / "README.md", *report.FOLDER.glob("results.*"), *report.FOLDER.glob("scaling.*")]
     before = [path.stat().st_mtime_ns for path in kept]
-    assert cli.main(["bench", "--quick", "--peers", "NumPy,Octave"]) == 0
+    assert bench.main(["--quick", "--peers", "NumPy,Octave"]) == 0
     printed = capfd.readouterr().out
     for text in (
         "| NumPy, float64 |",
@@ -201,6 +203,15 @@ def test_bench_measures_and_prints(capfd):
     skipped = "skipped: Octave, vectorised: octave is not installed"
     assert ("| Octave, vectorised |" in printed) != (skipped in printed)
     assert [path.stat().st_mtime_ns for path in kept] == before
+
+
+def test_the_command_does_what_the_bench_does(monkeypatch):
+    said = []
+    ended = SimpleNamespace(returncode=3)
+    monkeypatch.setattr(cli.subprocess, "run", lambda *call, **_: said.append(call) or ended)
+    assert cli.main(["bench"]) == cli.main(["bench", "--write"]) == 3
+    plain = [sys.executable, "-m", "benchmarks"]
+    assert said == [(plain,), ([*plain, "--write"],)]
 
 
 def test_a_quick_run_is_not_written(capfd):

@@ -147,10 +147,6 @@ OBJECTS = {
     "HomodyneParameters": (lambda: PAPER, ["lam=9140.0", "gamma=0.4"]),
     "RiccatiSolution": (lambda: smoother().certificates["Y"], ["residual=", "error="]),
     "Verdicts": (lambda: rs.verdicts(kinds=("model",)), ["reproduced", "3 not reproduced"]),
-    "Verdict": (
-        lambda: rs.verdicts(kinds=("model",))[0],
-        ["A_p[0, 0]: printed -9.14e3 1/s, ours -9140, reproduced"],
-    ),
 }
 
 
@@ -339,12 +335,6 @@ def test_verdicts_are_a_list():
     assert isinstance(found, list) and all(isinstance(verdict, Verdict) for verdict in found)
     assert repr(Verdicts()) == "Verdicts(none)"
     check_display(Verdicts())
-
-
-def test_the_long_words_of_a_verdict_are_cut():
-    verdict = Verdict("41%", "IV-E", "words " * 50, "other " * 50, None, "not reproduced", "why")
-    assert repr(verdict).endswith("..., not reproduced)")
-    check_display(verdict)
 
 
 def test_words_that_html_would_misread_are_escaped():

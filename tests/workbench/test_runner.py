@@ -456,7 +456,7 @@ def test_a_notebook_that_can_use_a_cluster_is_given_its_scheduler(project):
     "address, message",
     [
         ("tcp://127.0.0.1:1", "--dask: no Dask scheduler answers at tcp://127.0.0.1:1 within 5 s"),
-        ("127.0.0.1:8786", "--dask: the address of a scheduler must be tcp://host:port"),
+        ("http://host:80", "--dask: no Dask scheduler answers at http://host:80"),
     ],
 )
 def test_a_cluster_that_is_not_there_is_one_line_before_anything_runs(
