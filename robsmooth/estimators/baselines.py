@@ -173,12 +173,7 @@ def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
 
     It is the largest that a search finds of `optimal_fixed_lag_error` for the system that an
     uncertainty makes, in the squared unit of w. No estimator's worst constant error is lower, as
-    none knows more.
-
-    Parameters
-    ----------
-    system, delay
-        As in `optimal_fixed_lag_error`, and what it raises, too.
+    none knows more. Arguments and errors are those of `optimal_fixed_lag_error`.
 
     Examples
     --------

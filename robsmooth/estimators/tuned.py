@@ -73,8 +73,7 @@ def tuned_fixed_lag_smoother(
 
     Parameters
     ----------
-    plant : AugmentedSystem
-        Made by `augment`.
+    plant : AugmentedSystem, made by `augment`
     against : {"constant", "admissible"}
         Which error is to be least: the worst constant or the certified worst one, the latter
         against the output of the delay model.
