@@ -67,8 +67,16 @@ def constant_minimax_smoother(
     """Design the estimator whose largest error under constant uncertainties is the least.
 
     The search is a descent, from the best of the classical, the tuned and the minimax smoother: the
-    result is the least nearby, and never worse than these. Its arguments are those of
-    `minimax_smoother`.
+    result is the least nearby, and never worse than these.
+
+    Parameters
+    ----------
+    plant, output
+        As in `minimax_smoother`.
+
+    Returns
+    -------
+    ConstantMinimaxSmoother
 
     Raises
     ------
