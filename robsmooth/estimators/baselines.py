@@ -36,6 +36,10 @@ def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
         Whether the filter also runs copies of the nonlinearities, at its own estimate. A loop that
         feeds the estimate back, as adaptive homodyne detection does, amounts to that.
 
+    Returns
+    -------
+    Estimator, for the plant without delay
+
     Raises
     ------
     InfeasibleDesignError
@@ -65,6 +69,10 @@ def fixed_lag_smoother(
     copies
         As in `kalman_bucy`, and what it raises, too.
 
+    Returns
+    -------
+    Estimator
+
     See Also
     --------
     minimize_bound, optimal_fixed_lag_error : the robust smoother; what no smoother can beat.
@@ -85,6 +93,14 @@ def fixed_lag_smoother(
 
 def ngcf(system: UncertainSystem) -> RobustSmoother:
     """Return the nonlinear guaranteed cost filter: `minimize_bound` without delay.
+
+    Parameters
+    ----------
+    system : UncertainSystem
+
+    Returns
+    -------
+    RobustSmoother
 
     References
     ----------
@@ -158,6 +174,14 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
 def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
     """Return `optimal_fixed_lag_error` with the whole past and future: the floor of any delay.
 
+    Parameters
+    ----------
+    system : UncertainSystem
+
+    Returns
+    -------
+    (m, m) array
+
     Examples
     --------
     >>> import robsmooth as rs
@@ -172,13 +196,16 @@ def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
     """Return the largest mean square error, over constant uncertainties, of estimators told them.
 
     It is the largest that a search finds of `optimal_fixed_lag_error` for the system that an
-    uncertainty makes, in the squared unit of w. No estimator's worst constant error is lower, as
-    none knows more.
+    uncertainty makes. No estimator's worst constant error is lower, as none knows more.
 
     Parameters
     ----------
     system, delay
         As in `optimal_fixed_lag_error`, and what it raises, too.
+
+    Returns
+    -------
+    float, in the squared unit of w
 
     Examples
     --------

@@ -74,6 +74,10 @@ def constant_minimax_smoother(
     plant, output
         As in `minimax_smoother`.
 
+    Returns
+    -------
+    ConstantMinimaxSmoother
+
     Raises
     ------
     InfeasibleDesignError

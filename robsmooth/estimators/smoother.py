@@ -81,6 +81,10 @@ def design_smoother(
         paper's example has it, or for the error against the delay model's output, with :math:`C_a`
         as its text has it.
 
+    Returns
+    -------
+    RobustSmoother
+
     Raises
     ------
     InfeasibleDesignError
@@ -115,6 +119,11 @@ def limiting_smoother(
     plant, tau, multipliers, cost
         As in `design_smoother`. Of a nonlinearity that enters the measurements and not the state,
         the multipliers of both the mu and the mu-tilde constraint may be zero.
+
+    Returns
+    -------
+    RobustSmoother
+        Where M(lambda) is positive all the same, that of `design_smoother`.
 
     Raises
     ------
