@@ -148,6 +148,10 @@ def stationary_errors(
     parameters, smoother, oscillator, copy, shot_noise
         As in `monte_carlo`.
 
+    Returns
+    -------
+    StationaryErrors
+
     Raises
     ------
     ValueError
@@ -193,16 +197,21 @@ def _converged(problem: WhitenedLoop) -> StationaryErrors:
     errors, results = [_errors(problem, 2)], []
     for degree in count(LEAST_DEGREE, 2):
         errors.append(_errors(problem, degree))
-        with np.errstate(invalid="ignore"):  # infinite errors make a truncation that is none
-            steps = np.abs(np.diff(errors[-3:], axis=0))
-            steps[:-1] /= GAIN_OF_A_STEP
-            truncation = steps.max(axis=0) + problem.rounding * errors[-1]
-        results.append(StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree))
+        results.append(_result(problem, errors, degree))
         best = min(results, key=lambda result: result._relative_truncation)
         gains_nothing = degree >= best.degree + 2 * STEPS_WITHOUT_GAIN
         too_large = _unknowns(len(problem.drift), degree + 2) > DEFAULT_UNKNOWNS
         if gains_nothing or too_large or best._relative_truncation <= TOLERANCE:
             return best
+
+
+def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> StationaryErrors:
+    """Return the last errors, with the truncation estimated from the last two steps in degree."""
+    with np.errstate(invalid="ignore"):  # infinite errors make a truncation that is none
+        steps = np.abs(np.diff(errors[-3:], axis=0))
+        steps[:-1] /= GAIN_OF_A_STEP
+        truncation = steps.max(axis=0) + problem.rounding * errors[-1]
+    return StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree)
 
 
 def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:

@@ -154,6 +154,10 @@ def fraction_inside(error_range: float, variance: float) -> float:
     error_range, variance : float
         In rad, as of `HomodyneParameters.sector_range` or `lipschitz_range`, and in rad^2.
 
+    Returns
+    -------
+    float
+
     Examples
     --------
     >>> import robsmooth as rs
