@@ -54,7 +54,7 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne.loop import ILL_CONDITIONED, Loop, homodyne_loop
+from robsmooth.homodyne.loop import Loop, homodyne_loop
 from robsmooth.homodyne.parameters import HomodyneParameters
 
 TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
@@ -333,5 +333,8 @@ def _white_coordinates(loop: Loop, slopes: Matrix) -> tuple[Matrix, Matrix, floa
     white = loop.stationary_root(slopes, S, inverse)
     rounding = np.abs(white @ white.T - np.eye(rank)).max(initial=0.0)
     if rounding > _LARGEST_ROUNDING:
-        raise ArithmeticError(ILL_CONDITIONED)
+        raise ArithmeticError(
+            "the covariance of the linearised loop is lost in rounding: its rates, or the scales "
+            "of the estimator's states, are too far apart"
+        )
     return S, inverse, rounding

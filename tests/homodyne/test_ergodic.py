@@ -229,8 +229,8 @@ def test_pilot_shares_no_path_with_a_run_and_changes_no_mean():
     given = simulation(printed_smoother(), runs=2**40)
     assert given.blocks < PILOT_BLOCK
     for weights in (np.zeros((2, 3)), np.eye(2, 3)):
-        other = simulation(printed_smoother(), runs=20_000, duration=1e-5)
-        other.__dict__["weights"] = weights
+        given = simulation(printed_smoother(), runs=20_000, duration=1e-5)
+        other = replace(given, weights=weights)
         outputs = other.simulate(0, other.blocks).transpose(1, 0, 2).reshape(6, -1)
         plain, controlled = other.reduce(outputs[:5]).reshape(2, 2, -1)
         difference = controlled - plain

@@ -1,12 +1,7 @@
-"""The two protocols of `monte_carlo`: what is simulated, and what is made of it.
-
-A block of `BLOCK` paths always has the same result: blocks may be computed anywhere and in any
-order, as long as they are merged in the order of their index.
-"""
+"""The two protocols of `monte_carlo`: what is simulated, and what is made of it."""
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import ClassVar, Self
 
@@ -61,7 +56,6 @@ class Simulation:
     kernel: ClassVar[ModuleType]
     default_runs: ClassVar[int]
     compiled_for: ClassVar[tuple] = ()  # besides the order and the precision
-    weights: ClassVar[Matrix | None] = None  # of controls
 
     @property
     def blocks(self) -> int:
@@ -137,6 +131,7 @@ class ErgodicSimulation(Simulation):
     """The time-averaging protocol: Strang's splitting, with a linear control variate."""
 
     control: Matrix  # (3,), means of the control's squared errors and of the filtered one's square
+    weights: Matrix  # (2, 3), of these for the two errors: other machines' BLAS has other last bits
 
     kernel = splitting
     default_runs = 1024
@@ -154,7 +149,7 @@ class ErgodicSimulation(Simulation):
         steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
         warn_of_long_step(step, response, SILENT_SPLITTING, default, stacklevel=5)
         filtered, lagged = loop.linear_errors(*slopes)
-        return cls(
+        simulation = cls(
             **numbers,
             step=step,
             warm_up=warm_up * step,
@@ -164,27 +159,21 @@ class ErgodicSimulation(Simulation):
             coefficients=splitting.coefficients_of(loop, step, slopes),
             schedule=(warm_up, delay, steps),
             control=np.array([filtered, lagged, 3 * filtered**2]),  # it is Gaussian
+            weights=np.zeros((2, 3)),
         )
+        # from a pilot of other paths in lock
+        outputs = simulation.simulate(PILOT_BLOCK, 1)[0]
+        in_lock = outputs[:, outputs[splitting.SLIPS] == 0]
+        if in_lock.shape[1] < FEWEST_IN_PILOT:
+            return simulation
+        weights = control_weights(in_lock[splitting.ERRORS], in_lock[splitting.CONTROLS])
+        return replace(simulation, weights=weights)
 
     @property
     def compiled_for(self) -> tuple:
         """The Gaussians of a step, and the copy of the nonlinearity where it has any effect."""
         runs_copy = self.coefficients.copy.any() and self.coefficients.copy_gain.any()
         return (np.float32(0),) * self.coefficients.root.shape[1], (0,) * int(runs_copy)
-
-    @cached_property
-    @one_thread
-    def weights(self) -> Matrix:
-        """Weights of the three controls for the two errors, from a pilot of other paths in lock.
-
-        Other machines are sent the weights of this one: their BLAS has other last bits.
-        """
-        outputs = self.simulate(PILOT_BLOCK, 1)[0]
-        in_lock = outputs[:, outputs[splitting.SLIPS] == 0]
-        errors, controls = in_lock[splitting.ERRORS], in_lock[splitting.CONTROLS]
-        if in_lock.shape[1] < FEWEST_IN_PILOT:
-            return np.zeros((len(errors), len(controls)))
-        return control_weights(errors, controls)
 
     def reduce(self, outputs: Matrix) -> Matrix:
         """Return the errors, and the errors less what chance did to the control."""

@@ -5,11 +5,10 @@ Groups depend on nothing but the simulation, and so do the last bits of the resu
 """
 
 import hashlib
-import math
 import os
 import time
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -100,12 +99,11 @@ class MonteCarloResult:
 
     def to_dict(self) -> dict[str, Any]:
         """All fields as a dict that the json module writes; a number that is none becomes None."""
-        result = dict(vars(self))
-        for name, value in result.items():
-            if isinstance(value, MeanSquare):
-                numbers = vars(value).items()
-                result[name] = {key: x if math.isfinite(x) else None for key, x in numbers}
-        return result
+
+        def finite(fields):  # what is no number is not itself
+            return {name: None if value != value else value for name, value in fields}
+
+        return asdict(self, dict_factory=finite)
 
     def __repr__(self) -> str:
         slips = "no slips"
@@ -249,8 +247,6 @@ def _tally(
     tally, first = Tally(), 0
     if journal and journal.last:
         tally, first = Tally.from_state(*journal.last["tally"]), journal.last["blocks"]
-    if first < simulation.blocks:
-        _ = simulation.weights  # computed here, for all machines
     group = min(max(STEPS_OF_A_GROUP // (BLOCK * simulation.steps), 1), BLOCKS_OF_A_GROUP)
     simulate = partial(_tallies, simulation, group, parameters)
     if client is None:

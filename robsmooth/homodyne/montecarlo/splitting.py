@@ -278,9 +278,9 @@ def simulate_blocks(
 ):
     """Simulate consecutive blocks, as `euler.simulate_blocks` does.
 
-    The schedule has the steps before the first sample, those of the delay, at most as many, and
-    those that are sampled, at both ends. Of `pair` and `copy`, only the lengths count: the Gaussians of a step, and the sines besides the
-    first, one or none.
+    The schedule has the steps of the warm-up, of the delay, which is no longer, and those that are
+    sampled, at both ends. Of `pair` and `copy`, only the lengths count: the Gaussians of a step,
+    and the sines besides the first, one or none.
     """
     for block in prange(results.shape[0]):
         path = np.uint64(first + block) * np.uint64(BLOCK)
