@@ -68,10 +68,6 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     output : {"smoothed", "filtered"}
         The error: of the smoothed estimate against the truly delayed w, or of the filtered one.
 
-    Returns
-    -------
-    Judgement
-
     Examples
     --------
     >>> import robsmooth as rs

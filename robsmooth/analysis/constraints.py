@@ -90,10 +90,6 @@ def analysis_bound(
     smoother, output, loop, copy_noise
         As in `error_covariance`.
 
-    Returns
-    -------
-    AnalysisBound
-
     References
     ----------
     I. R. Petersen, V. A. Ugrinovskii and A. V. Savkin, *Robust Control Design Using H-infinity

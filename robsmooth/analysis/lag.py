@@ -88,10 +88,6 @@ def lag_sweep(
         smoother with copies of the nonlinearities.
     progress : bool, whether to show a bar
 
-    Returns
-    -------
-    LagSweep
-
     Examples
     --------
     >>> import robsmooth as rs

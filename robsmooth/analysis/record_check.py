@@ -126,10 +126,6 @@ def check_record(
     y, reference, inputs
         The record, as in `DiscreteSmoother.run`.
 
-    Returns
-    -------
-    RecordCheck
-
     Raises
     ------
     ValueError

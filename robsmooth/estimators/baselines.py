@@ -69,10 +69,6 @@ def fixed_lag_smoother(
     copies
         As in `kalman_bucy`, and what it raises, too.
 
-    Returns
-    -------
-    Estimator
-
     See Also
     --------
     minimize_bound, optimal_fixed_lag_error : the robust smoother; what no smoother can beat.
@@ -97,10 +93,6 @@ def ngcf(system: UncertainSystem) -> RobustSmoother:
     Parameters
     ----------
     system : UncertainSystem
-
-    Returns
-    -------
-    RobustSmoother
 
     References
     ----------

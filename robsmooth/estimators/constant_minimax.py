@@ -74,10 +74,6 @@ def constant_minimax_smoother(
     plant, output
         As in `minimax_smoother`.
 
-    Returns
-    -------
-    ConstantMinimaxSmoother
-
     Raises
     ------
     InfeasibleDesignError

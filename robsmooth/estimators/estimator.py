@@ -88,10 +88,6 @@ class Estimator:
         slopes : (g,) sequence of floats, optional
             Those of the copies, which closes them, and ``mu_copy`` goes. Zeros are nominal.
 
-        Returns
-        -------
-        control.StateSpace
-
         Examples
         --------
         >>> import robsmooth as rs
@@ -143,10 +139,6 @@ class Estimator:
             Whether a sample is the mean of dy/dt over its interval, or is taken at the interval's
             end: then its noise, of the variance :math:`D_{21}D_{21}'/dt`, is all that is averaged.
             Instants are for exact delays.
-
-        Returns
-        -------
-        DiscreteSmoother
 
         Raises
         ------

@@ -87,10 +87,6 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     output : {"smoothed", "filtered"}
         The error: of the smoothed estimate against the delay model's output, or the filtered one.
 
-    Returns
-    -------
-    MinimaxSmoother
-
     Raises
     ------
     InfeasibleDesignError

@@ -81,10 +81,6 @@ def design_smoother(
         paper's example has it, or for the error against the delay model's output, with :math:`C_a`
         as its text has it.
 
-    Returns
-    -------
-    RobustSmoother
-
     Raises
     ------
     InfeasibleDesignError

@@ -80,10 +80,6 @@ def tuned_fixed_lag_smoother(
     output : {"smoothed", "filtered"}
         Which estimate is wanted.
 
-    Returns
-    -------
-    Estimator
-
     Raises
     ------
     InfeasibleDesignError

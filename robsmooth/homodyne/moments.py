@@ -148,10 +148,6 @@ def stationary_errors(
     parameters, smoother, oscillator, copy, shot_noise
         As in `monte_carlo`.
 
-    Returns
-    -------
-    StationaryErrors
-
     Raises
     ------
     ValueError

@@ -111,10 +111,6 @@ def parameter_study(
     runs, seed, client, checkpoint, progress
         As in `monte_carlo`, of the ergodic protocol, and what it raises, too.
 
-    Returns
-    -------
-    Study
-
     Examples
     --------
     >>> import robsmooth as rs

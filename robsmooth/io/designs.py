@@ -56,10 +56,6 @@ def save(
     path : str or path
         Ends in .toml or .json. The file appears whole or not at all.
 
-    Returns
-    -------
-    None
-
     Raises
     ------
     ValueError, TypeError

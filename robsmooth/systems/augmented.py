@@ -224,10 +224,6 @@ def augment(
     J_21 : float or (g, g) array
         Intensity of the fictitious noise of the copies, positive definite; the paper has 1.
 
-    Returns
-    -------
-    AugmentedSystem
-
     See Also
     --------
     minimize_bound, baselines.fixed_lag_smoother : the robust and the classical smoother.

@@ -173,10 +173,6 @@ def monte_carlo(
     copy : bool, run the estimator's copy of the nonlinearity; without, its input is zero
     shot_noise : float, power of the photocurrent's noise, :math:`s` in :math:`\sqrt s\,dW`
 
-    Returns
-    -------
-    MonteCarloResult
-
     Warns
     -----
     LossOfLockWarning, LongStepWarning
