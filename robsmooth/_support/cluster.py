@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 CALLS_PER_THREAD = 2  # sent ahead: one that is computed and one that waits for it to end
 CALLS_AHEAD = 2  # and some more, while results are on their way
+LOOK_EVERY = 1.0  # s, how often the cluster is looked at: a scheduler that closes may not answer
 ANSWER_TIME = 30.0  # s, for the scheduler to answer, and how often it is asked while a call goes on
 JOIN_TIME = 30.0  # s, for a worker to join where there is none
 PACKAGES = ("numpy", "numba", "scipy")  # what results depend on to the last bit
@@ -57,9 +58,12 @@ def in_order(
 
     shipped, numbered = cloudpickle.dumps(function), enumerate(calls)
     pending: deque[Future] = deque()
+    look_at = 0.0
     try:
         while True:
-            room = CALLS_PER_THREAD * workers(client) + CALLS_AHEAD - len(pending)
+            if time.monotonic() >= look_at:
+                threads, look_at = workers(client), time.monotonic() + LOOK_EVERY
+            room = CALLS_PER_THREAD * threads + CALLS_AHEAD - len(pending)
             for index, call in itertools.islice(numbered, max(room, 0)):
                 task = pickle.dumps(_Call((software(), shipped, cloudpickle.dumps(call))))
                 pending.append(client.submit(pickle.loads, task, pure=False, priority=-index))
@@ -109,15 +113,12 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
             stack.callback(logger.setLevel, logger.level)
             logger.setLevel(logging.CRITICAL)
         try:
-            kind = _kind_of_server(address, timeout)
-            if kind == "Scheduler":
-                client = Client(address, timeout=timeout, set_as_default=False)
+            _check_scheduler(address, timeout)
+            client = Client(address, timeout=timeout, set_as_default=False)
         except Exception as error:
             reason = "is it running?" if isinstance(error, OSError) else str(error)
             message = f"no Dask scheduler answers at {address} within {timeout:g} s: {reason}"
             raise ConnectionError(message) from None
-        if kind != "Scheduler":
-            raise ConnectionError(f"at {address} is a Dask {kind.lower()}, not a scheduler")
         yield stack.enter_context(client)
 
 
@@ -215,16 +216,17 @@ def _lost(client: "Client") -> ConnectionError:
     )
 
 
-def _kind_of_server(address: str, timeout: float) -> str:
-    """What answers at an address; a client would wait for ever for one that says nothing."""
+def _check_scheduler(address: str, timeout: float) -> None:
+    """Ask who is at an address: a client would wait for ever where nothing answers."""
     from distributed.core import rpc
     from distributed.security import Security
 
-    async def ask() -> str:
+    async def ask() -> None:
         security = Security().get_connection_args("client")
         server = rpc(address, timeout=timeout, connection_args=security)
         async with asyncio.timeout(timeout), server:
-            return (await server.identity())["type"]
+            if (kind := (await server.identity())["type"]) != "Scheduler":
+                raise ValueError(f"there is a Dask {kind.lower()}")
 
     with ThreadPoolExecutor(1) as thread:  # a notebook's own runs an event loop already
-        return thread.submit(asyncio.run, ask()).result()
+        thread.submit(asyncio.run, ask()).result()

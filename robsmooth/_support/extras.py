@@ -14,9 +14,7 @@ def extra(name: str, part: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        package = (error.name or "").partition(".")[0]
-        if package in ("", "robsmooth"):
-            raise
+        package = error.name.partition(".")[0]
         raise MissingExtraError(
             f"{part} needs the package {package}: pip install 'robsmooth[{name}]'"
         ) from None
