@@ -25,6 +25,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -127,7 +128,7 @@ def load(
     validation.instance("functions", functions, Mapping)
     try:
         text = path.read_bytes().decode("utf-8-sig")
-        content = tomllib.loads(text) if language == "toml" else json.loads(text)
+        content = _READERS[language](text)
         return _object(content, functions)
     except RecursionError:
         raise ValueError(f"{path.name}: its brackets are nested too deeply") from None
@@ -138,9 +139,19 @@ def load(
 def _language(path: str | os.PathLike[str]) -> tuple[Path, str]:
     path = Path(os.path.expanduser(path))
     language = path.suffix[1:].lower()
-    if language not in ("toml", "json"):
+    if language not in _READERS:
         raise ValueError(f"path must end in .toml or .json, got {path.name!r}")
     return path, language
+
+
+def _distinct(pairs: list[tuple[str, object]]) -> dict:
+    """Return a table of JSON whose names are there once."""
+    if len({name for name, _ in pairs}) < len(pairs):
+        raise ValueError(f"one of {', '.join(name for name, _ in pairs)} is there twice")
+    return dict(pairs)
+
+
+_READERS = {"toml": tomllib.loads, "json": partial(json.loads, object_pairs_hook=_distinct)}
 
 
 def _object(content: object, functions: Mapping[str, Callable]) -> Any:
