@@ -37,7 +37,7 @@ from robsmooth._numerics.steps import responses
 from robsmooth._support.blas import one_thread
 from robsmooth.estimators.copies import Functions
 from robsmooth.estimators.engine import Engine
-from robsmooth.estimators.sample_loop import Reading, Sampled, Samples, Within, empty_memory
+from robsmooth.estimators.sample_loop import Reading, Sampled, Samples, Within, empty_memory, hold
 
 _KEPT = 1000  # kinds of samples whose matrices are kept
 _NO_WITHIN = Within(*np.empty((3, 0, 0, 0)))
@@ -66,6 +66,8 @@ class HeldEstimator(Engine):
         self._readings = {name: Reading(C, now, now - 1, _NO_WITHIN) for name, C in outputs.items()}
         self._reading, self._kept = self._readings["smoothed"], dict[bytes, Floats]()
         self._even = self._sampled([np.append(np.zeros(system.l), dt)])
+        self._transposed = self._even.model[0].T.copy()
+        self._sizes = tuple((0.0,) * count for count in (self.states, system.l, system.m))
 
     def start(self, state: Floats | None, covariance: None) -> None:
         """Begin a record with a state, zero by default."""
@@ -83,14 +85,19 @@ class HeldEstimator(Engine):
     ) -> tuple[Floats, Floats]:
         """Take samples; return the estimates, (rows, 1, m), and no deviations."""
         missing, lengths, memory = np.isnan(given.y), given.intervals, self.copied()
-        sampled, kinds = self._even, np.empty(0, dtype=np.int64)
+        reading, kinds = self._readings[output], np.empty(0, dtype=np.int64)
+        result, sampled = np.empty((len(missing), 1, len(reading.readout))), self._even
         if missing.any() or lengths is not None:
             lengths = np.full(len(missing), self._dt) if lengths is None else lengths
             every = np.column_stack([missing, lengths])
             different, kinds = np.unique(every, axis=0, return_inverse=True)
             sampled = self._sampled(different)
-        reading = self._readings[output]
-        result = np.empty((len(missing), 1, len(reading.readout)))
+        elif not self._running:
+            state = memory.states[-1, : self.states]
+            finite = hold(self._sizes, self._transposed, given.y, state, reading.readout, result)
+            self._functions.check(finite, "the estimate")
+            self.memory = memory
+            return result, result[:0]
         samples = given.y[:, :0], np.where(missing, 0.0, given.y), given.reference
         results = result, result[:0], given.y[:0]
         self._advance(sampled, kinds, memory, reading, samples, results)

@@ -309,6 +309,31 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
 
 
 @kept()
+def hold(sizes, model, y, state, readout, result):
+    """Do as `advance` where only y drives a state: quickly, for sizes that the compiler knows."""
+    n, measurements, outputs = len(sizes[0]), len(sizes[1]), len(sizes[2])
+    x = np.zeros((2, n))  # now, and at the end of the sample
+    x[0] = state
+    for k in range(len(y)):
+        for i in range(n):
+            x[1, i] = 0.0
+        for j in range(n):
+            for i in range(n):
+                x[1, i] += model[j, i] * x[0, j]
+        for j in range(measurements):
+            for i in range(n):
+                x[1, i] += model[n + j, i] * y[k, j]
+        for i in range(n):
+            x[0, i] = x[1, i]
+        for i in range(outputs):
+            result[k, 0, i] = 0.0
+            for j in range(n):
+                result[k, 0, i] += readout[i, j] * x[0, j]
+    state[:] = x[0]
+    return np.isfinite(x[0]).all()
+
+
+@kept()
 def step(
     functions, arguments, interval, model,
     states, covariances, closed, seen, innovations, intervals, lost, pattern, counts,
