@@ -141,7 +141,6 @@ def best_lag(system: UncertainSystem, order: int) -> tuple[float, float]:
     >>> round(lag, 8), round(error, 4)
     (4.01e-06, 0.0453)
     """
-    validation.instance("system", system, UncertainSystem)
     order = validation.integer("order", order, low=1)
     lags, errors = _errors_of_lags(system, order, _longest_lag(system))
     best = errors.argmin()
@@ -205,7 +204,6 @@ def choose_lag(
     >>> round(choice.lag, 8), choice.order
     (2.58e-06, 2)
     """
-    validation.instance("system", system, UncertainSystem)
     target = _target(system, target, fraction)
     filtered = _classical_error(system, 0, 0.0)
     if filtered <= target:
@@ -215,14 +213,18 @@ def choose_lag(
         lags, errors = _errors_of_lags(system, order, longest)
         least = min(least, errors.min())
         if least <= target:
-            error, first = partial(_classical_error, system, order), (errors <= target).argmax()
-            lag = _crossing(error, target, lags[first - 1], lags[first])
-            return LagChoice(lag, order, error(lag), target)
-    raise InfeasibleDesignError(
-        "The target",
-        f"no order up to {_MOST_ORDER} has a lag with an error of at most {target:.6g}; the least "
-        f"that was found is {least:.6g}",
-    )
+            break
+    else:
+        raise InfeasibleDesignError(
+            "The target",
+            f"no order up to {_MOST_ORDER} has a lag with an error of at most {target:.6g}; the "
+            f"least that was found is {least:.6g}",
+        )
+    error, first = partial(_classical_error, system, order), (errors <= target).argmax()
+    low, high = lags[first - 1 : first + 1]
+    tolerance = {"xtol": 1e-12 * high, "rtol": 1e-12}
+    lag = brentq(lambda lag: error(lag) / target - 1.0, low, high, **tolerance)
+    return LagChoice(lag, order, error(lag), target)
 
 
 def _optimal_error(system: UncertainSystem, lag: float) -> float:
@@ -278,9 +280,3 @@ def _errors_of_lags(system: UncertainSystem, order: int, longest: float) -> tupl
     found = minimize_scalar(error, **how)
     after = np.searchsorted(lags, found.x)
     return np.insert(lags, after, found.x), np.insert(errors, after, found.fun)
-
-
-def _crossing(error: Callable[[float], float], target: float, low: float, high: float) -> float:
-    """Return the lag between two at which the error falls to the target."""
-    tolerance = {"xtol": 1e-12 * high, "rtol": 1e-12}
-    return brentq(lambda lag: error(lag) / target - 1.0, low, high, **tolerance)

@@ -131,10 +131,6 @@ def check_record(
     ValueError
         For a smoother that runs a model of its delay, and so has no innovations.
 
-    See Also
-    --------
-    DiscreteSmoother.innovations : the innovations alone.
-
     Examples
     --------
     A record with twice the noise that the model has:

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._support import notation
 from robsmooth._support.validation import Matrix
 
 Floats = NDArray[np.float64]
@@ -46,9 +45,6 @@ class MeanSquare:
 
     def __str__(self) -> str:
         return f"{self.mean_square:.6g} +- {self.standard_error:.2g}"
-
-    def _repr_latex_(self) -> str:
-        return f"${notation.estimate(self.mean_square, self.standard_error)}$"
 
 
 class InadmissibleWarning(RuntimeWarning):

@@ -1,16 +1,6 @@
-r"""The augmented and compact system of Section III.
+r"""The augmented and compact system of Section III, (eqNsystem) and (eqCsystem).
 
-The delay model joins the system, :math:`x_p = [x; x_a]`, and all channels are stacked as in
-(eqCsystem): k uncertainties, g nonlinearities, g copies in the estimator.
-
-.. math::
-
-    dx_p &= [A_p x_p + \tilde B_1 \tilde\xi]\,dt + B_{p1}\,dW, & w &= C_{p0} x_p,\quad
-        w_a = C_a x_p,\\
-    d\tilde y &= [\tilde C_2 x_p + \tilde D_{21}\tilde\xi]\,dt + \bar D_{21}\,dW, &
-        \tilde\zeta &= \tilde C_1 x_p + \tilde D_{12}\tilde u,
-
-with :math:`\tilde y = [y; \tilde\mu]` and :math:`\tilde u = [\hat w; \tilde\nu]`. After the
+All channels are stacked: k uncertainties, g nonlinearities, g copies in the estimator. After the
 system's q noises, `W` has g that the theory adds to the copies through :math:`J_{21}`.
 """
 

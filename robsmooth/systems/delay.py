@@ -1,8 +1,6 @@
-r"""The finite-dimensional model of the delay (Section III).
+r"""The finite-dimensional model of the delay, (eqdelay).
 
-.. math:: \dot x_a = F_a x_a + G_a w, \qquad w_a = H_a x_a + J_a w
-
-with the transfer function of the Pade approximation :math:`[N/N]` of :math:`e^{-s\delta}`, for
+Its transfer function is the Pade approximation :math:`[N/N]` of :math:`e^{-s\delta}`, for
 each output of `w` separately (S. Chirarattananon and B. D. O. Anderson, "Stable fixed-lag
 smoothing of continuous time processes", IEEE Trans. Inf. Theory 20(1), 1974).
 

@@ -1,15 +1,4 @@
-r"""The class of uncertain nonlinear systems of Section II.
-
-.. math::
-
-    dx &= \Bigl[A x + \sum_{i=1}^g \bar B_{1i}\,\mu_i + \sum_{s=1}^k B_{1s}\,\xi_s\Bigr] dt
-          + B_1\,dW, & w &= C_0 x,\\
-    dy &= \Bigl[C_2 x + \sum_{i=1}^g \bar D_{21,i}\,\mu_i + \sum_{s=1}^k D_{21,s}\,\xi_s\Bigr] dt
-          + D_{21}\,dW, & \zeta_s &= C_{1,s} x,\quad \nu_i = \bar C_{1,i} x,
-
-with :math:`\mu_i = \psi_i(\nu_i)`, each :math:`\psi_i` Lipschitz with constant :math:`\beta_i` and
-zero at zero, and each :math:`\xi_s` bounded by :math:`\zeta_s` in the mean-square sense of the
-paper's integral quadratic constraint.
+r"""The class of uncertain nonlinear systems of Section II, (eqsystem) to (eqIQC1).
 
 A detector may be steered by an estimate, the *reference* :math:`r_i`, as in homodyne detection by
 the phase of the local oscillator: :math:`\mu_i = \psi_i(\nu_i - r_i)`. The known :math:`r_i` has
@@ -277,7 +266,7 @@ class UncertainSystem:
         )
 
     def _repr_latex_(self) -> str:
-        """Return the equations of the class with this system's numbers."""
+        """Return the equations (eqsystem) with this system's numbers."""
         mu = [(c, rf"\mu_{{{i}}}") for i, c in enumerate(self.nonlinearities[:_SHOWN], 1)]
         xi = [(c, rf"\xi_{{{s}}}") for s, c in enumerate(self.uncertainties[:_SHOWN], 1)]
         dots = r"\cdots" if max(self.k, self.g) > _SHOWN else ""

@@ -316,7 +316,6 @@ def test_a_loop_without_a_bound_shows_itself():
 def test_a_single_path_shows_a_mean_without_an_error():
     single = rs.MeanSquare(0.05, math.nan)
     assert str(single) == "0.05 +- nan"
-    assert single._repr_latex_() == "$0.05$"
 
 
 def test_a_study_without_a_design_shows_itself():
@@ -370,21 +369,6 @@ def test_a_number_is_what_it_says(value):
     text = text.replace(r"\times10^{", "e").replace("10^{", "1e").replace("}", "")
     # 4 digits, and denormal numbers have fewer
     assert float(text) == pytest.approx(value, rel=5.1e-4, abs=1e-320)
-
-
-@pytest.mark.parametrize(
-    ("mean", "error", "text"),
-    [
-        (0.051788, 1.57e-5, r"0.051788 \pm 1.6\times10^{-5}"),
-        (12.3456, 0.21, r"12.35 \pm 0.21"),
-        (0.0, 0.1, r"0 \pm 0.1"),
-        (0.5, 3.0, r"0.5 \pm 3"),
-        (0.5, 0.0, "0.5"),
-        (math.inf, 1.0, r"\infty"),
-    ],
-)
-def test_estimates_have_the_digits_of_their_errors(mean, error, text):
-    assert notation.estimate(mean, error) == text
 
 
 def test_matrices_are_elided_in_the_middle():
