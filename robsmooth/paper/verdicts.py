@@ -1,9 +1,4 @@
-r"""Whether the paper reproduces: every printed number recomputed and judged.
-
-A value agrees with a printed one when rounding it, or cutting it off, at the printed digits gives
-what is printed (the paper does both). What follows from the printed :math:`\tau` and
-:math:`\lambda` agrees when it does so for some values that round to the printed ones.
-"""
+"""Whether the paper reproduces: every printed number recomputed, and judged as the report says."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence

@@ -8,12 +8,7 @@ from typing import ClassVar, Self
 import numba
 import numpy as np
 
-from robsmooth._numerics.steps import (
-    dividing_step,
-    steps_in,
-    warn_of_long_step,
-    whole_steps,
-)
+from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.cluster import ALONE, worker_threads
@@ -198,6 +193,10 @@ def plan(
     precision: str = "mixed",
 ) -> Simulation:
     """Check the numbers, fill in defaults, say what is to be simulated, and warn of long steps."""
+    if numba.config.DISABLE_JIT:
+        raise RuntimeError(
+            "monte_carlo needs numba's compiler, which NUMBA_DISABLE_JIT switches off: unset it"
+        )
     kind = PROTOCOLS[protocol]
     runs = kind.default_runs if runs is None else validation.integer("runs", runs, low=1)
     if duration is not None:

@@ -17,7 +17,6 @@ import numpy as np
 
 from robsmooth._support import cluster, validation
 from robsmooth._support.checkpoint import Journal, open_journal
-from robsmooth._support.kernels import check_compiler
 from robsmooth._support.progress import progress_bar
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import homodyne_loop
@@ -199,7 +198,6 @@ def monte_carlo(
     0.088 rad^2, 0 slips
     """
     started = time.perf_counter()
-    check_compiler("monte_carlo")
     validation.choice("protocol", protocol, tuple(PROTOCOLS))
     loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
     simulation = plan(loop, protocol, runs, duration, step, seed, precision)
