@@ -41,8 +41,7 @@ class ConstantMinimaxSmoother(Estimator):
     worst_constant : float
         The largest mean square error under a constant admissible uncertainty that was found, in the
         squared unit of w, against the truly delayed w.
-    cost : {"smoothed", "filtered"}
-        Which error it is.
+    cost : {"smoothed", "filtered"}, which error it is
 
     Examples
     --------

@@ -1,7 +1,6 @@
 """An estimator in discrete time, for a measured record.
 
-A record has a row for each interval of `dt`: the mean of :math:`dy/dt` over it. Classical designs
-run as exact filters and smoothers in discrete time (`robsmooth.estimators.exact`), all others as
+Classical designs run as exact filters and smoothers (`robsmooth.estimators.exact`), all others as
 the equations in continuous time that they are (`robsmooth.estimators.held`).
 """
 

@@ -24,7 +24,6 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.loop import drifting_output
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import UncertainSystem
 
 _SLOW = 1e-3  # of the filter's fastest rate: modes that decay by less are left to the observer
@@ -50,8 +49,7 @@ class Drift:
         if not reaches(system.A, system.B1, system.C0):
             detail = "no noise in B1 drives C0 x, so that the estimate zero has no error in the end"
             raise InfeasibleDesignError("A process noise", detail)
-        without_delay = pade_delay(0.0, 0, system.m)
-        _, gain = kalman_gain(system, without_delay)
+        _, gain = kalman_gain(system)
         rate = np.abs(np.linalg.eigvals(system.A - gain @ system.C2)).max()
         found = modes(system.A, natural_units(system.A, system.B1), _SLOW * rate)
         rest = _unseen(found, system, rate)
@@ -61,7 +59,7 @@ class Drift:
             noise = np.hstack([W @ system.B1, np.zeros((V.shape[1], system.q))])
             more = np.hstack([system.D21, _MORE * system.D21])
             parts = W @ system.A @ V, noise, system.C0 @ V, system.C2 @ V, more
-            gain = V @ kalman_gain(UncertainSystem(*parts), without_delay)[1]
+            gain = V @ kalman_gain(UncertainSystem(*parts))[1]
             B, _, D = system.stacked(system.nonlinearities)
             taken_off = np.vstack([V @ W @ B - gain @ D, D])
         kept = np.ones(k + 3 * g, dtype=bool)

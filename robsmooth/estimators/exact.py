@@ -1,11 +1,7 @@
 r"""A Kalman filter and smoother of a record in discrete time, without a model of the delay.
 
-The nominal system of a classical design, classical or tuned, is sampled exactly, with the mean of
-:math:`dy/dt` over an interval as its measurement. The filter is the time-varying one: it begins
-with what is known at the start, and what is missing makes it uncertain. The smoothed estimate is
-that of fixed-lag smoothing of the innovations (`robsmooth.estimators.exact_loop`), exact for any
-delay and for samples of any lengths. A robust design has no innovations of its own to smooth. It is
-a filter of the plant with its delay model, and runs as such (`robsmooth.estimators.discrete`).
+It is for the nominal system of a classical design, as `robsmooth.estimators.exact_model` samples
+it, and has the equations of `robsmooth.estimators.sample_loop`.
 """
 
 import math
@@ -24,7 +20,6 @@ from robsmooth.estimators.engine import Engine
 from robsmooth.estimators.exact_model import SampledModel
 from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.sample_loop import Memory, Reading, Samples, empty_memory, read, spread_of
-from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import UncertainSystem
 
 _STANDING = 1e-13  # of the fastest mode's rate: a mode that decays by less does not
@@ -224,7 +219,7 @@ def _before(system: UncertainSystem, in_lock: bool) -> tuple[Floats, Floats, boo
             V, W, below = found.V, found.W, found.W_rest
             inner = covariances(found.A_rest, below @ B).stationary
             rest = found.V_rest @ inner @ found.V_rest.T
-    P, _ = kalman_gain(system, pade_delay(0.0, 0, system.m))
+    P, _ = kalman_gain(system)
     unknown = V * np.sqrt(np.diag(W @ P @ W.T))
     if in_lock:
         return rest + unknown @ unknown.T, unknown[:, :0], False

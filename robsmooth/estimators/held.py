@@ -47,8 +47,6 @@ Floats = NDArray[np.float64]
 class HeldEstimator(Engine):
     """The equations of an estimator in steps of dt: to the loop, y are inputs."""
 
-    samples_back = 0  # its delay is a part of it
-
     def __init__(
         self, estimator: Any, dt: float, running: list[int], functions: Functions, shift: Floats
     ) -> None:
@@ -116,10 +114,7 @@ class HeldEstimator(Engine):
 
     @one_thread
     def model(self, missing: NDArray[np.bool_], length: float) -> Floats:
-        r"""Return what a sample does to the state, the copies' values and changes, and y.
-
-        :math:`C_2\hat x + D\mu` is in the place of what is missing.
-        """
+        """Return what a sample does to the state, the copies' values and changes, and y."""
         key = missing.tobytes() + np.float64(length).tobytes()
         if key in self._kept:
             return self._kept[key]

@@ -47,8 +47,7 @@ class MinimaxSmoother(Estimator):
         error is that of w-hat against the output of the delay model, or against w ("filtered").
     multipliers : (k + 3g,) array
         theta of the certificate, in the squared unit of w times seconds.
-    cost : {"smoothed", "filtered"}
-        Which error it is.
+    cost : {"smoothed", "filtered"}, which error it is
     route : {"semidefinite programme", "descent"}
         How it was found: the first is the least over all linear estimators, with copies in the
         limit in which the multipliers of mu and mu-tilde vanish; the second is a local minimum.

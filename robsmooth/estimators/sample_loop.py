@@ -149,11 +149,7 @@ def _gains(gain, noise, P, present):
     for i in range(l):
         lost = lost or through[n + i, n + i] > _MOST * noise[n + i, n + i]
     if len(rows):
-        some = np.empty((len(rows), len(rows)))
-        for i in range(len(rows)):
-            for j in range(len(rows)):
-                some[i, j] = through[n + rows[i], n + rows[j]]
-        root = np.linalg.inv(np.linalg.cholesky(some))
+        root = np.linalg.inv(np.linalg.cholesky(through[n:, n:][rows][:, rows]))
         for i in range(len(rows)):
             for j in range(i + 1):
                 white[rows[i], rows[j]] = root[i, j]
@@ -168,36 +164,11 @@ def _gains(gain, noise, P, present):
 
 
 @kept()
-def _same(P, following):
-    for i in range(len(P)):
-        for j in range(len(P)):
-            if not abs(following[i, j] - P[i, j]) <= _STEADY * np.sqrt(P[i, i] * P[j, j]):
-                return False
-    return True
-
-
-@kept()
-def _add(result, matrix, vector, sign):
+def _add(result, matrix, vector):
     """Add a matrix, as many rows and columns as there are, times a vector."""
     for i in range(len(result)):
         for j in range(len(vector)):
-            result[i] += sign * matrix[i, j] * vector[j]
-
-
-@kept()
-def _add_transposed(result, matrix, vector, sign):
-    for j in range(len(vector)):
-        for i in range(len(result)):
-            result[i] += sign * matrix[j, i] * vector[j]
-
-
-@kept()
-def _through(following, model, state):
-    """Write a model, as many of its rows as there are, times a state."""
-    for i in range(len(following)):
-        following[i] = 0.0
-        for j in range(len(state)):
-            following[i] += model[i, j] * state[j]
+            result[i] += matrix[i, j] * vector[j]
 
 
 @kept()
@@ -220,11 +191,13 @@ def _predict(functions, arguments, model, state, inputs, reference, k, following
         state[n + g + i] = 0.0
     if g:
         _copies(functions, arguments, state, reference, k, state, n)
-        _through(following, model, state)
+        following[:] = 0.0
+        _add(following, model, state)
         _copies(functions, arguments, following, reference, k, state, n + g)
         for i in range(g):
             state[n + g + i] -= state[n + i]
-    _through(following, model, state)
+    following[:] = 0.0
+    _add(following, model, state)
 
 
 @kept()
@@ -281,7 +254,8 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
             memory.closed[now], memory.seen[now], memory.lost[now] = closed, seen, lost
             closed, seen = memory.closed[now], memory.seen[now]
             memory.pattern[:], memory.intervals[now] = present, sampled.interval[kind]
-            counts[1] = 1 if _same(P, after) else 0
+            sizes = np.sqrt(np.outer(np.diag(P), np.diag(P)))
+            counts[1] = (np.abs(after - P) <= _STEADY * sizes).all()
             P[:] = after
         else:
             counts[1] += 1
@@ -365,11 +339,11 @@ def _determine(memory, z):
     n = len(memory.unknown)
     seen = np.ascontiguousarray(memory.seen[-1][:, :n]) @ memory.unknown
     memory.information[:] += seen.T @ seen
-    _add_transposed(memory.score, seen, z, 1.0)
+    _add(memory.score, seen.T, z)
     memory.unknown[:] = np.ascontiguousarray(memory.closed[-1][:, :n]) @ memory.unknown
     if np.linalg.eigvalsh(memory.information)[0] > _KNOWN:
         inverse = np.linalg.inv(memory.information)
-        _add(memory.states[-1][:n], memory.unknown @ inverse, memory.score, 1.0)
+        _add(memory.states[-1][:n], memory.unknown @ inverse, memory.score)
         memory.covariances[-1][:] += memory.unknown @ inverse @ memory.unknown.T
         memory.counts[1], memory.counts[2] = 0, memory.counts[0]
 
@@ -387,7 +361,7 @@ def read(memory, reading, row, result):
     row, l = min(row, len(reading.lags) - 1), memory.innovations.shape[1]  # noqa: E741
     if reading.lags.shape[1] == 1 and reading.lags[row, 0] == 0 and memory.counts[2] == 0:
         result[0] = 0.0
-        _add(result[0], reading.readout, memory.states[ring][:n], 1.0)
+        _add(result[0], reading.readout, memory.states[ring][:n])
         return
     known, done, slot = _known(memory), 0, samples % max(ring, 1)
     r, later, part, x = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
@@ -410,21 +384,21 @@ def read(memory, reading, row, result):
         done = lag
         part[:] = 0.0
         if lag:
-            _add(part, memory.covariances[slot], r, 1.0)
+            _add(part, memory.covariances[slot], r)
         before = memory.states[slot if lag else ring]
         if time < 0:
             x[:] = before[:n] + part
         else:
             with_noise = np.zeros(n + l)
-            _add_transposed(with_noise, seen[slot], innovations[slot], 1.0)
-            _add_transposed(with_noise, closed[slot], later, -1.0)
+            _add(with_noise, seen[slot].T, innovations[slot])
+            _add(with_noise, closed[slot].T, -later)
             with_noise = np.concatenate((np.zeros(n), later, with_noise[n:]))
             x[:] = 0.0
-            _add(x, reading.within.model[time], before, 1.0)
-            _add(x, reading.within.gain[time], part, 1.0)
-            _add(x, reading.within.noise[time], with_noise, 1.0)
+            _add(x, reading.within.model[time], before)
+            _add(x, reading.within.gain[time], part)
+            _add(x, reading.within.noise[time], with_noise)
         result[at] = np.nan if lag and memory.lost[slot] else 0.0
-        _add(result[at], reading.readout, x, 1.0)
+        _add(result[at], reading.readout, x)
 
 
 @kept()
