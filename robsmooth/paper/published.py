@@ -1,8 +1,6 @@
-r"""What the paper prints, in ``data/published.toml``: its numbers, and the designs they make.
+"""What the paper prints, in ``data/published.toml``: its numbers, and the designs they make.
 
 Beside it lies ``data/monte_carlo.json``: what it is compared with, as notebook 04 writes it.
-The printed gains follow from the printed :math:`\tau` and :math:`\lambda` only with the quadratic
-term of the X equation negated, as a standard Riccati solver has it.
 """
 
 import itertools

@@ -55,10 +55,9 @@ from robsmooth.homodyne.montecarlo.noise import (
 )
 
 CHUNK = 8  # steps for which noise is drawn ahead
-OUTPUTS = 7  # of a path: time averages of the loop and of its control, cycle slips, turns away
-FILTERED, SMOOTHED, CONTROL_FILTERED, CONTROL_SMOOTHED, CONTROL_FOURTH, SLIPS, TURNS = range(
-    OUTPUTS
-)
+# Of a path: time averages of the loop and of its control, cycle slips, turns away.
+FILTERED, SMOOTHED, CONTROL_FILTERED, CONTROL_SMOOTHED, CONTROL_FOURTH, SLIPS, TURNS = range(7)
+OUTPUTS = TURNS + 1
 ERRORS, CONTROLS = slice(FILTERED, CONTROL_FILTERED), slice(CONTROL_FILTERED, SLIPS)
 
 
