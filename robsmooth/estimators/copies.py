@@ -78,7 +78,9 @@ class Functions:
             self._called_back(function) if number is None else number
             for function, number in zip(self.given, numbers, strict=True)
         ]
-        self.addresses = np.array([_address(one) for one in self._kept], dtype=np.intp)
+        pointers = [getattr(one, "ctypes", one) for one in self._kept]
+        addresses = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers]
+        self.addresses = np.array(addresses, dtype=np.intp)
 
     def __reduce__(self) -> tuple[type, tuple[tuple[Function, ...]]]:
         return type(self), (self.given,)
@@ -100,12 +102,6 @@ class Functions:
             raise error
         if not finite:
             raise ArithmeticError(f"{what} left the range of floating-point numbers")
-
-
-def _address(one: Any) -> int:
-    if isinstance(one, _Address):
-        return ctypes.cast(one, ctypes.c_void_p).value or 0
-    return one.address
 
 
 @lru_cache(maxsize=64)

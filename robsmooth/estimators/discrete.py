@@ -99,8 +99,11 @@ class DiscreteSmoother(Exports):
                 "runs as delay='model'"
             )
         self.exact: bool = estimator.nominal is not None and delay != "model"
-        self._mean = _vector("mean", mean, system.n)
-        self._offset = _vector("offset", offset, self.l) + system.C2 @ self._mean
+        self._mean = validation.matrix(
+            "mean", [0.0] * system.n if mean is None else mean, [system.n]
+        )
+        offset = validation.matrix("offset", [0.0] * self.l if offset is None else offset, [self.l])
+        self._offset = offset + system.C2 @ self._mean
         self._w = system.C0 @ self._mean
         self._running = running_copies(estimator)
         arguments = [c.C @ self._mean for c in system.nonlinearities]
@@ -187,7 +190,7 @@ class DiscreteSmoother(Exports):
             self._exact("covariance")
         n = self._engine.states
         if state is not None:
-            state = _vector("state", state, n) - (self._mean if self.exact else 0.0)
+            state = validation.matrix("state", state, [n]) - (self._mean if self.exact else 0.0)
         if covariance is not None:
             root = covariance_root("covariance", covariance, n)
             covariance = root @ root.T
@@ -441,13 +444,6 @@ def _plain(given: Any, size: int) -> Floats | None:
 
 def _rows(given: Samples, rows: slice) -> Samples:
     return Samples(*(None if each is None else each[rows] for each in given))
-
-
-def _vector(name: str, given: ArrayLike | None, size: int) -> Floats:
-    result = validation.array(name, np.zeros(size) if given is None else given, ndim=1)
-    if result.size != size:
-        raise ValueError(f"{name} must have {size} entries, got {result.size}")
-    return result
 
 
 def checked(name: str, given: ArrayLike, columns: int) -> Floats:

@@ -19,6 +19,7 @@ class Engine:
     memory: Memory
     _even: Sampled  # what most samples are like ...
     _reading: Reading  # ... and what is read after them
+    _row: tuple[Floats, Floats, Floats]  # room for one: its measurements, inputs and references
 
     def __init__(self, functions: Functions, arguments: Floats, shift: Floats) -> None:
         self._functions, self._arguments = functions, np.ascontiguousarray(arguments)
@@ -44,17 +45,13 @@ class Engine:
             known[:] = self._usual if reference is None else reference
         return estimate[0, 0].copy() if take_one() else None
 
-    def _row(self) -> tuple[Floats, Floats, Floats]:
-        """Return room for the measurements, inputs and references of a sample in the loop."""
-        raise NotImplementedError
-
     def _bind(self) -> tuple[Any, ...]:
         """Return a memory, what takes a sample into it, and room for that and the estimate."""
-        y, inputs, reference = row = self._row()
+        y, inputs, reference = self._row
         estimate = np.empty((1, 1, len(self._reading.readout)))
         constants = self._functions.addresses, self._arguments, *self._even[:2]
         reading = *self._reading[:3], *self._reading.within
-        bound = partial(step, *constants, *self.memory[:9], *reading, *row, estimate)
+        bound = partial(step, *constants, *self.memory[:9], *reading, *self._row, estimate)
         return self.memory, bound, y if y.size else inputs, reference, estimate
 
     def __getstate__(self) -> dict[str, Any]:

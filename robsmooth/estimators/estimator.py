@@ -102,10 +102,7 @@ class Estimator:
         if slopes is None:
             inputs["mu_copy"] = copies
         else:
-            slopes = validation.array("slopes", slopes, ndim=1)
-            if slopes.size != system.g:
-                raise ValueError(f"slopes must have {system.g} entries, got {slopes.size}")
-            A = A + copies * slopes @ nu
+            A = A + copies * validation.matrix("slopes", slopes, [system.g]) @ nu
         read_outs = {"smoothed": self.C_a, "filtered": self.C_f, "nu_copy": nu}
         return state_space(A, inputs, read_outs, {})
 

@@ -44,6 +44,8 @@ class ExactFilter(Engine):
         self._dt, self._delay = dt, estimator.plant.delay
         self._model = SampledModel(estimator, dt, running, instants)
         super().__init__(functions, self._model.arguments, shift)
+        y, reference, inputs, _ = self._model.nothing(1)
+        self._row = y, inputs, reference
         self.states, self._C0 = self._model.n, np.ascontiguousarray(estimator.nominal[0].C0)
         self._even = self._model.sampled([dt])
         ratio = self._delay / dt
@@ -137,10 +139,6 @@ class ExactFilter(Engine):
     def step(self, y: Floats, reference: Floats | None) -> Floats | None:
         """Take a sample as most are; return None where it is not taken, and `take` has to."""
         return None if self._uneven else super().step(y, reference)
-
-    def _row(self) -> tuple[Floats, Floats, Floats]:
-        y, reference, inputs, _ = self._model.nothing(1)
-        return y, inputs, reference
 
     def _run(
         self, memory: Memory, reading: Reading, given: Samples, results: tuple[Floats, ...]

@@ -58,6 +58,7 @@ class HeldEstimator(Engine):
                 "the system without B2 and D22 takes no inputs"
             )
         super().__init__(functions, estimator.C_c[system.m :][running], shift)
+        self._row = np.empty((1, 0)), np.empty((1, system.l)), np.empty((1, len(running)))
         self._estimator, self._dt, self._running = estimator, dt, running
         now = np.zeros((1, 1), dtype=np.int64)
         outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
@@ -90,21 +91,16 @@ class HeldEstimator(Engine):
             every = np.column_stack([missing, lengths])
             different, kinds = np.unique(every, axis=0, return_inverse=True)
             sampled = self._sampled(different)
-        elif not self._running:
+        if sampled is self._even and not self._running:
             state = memory.states[-1, : self.states]
             finite = hold(self._sizes, self._transposed, given.y, state, reading.readout, result)
             self._functions.check(finite, "the estimate")
-            self.memory = memory
-            return result, result[:0]
-        samples = given.y[:, :0], np.where(missing, 0.0, given.y), given.reference
-        results = result, result[:0], given.y[:0]
-        self._advance(sampled, kinds, memory, reading, samples, results)
+        else:
+            samples = given.y[:, :0], np.where(missing, 0.0, given.y), given.reference
+            results = result, result[:0], given.y[:0]
+            self._advance(sampled, kinds, memory, reading, samples, results)
         self.memory = memory
         return result, result[:0]
-
-    def _row(self) -> tuple[Floats, Floats, Floats]:
-        l = self._estimator.plant.system.l  # noqa: E741 - the paper's letter
-        return np.empty((1, 0)), np.empty((1, l)), self._usual[None].copy()
 
     def _sampled(self, kinds: Iterable[Floats]) -> Sampled:
         """Return the estimator in samples of these kinds: which channels are missing, a length."""

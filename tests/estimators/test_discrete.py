@@ -775,7 +775,7 @@ def test_one_measurement_in_a_row_is_told_how_to_stand():
         (lambda d: d.run(record(3), reference=np.zeros((3, 1))), r"must have shape \(N, 2\)"),
         (lambda d: d.step([1, 2], reference=[0, np.nan]), "reference must be finite, got nan"),
         (lambda d: d.times(1), "rows must be at most the 0 samples taken, got 1"),
-        (lambda d: d.reset([1.0]), "state must have 2 entries, got 1"),
+        (lambda d: d.reset([1.0]), r"state must have shape \(2\), got \(1,\)"),
     ],
 )
 def test_wrong_calls_are_refused(call, message):

@@ -320,7 +320,7 @@ def test_estimators_stand_side_by_side():
 
 def test_slopes_of_an_estimator_are_checked():
     design = a_design()
-    with pytest.raises(ValueError, match="slopes must have 2 entries, got 1"):
+    with pytest.raises(ValueError, match=r"slopes must have shape \(2\), got \(1,\)"):
         design.to_statespace([0.0])
     with pytest.raises(ValueError, match="slopes must be finite"):
         design.to_statespace([0.0, np.inf])
