@@ -85,7 +85,7 @@ OBJECTS = {
     "InadmissibleWarning": (lambda: rs.InadmissibleWarning("outside"), ["outside"]),
     "InfeasibleDesignError": (
         lambda: rs.InfeasibleDesignError("Assumption 2", "no noise"),
-        ["Assumption 2 fails: no noise"],
+        ["Assumption 2", "no noise"],
     ),
     "Judgement": (
         lambda: rs.judge(smoother(), "filtered"),
