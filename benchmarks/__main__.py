@@ -32,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         *report.scale_tables(results),
         report.records_table(results),
         report.files_table(results),
+        *report.latency_tables(results),
         report.design_table(results),
         report.guarantees_table(results),
     ):
@@ -52,6 +53,7 @@ def measure(quick: bool, peers: str) -> dict:
     race = on_one_core("benchmarks.race", "--peers", peers, *(["--quick"] if quick else []))
     records = on_one_core("benchmarks.throughput", *(["--quick"] if quick else []))
     files = on_one_core("benchmarks.from_files", *(["--quick"] if quick else []))
+    latency = on_one_core("benchmarks.latency", *(["--quick"] if quick else []))
     curves = scales.scales(scales.QUICK if quick else scales.FULL)
     waits = design_and_sweep(5 if quick else 31)
     certified = guarantees(1 if quick else 5)
@@ -60,6 +62,7 @@ def measure(quick: bool, peers: str) -> dict:
     about["compiler"] = cpp.version()
     about["versions"] |= {name: version(name) for name in ("jax", "diffrax")}
     measured = {"race": race, "scales": curves, "records": records, "files": files}
+    measured["latency"] = latency
     return {"about": about, **measured, "design": waits, "guarantees": certified}
 
 

@@ -34,7 +34,8 @@ def is_complete(results: dict) -> bool:
 
 def disagreeing(results: dict) -> list[str]:
     """Return the peers whose results are not robsmooth's."""
-    measured = {**results["race"]["peers"], **results["records"]["contenders"]}
+    latency = results.get("latency", {}).get("contenders", {})
+    measured = {**results["race"]["peers"], **results["records"]["contenders"], **latency}
     return [name for name, peer in measured.items() if not peer["agrees"]]
 
 
@@ -198,6 +199,26 @@ def files_table(results: dict) -> Table:
     )
 
 
+def latency_tables(results: dict) -> Iterator[Table]:
+    """Yield how long one sample takes, from Python and in C; an older record does not have it."""
+    if "latency" not in results:
+        return
+    rows = []
+    for name, row in results["latency"]["contenders"].items():
+        times = [f"{each:.3g}" for each in row["nanoseconds"]]
+        times += [""] * (3 - len(times))
+        rows.append((name, *times, _span(row["ratio"], row["ratio_quartiles"])))
+    yield Table(
+        columns=("a sample by", "ns: median", "99%", "99.9%", "times as fast"),
+        rows=rows,
+        caption=(
+            "The same smoother, a sample at a time, on one core: the time of a call from Python, "
+            "or of one of many in a loop of C. Times as fast as the first row: medians of "
+            f"{results['latency']['rounds']} interleaved rounds, with quartiles."
+        ),
+    )
+
+
 def design_table(results: dict) -> Table:
     """Return how long a design and a sweep over its uncertainty take."""
     names = {
@@ -307,6 +328,7 @@ def markdown(results: dict) -> str:
         "## Records",
         records_table(results).markdown(),
         files_table(results).markdown(),
+        *(table.markdown() for table in latency_tables(results)),
         "## Design",
         design_table(results).markdown(),
         "## Guarantees",

@@ -6,6 +6,7 @@ module that defines it.
 
 import ast
 import pkgutil
+import sys
 from importlib import import_module
 
 _HOMES = {
@@ -18,7 +19,7 @@ __all__ = sorted(_HOMES)
 
 
 def __getattr__(name):
-    """Import a public name; an AttributeError says which one is nearest."""
+    """Import a public name; Python says which one is nearest to one that is not."""
     if name in _HOMES:
         home = import_module(_HOMES[name])
         # what its home does not hold is a module of it
@@ -26,25 +27,14 @@ def __getattr__(name):
     elif name == "__version__":
         value = _version()
     else:
-        raise AttributeError(f"module 'robsmooth' has no attribute {name!r}{_hint(name)}")
+        what = f"module 'robsmooth' has no attribute {name!r}"
+        raise AttributeError(what, name=name, obj=sys.modules[__name__])
     globals()[name] = value
     return value
 
 
 def __dir__():
     return list(__all__)
-
-
-def _hint(name):
-    import difflib
-
-    spelled = {_key(public): public for public in __all__}
-    near = [] if name.startswith("_") else difflib.get_close_matches(_key(name), spelled, n=1)
-    return f"; did you mean robsmooth.{spelled[near[0]]}?" if near else ""
-
-
-def _key(name):
-    return name.lower().replace("_", "")
 
 
 def _version():

@@ -24,9 +24,7 @@ from robsmooth.analysis.record_check import RecordCheck as RecordCheck
 from robsmooth.analysis.record_check import check_record as check_record
 from robsmooth.estimators import baselines as baselines
 from robsmooth.estimators.bound import minimize_bound as minimize_bound
-from robsmooth.estimators.constant_minimax import (
-    ConstantMinimaxSmoother as ConstantMinimaxSmoother,
-)
+from robsmooth.estimators.constant_minimax import ConstantMinimaxSmoother as ConstantMinimaxSmoother
 from robsmooth.estimators.constant_minimax import (
     constant_minimax_smoother as constant_minimax_smoother,
 )

@@ -15,8 +15,6 @@ from robsmooth._support.extras import MissingExtraError
 from robsmooth.workbench.parameters import PipelineError
 from robsmooth.workbench.runner import PROFILES, NotebookResult, Request, plan, run_notebooks
 
-INTERRUPTED = 130
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code: 0, 1 for failures, 2 for a wrong request."""
@@ -30,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         kept = "notebooks that had finished are kept, the results of the others are as they were"
         print(f"robsmooth: interrupted; {kept}", file=sys.stderr)
-        return INTERRUPTED
+        return 130  # as a shell has it
 
 
 def figures(options: argparse.Namespace) -> int:
@@ -49,7 +47,7 @@ def figures(options: argparse.Namespace) -> int:
     if not run.parameters and len(failed) < len(results):
         write_report(run)
     if not failed:
-        print(f"figures and tables are in {_short(run.results / 'figures')}")
+        print(f"figures and tables are in {run.results / 'figures'}")
     return 1 if failed else 0
 
 
@@ -79,8 +77,7 @@ def verdicts(options: argparse.Namespace) -> int:
 
 def bench(options: argparse.Namespace) -> int:
     """Measure the speed of the simulation, and that of its peers, as benchmarks/ has it."""
-    flags = [f"--{name}" for name in ("quick", "write") if getattr(options, name)]
-    command = [sys.executable, "-m", "benchmarks", "--peers", options.peers, *flags]
+    command = [sys.executable, "-m", "benchmarks", *(["--write"] if options.write else [])]
     return subprocess.run(command, cwd=_project()).returncode
 
 
@@ -108,9 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     _command(commands, "verdicts", verdicts, "every printed number with its verdict")
 
     add = _command(commands, "bench", bench, "measure the speed of the simulation")
-    add("--quick", action="store_true", help="in seconds; ratios mean little")
     add("--write", action="store_true", help="write benchmarks/results.* and the README's block")
-    add("--peers", metavar="NAME[,NAME]", default="", help="parts of their names (default: all)")
     return parser
 
 
@@ -151,13 +146,8 @@ def _summary(failed: Sequence[NotebookResult], count: int) -> str:
     parts = [f"\n{len(failed)} of {count} notebooks failed; their earlier results are untouched."]
     for result in sorted(failed, key=lambda result: result.task.name):
         parts.append(f"\n{'-' * 80}\n{result.task.name}, {result.failure}")
-        parts.append(f"executed copy: {_short(result.task.executed)}")
+        parts.append(f"executed copy: {result.task.executed}")
     return "\n".join(parts)
-
-
-def _short(path: Path) -> str:
-    """`path` as seen from here, where it is below."""
-    return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
 
 
 if __name__ == "__main__":

@@ -40,6 +40,22 @@ napoleon_use_param = False
 napoleon_use_rtype = False
 napoleon_custom_sections = [("Attributes", "params_style")]
 
+
+def _say_what_is_returned(_app, what, _name, thing, _options, lines):
+    """Add what a function returns, where its annotation says all."""
+    returned = getattr(thing, "__annotations__", {}).get("return")
+    if what not in ("function", "method") or returned is None or "Returns" in lines:
+        return
+    after = (i for i, line in enumerate(lines) if line in ("Raises", "See Also", "Examples"))
+    at = next(after, len(lines))
+    lines[at:at] = ["Returns", "-------", getattr(returned, "__name__", str(returned)), ""]
+
+
+def setup(app):
+    """Connect what the pages need to Sphinx."""
+    app.connect("autodoc-process-docstring", _say_what_is_returned, priority=100)
+
+
 # --- HTML that needs no network -----------------------------------------------------------------
 
 html_theme = "furo"

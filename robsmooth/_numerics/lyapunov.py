@@ -30,7 +30,6 @@ from robsmooth._support.validation import Matrix
 ERROR_TOLERANCE = 1e-6
 _FIRST_STEP = 1 / 4  # times the norm of A
 _TERMS = 15  # of a series in steps of that size, to all digits
-_ROUGH_TERMS = 4  # to three
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_TERMS)  # exact for the square of the series
 _DOUBLINGS = 60  # further apart than 2^60 no time constants are
 _FORGOTTEN = 1e-6  # the share of a state, below which a doubling leaves nothing of it
@@ -54,9 +53,9 @@ def covariances(A: Matrix, B: Matrix, span: float = 0.0) -> Covariances:
     """
     root, grown, transition, first, transitions = _settled(A, B, span)
     P = _squared(root)
-    # what one step of refinement would add to P: the solution for its residual
+    # what one step of refinement would add to P: the solution for its residual, roughly
     half = A @ P
-    error = _growth(first * A, (half + half.mT + _squared(B)) * first)
+    error = (half + half.mT + _squared(B)) * first
     for E in transitions:
         error = error + E @ error @ E.mT
     return Covariances(P, _squared(grown), transition, error)
@@ -163,16 +162,6 @@ def _after(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]:
     powers = ((1.0 + _NODES) / 2.0)[:, None] ** np.arange(_TERMS)
     parts = np.tensordot(powers * np.sqrt(_WEIGHTS / 2.0)[:, None], np.array(moved), axes=1)
     return F, _compressed(*parts)
-
-
-def _growth(A: Matrix, Q: Matrix) -> Matrix:
-    """Return W after a unit of time, in which little happens, roughly."""
-    term, W = Q, Q
-    for order in range(2, _ROUGH_TERMS + 1):
-        half = A @ term / order
-        term = half + half.mT
-        W = W + term
-    return W
 
 
 def _compressed(*parts: Matrix) -> Matrix:

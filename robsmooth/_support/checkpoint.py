@@ -3,13 +3,9 @@
 The file is an SQLite database with one table. Record 0 is the identity of the computation. Each
 record has a checksum, because SQLite does not see that a bit of a value has changed.
 
-A record is whole or absent, and on the disk when `Journal.append` returns: SQLite keeps a rollback
-journal in a file beside the checkpoint, ``<name>-journal``. A crash may leave that file; move the
-two together. SQLite's write-ahead log is not used: it needs memory that the processes share, which
-those on two machines of a network file system cannot.
-
-One run at a time has the file, by a lock of the file system. In a network folder that is mounted
-without locks, runs of two machines do not see each other: give each another path.
+A record is whole or absent, and on the disk when `Journal.append` returns, by SQLite's rollback
+journal. Its write-ahead log is not used: it needs memory that the processes share, which those on
+two machines of a network file system cannot.
 """
 
 import hashlib

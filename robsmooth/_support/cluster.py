@@ -7,9 +7,9 @@ Dask is an optional dependency: nothing here imports it before a cluster is aske
 
 import asyncio
 import hashlib
+import itertools
 import logging
 import pickle
-import re
 import sys
 import threading
 import time
@@ -19,7 +19,6 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from importlib import metadata
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,10 +29,9 @@ if TYPE_CHECKING:
 
 CALLS_PER_THREAD = 2  # sent ahead: one that is computed and one that waits for it to end
 CALLS_AHEAD = 2  # and some more, while results are on their way
-LOOK_EVERY = 1.0  # s, how often the cluster is looked at
-ANSWER_TIME = 30.0  # s, for the scheduler to answer
+LOOK_EVERY = 1.0  # s, how often the cluster is looked at: a scheduler that closes may not answer
+ANSWER_TIME = 30.0  # s, for the scheduler to answer, and how often it is asked while a call goes on
 JOIN_TIME = 30.0  # s, for a worker to join where there is none
-ADDRESS = re.compile(r"(?:tcp|tls)://(?:[^\s/:@\[\]]+|\[[\w:.%]+\]):(\d+)")
 PACKAGES = ("numpy", "numba", "scipy")  # what results depend on to the last bit
 LOGGERS = ("distributed", "distributed.client", "tornado.application")
 
@@ -47,15 +45,37 @@ def in_order(
 ) -> Iterator[Any]:
     """Yield ``function(*call)`` for each call, in the order of the calls, or raise as it does.
 
-    The function is sent with each call: it should pickle to less than about 100 kB. Closing the
-    iterator early, as an error in the loop over it does, drops the calls that are on their way.
-    ConnectionError says that there is no worker or no scheduler, RuntimeError that a worker has
-    other software or that a call ended several workers.
+    The function is sent with each call: it should pickle to less than about 100 kB. Few calls are
+    on their way at a time: as many as keep all threads at work. Closing the iterator early, as an
+    error in the loop over it does, drops them. ConnectionError says that there is no worker or no
+    scheduler, RuntimeError that a worker has other software or that a call ended several workers.
     """
     _check_client(client)
     if client is None:
-        return (function(*call) for call in calls)
-    return _on_cluster(function, calls, client)
+        yield from itertools.starmap(function, calls)
+        return
+    import cloudpickle
+
+    shipped, numbered = cloudpickle.dumps(function), enumerate(calls)
+    pending: deque[Future] = deque()
+    look_at = 0.0
+    try:
+        while True:
+            if time.monotonic() >= look_at:
+                threads, look_at = workers(client), time.monotonic() + LOOK_EVERY
+            room = CALLS_PER_THREAD * threads + CALLS_AHEAD - len(pending)
+            for index, call in itertools.islice(numbered, max(room, 0)):
+                task = pickle.dumps(_Call((software(), shipped, cloudpickle.dumps(call))))
+                pending.append(client.submit(pickle.loads, task, pure=False, priority=-index))
+            if not pending:
+                return
+            for result in _result(pending[0], client):
+                pending.popleft()
+                yield result
+    finally:
+        for future in pending:  # else an error's traceback would keep them
+            with suppress(RuntimeError):  # there is no connection any more
+                future.release()
 
 
 def workers(client: "Client | None") -> int:
@@ -86,10 +106,6 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
     if address == "":
         yield None
         return
-    parts = isinstance(address, str) and ADDRESS.fullmatch(address)
-    if not parts or not 0 < int(parts[1]) < 2**16:
-        known = "tcp://host:port or tls://host:port"
-        raise ValueError(f"the address of a scheduler must be {known}, got {address!r}")
     with extra("cluster", "a cluster"):
         from distributed import Client
     with ExitStack() as stack:
@@ -97,15 +113,12 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
             stack.callback(logger.setLevel, logger.level)
             logger.setLevel(logging.CRITICAL)
         try:
-            kind = _kind_of_server(address, timeout)
-            if kind == "Scheduler":
-                client = Client(address, timeout=timeout, set_as_default=False)
+            _check_scheduler(address, timeout)
+            client = Client(address, timeout=timeout, set_as_default=False)
         except Exception as error:
             reason = "is it running?" if isinstance(error, OSError) else str(error)
             message = f"no Dask scheduler answers at {address} within {timeout:g} s: {reason}"
             raise ConnectionError(message) from None
-        if kind != "Scheduler":
-            raise ConnectionError(f"at {address} is a Dask {kind.lower()}, not a scheduler")
         yield stack.enter_context(client)
 
 
@@ -120,9 +133,7 @@ def worker_threads() -> int | None:
 def software() -> dict[str, str]:
     """Versions of what a result depends on, and the SHA-256 of this package's sources."""
     versions = {"python": f"{sys.version_info.major}.{sys.version_info.minor}"}
-    for name in PACKAGES:
-        with suppress(metadata.PackageNotFoundError):
-            versions[name] = metadata.version(name)
+    versions |= {name: metadata.version(name) for name in PACKAGES}
     return {**versions, "robsmooth": _SOURCES}
 
 
@@ -164,42 +175,8 @@ def _compute(wanted: dict[str, str], function: bytes, arguments: bytes) -> Any:
 _loads = lru_cache(maxsize=1)(pickle.loads)  # a function comes with each of its calls
 
 
-def _on_cluster(function: Callable, calls: Iterable[tuple], client: "Client") -> Iterator[Any]:
-    """Do as `in_order`, with few calls on their way: as many as keep all threads at work."""
-    import cloudpickle
-
-    shipped, calls = cloudpickle.dumps(function), enumerate(calls)
-    pending: deque[Future] = deque()
-    look_at = 0.0
-    try:
-        while True:
-            if time.monotonic() >= look_at:
-                threads, look_at = workers(client), time.monotonic() + LOOK_EVERY
-            room = CALLS_PER_THREAD * threads + CALLS_AHEAD - len(pending)
-            for index, call in islice(calls, max(room, 0)):
-                task = pickle.dumps(_Call((software(), shipped, cloudpickle.dumps(call))))
-                pending.append(client.submit(pickle.loads, task, pure=False, priority=-index))
-            if not pending:
-                return
-            if _has_ended(pending[0]):
-                for result in _result(pending[0], client):
-                    pending.popleft()
-                    yield result
-    finally:
-        for future in pending:  # else an error's traceback would keep them
-            with suppress(RuntimeError):  # there is no connection any more
-                future.release()
-
-
-def _has_ended(future: "Future") -> bool:
-    """Wait for a call to end, until it is time to look at the cluster again."""
-    with suppress(TimeoutError, CancelledError):
-        future.exception(timeout=LOOK_EVERY)
-    return future.done()
-
-
 def _result(future: "Future", client: "Client") -> list[Any]:
-    """Take the result of a call that has ended; it is gone again where its worker left with it."""
+    """Wait for a result; there is none where its call goes on, or its worker left with it."""
     from distributed import KilledWorker
 
     try:
@@ -216,7 +193,7 @@ def _result(future: "Future", client: "Client") -> list[Any]:
         if future.status == "error":  # the function's own
             raise
         if isinstance(error, TimeoutError) and client.status == "running":
-            return []  # the scheduler, where it answers, has it computed anew
+            return []  # the scheduler, where it answers, sees to it
         raise _lost(client) from error
 
 
@@ -239,16 +216,17 @@ def _lost(client: "Client") -> ConnectionError:
     )
 
 
-def _kind_of_server(address: str, timeout: float) -> str:
-    """What answers at an address; a client would wait for ever for one that says nothing."""
+def _check_scheduler(address: str, timeout: float) -> None:
+    """Ask who is at an address: a client would wait for ever where nothing answers."""
     from distributed.core import rpc
     from distributed.security import Security
 
-    async def ask() -> str:
+    async def ask() -> None:
         security = Security().get_connection_args("client")
         server = rpc(address, timeout=timeout, connection_args=security)
         async with asyncio.timeout(timeout), server:
-            return (await server.identity())["type"]
+            if (kind := (await server.identity())["type"]) != "Scheduler":
+                raise ValueError(f"there is a Dask {kind.lower()}")
 
     with ThreadPoolExecutor(1) as thread:  # a notebook's own runs an event loop already
-        return thread.submit(asyncio.run, ask()).result()
+        thread.submit(asyncio.run, ask()).result()

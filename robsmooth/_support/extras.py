@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from typing import Any
 
 
@@ -16,20 +15,10 @@ def extra(name: str, part: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        package = (error.name or "").partition(".")[0]
-        if package in ("", "robsmooth"):
-            raise
+        package = error.name.partition(".")[0]
         raise MissingExtraError(
-            f"{part} needs the package {package}: pip install 'robsmooth[{name}]'",
-            name=error.name,
+            f"{part} needs the package {package}: pip install 'robsmooth[{name}]'"
         ) from None
-
-
-def check_installed(*packages: str) -> None:
-    """Raise what an import of the first missing one would raise, and import none of them."""
-    for package in packages:
-        if find_spec(package) is None:
-            raise ModuleNotFoundError(f"No module named {package!r}", name=package)
 
 
 def pyarrow() -> Any:

@@ -1,18 +1,15 @@
-"""Functions that numba compiles, on machines where it cannot keep them or is switched off."""
+"""Functions that numba compiles, on machines where it cannot keep them."""
 
 import warnings
 from collections.abc import Callable
-from typing import TypeVar
 
 import numba
 
-F = TypeVar("F", bound=Callable[..., object])
 
-
-def kept(**options: bool) -> Callable[[F], F]:
+def kept(**options: bool) -> Callable[[Callable], Callable]:
     """Return `numba.njit` with these options, which keeps what it compiles where it can."""
 
-    def decorate(function: F) -> F:
+    def decorate(function: Callable) -> Callable:
         try:
             return numba.njit(cache=True, **options)(function)
         except RuntimeError:
@@ -26,11 +23,3 @@ def kept(**options: bool) -> Callable[[F], F]:
             return numba.njit(**options)(function)
 
     return decorate
-
-
-def check_compiler(what: str) -> None:
-    """Check that NUMBA_DISABLE_JIT does not switch numba's compiler off."""
-    if numba.config.DISABLE_JIT:
-        raise RuntimeError(
-            f"{what} needs numba's compiler, which NUMBA_DISABLE_JIT switches off: unset it"
-        )

@@ -14,31 +14,23 @@ _DIGITS = 4
 _NO_ENTRY = 1e-16  # is zero in print, over the mean of its row's and column's largest
 
 
-def number(value: float, digits: int = _DIGITS) -> str:
+def number(value: float) -> str:
     r"""Return a number as LaTeX, such as ``5.9\times10^{4}``."""
     if value == 0.0:
         return "0"  # without a sign
     if not math.isfinite(value):
         return {math.inf: r"\infty", -math.inf: r"-\infty"}.get(value, r"\mathrm{nan}")
-    mantissa, exponent = scientific(value, digits)
+    mantissa, exponent = scientific(value, _DIGITS)
     if exponent is None:
         return mantissa
     factor = {"1": "", "-1": "-"}.get(mantissa, rf"{mantissa}\times")
     return f"{factor}10^{{{exponent}}}"
 
 
-def scientific(value: float, digits: int = _DIGITS) -> tuple[str, int | None]:
+def scientific(value: float, digits: int) -> tuple[str, int | None]:
     """Return mantissa and exponent of a number in print; None where it needs no power of ten."""
     mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
     return mantissa, int(exponent) if exponent else None
-
-
-def estimate(mean: float, error: float) -> str:
-    r"""Return a mean and its standard error as LaTeX, to two digits of the error."""
-    if not (math.isfinite(mean) and 0.0 < error < math.inf):
-        return number(mean, 6)
-    size, least = (math.floor(math.log10(abs(x) or error)) for x in (mean, error))
-    return rf"{number(mean, min(max(size - least + 2, 1), 15))} \pm {number(error, 2)}"
 
 
 def matrix(value: ArrayLike) -> str:

@@ -50,8 +50,8 @@ def array(name: str, value: ArrayLike, ndim: int) -> Matrix:
 
 
 def matrix(name: str, value: ArrayLike, shape: Sequence[int | None]) -> Matrix:
-    """Return `value` as a read-only matrix of the given shape; None leaves a size free."""
-    result = array(name, value, ndim=2)
+    """Return `value` as a read-only array of the given shape; None leaves a size free."""
+    result = array(name, value, ndim=len(shape))
     for wanted, size in zip(shape, result.shape, strict=True):
         if wanted is not None and wanted != size:
             sizes = ", ".join("any" if size is None else str(size) for size in shape)

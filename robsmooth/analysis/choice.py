@@ -7,15 +7,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
-
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import CoarseDelayWarning, InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.analysis.constraints import analysis_bound
-from robsmooth.analysis.covariance import error_covariance, worst_case
+from robsmooth.analysis.covariance import worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.conditions import COSTS
@@ -69,10 +67,6 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     estimator : Estimator
     output : {"smoothed", "filtered"}
         The error: of the smoothed estimate against the truly delayed w, or of the filtered one.
-
-    Returns
-    -------
-    Judgement
 
     Examples
     --------
@@ -203,9 +197,7 @@ def best_smoother(
     Raises
     ------
     InfeasibleDesignError
-        Where no estimator has a finite error; for the certified one it says which fraction of the
-        uncertainty has one. Where a measurement has no noise, no measurement sees a mode that does
-        not decay, or an uncertainty does.
+        Where no estimator has a finite error, and as in `minimax_smoother`.
 
     Warns
     -----
@@ -254,13 +246,13 @@ def _warn_of_coarse_delay(classical: Candidate) -> None:
     """Warn where waiting makes the nominal error larger: a smoother with an exact delay cannot."""
     estimator, smoothed = classical.estimator, classical.judgement.nominal
     assert estimator is not None
-    plant, Delta = estimator.plant, estimator.plant.structured_delta()
-    filtered = float(np.trace(error_covariance(estimator, Delta, "filtered", "real")))
-    if plant.delay > 0.0 and smoothed > _WORSE * filtered:
+    filtered = worst_case(estimator, "filtered", loop="real").nominal
+    if smoothed > _WORSE * filtered:
         warnings.warn(
             f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: the "
-            f"delay's model of order {plant.order} is too coarse for this signal; a higher order "
-            "or a shorter delay helps, and in discrete time the classical smoother needs no model",
+            f"delay's model of order {estimator.plant.order} is too coarse for this signal; a "
+            "higher order or a shorter delay helps, and in discrete time the classical smoother "
+            "needs no model",
             CoarseDelayWarning,
             stacklevel=4,
         )

@@ -1,18 +1,7 @@
 r"""Closed loop, stationary error covariance, and the worst constant uncertainty (Section III-A).
 
-With the uncertainty :math:`\tilde\xi = \Delta\tilde\zeta`, the plant and the estimator form the
-loop :math:`dX = \mathbf A X\,dt + \mathbf B\,dW` of (eqclosed). Its stationary covariance
-:math:`\mathbf P` solves :math:`\mathbf{AP} + \mathbf{PA}' + \mathbf{BB}' = 0`, and the smoothed
-error is (eqCo), with the transposes that the paper leaves out,
-
-.. math::
-
-    P_{sa} = C\mathbf P C' - C_s e^{\mathbf A\delta}\mathbf P C' -
-             (C_s e^{\mathbf A\delta}\mathbf P C')' + C_s\mathbf P C_s', \qquad
-    C = [C_{p0}\; 0],\quad C_s = [0\; C_a].
-
-Its terms nearly cancel where the estimate is good. What is computed here is the same in two that
-cannot be negative,
+The smoothed error of the loop (eqclosed) has the covariance (eqCo), whose terms nearly cancel where
+the estimate is good. What is computed here is the same in two terms that cannot be negative,
 
 .. math::
 
@@ -39,11 +28,9 @@ from robsmooth._support.validation import Matrix, frozen
 from robsmooth.estimators.constant import mean_square, worst_delta
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import (
-    OUTPUTS,
     Reference,
     drifting_error,
     error_rows,
-    guarantee,
     matrices,
     open_loop,
     scaled,
@@ -168,7 +155,6 @@ def error_covariance(
     >>> rs.error_covariance(smoother, plant.structured_delta([], [-0.5]), loop="real").round(4)
     array([[0.0609]])
     """
-    validation.choice("output", output, OUTPUTS)
     validation.instance("smoother", smoother, Estimator)
     plant = smoother.plant
     Delta = validation.matrix("Delta", Delta, (plant.B1_tilde.shape[1], len(plant.C1_tilde)))
@@ -209,7 +195,6 @@ def delta_sweep(
     """
     validation.instance("smoother", smoother, Estimator)
     slopes = validation.array("nonlinearities", nonlinearities, ndim=1)
-    validation.choice("output", output, OUTPUTS)
     plant = smoother.plant
     if not plant.system.g:
         advice = "error_covariance has the error under its uncertainties"
@@ -233,7 +218,6 @@ class WorstCase:
     mean_square, nominal : float
         The mean square error under it and without uncertainty, in the squared unit of w; infinity
         where the loop is not stable.
-    guarantee : float or None, twice the bound V of the design, where that is for this error
 
     Examples
     --------
@@ -248,19 +232,13 @@ class WorstCase:
     Delta: Matrix
     mean_square: float
     nominal: float
-    guarantee: float | None
 
     def __repr__(self) -> str:
-        proven = "" if self.guarantee is None else f", guarantee={self.guarantee:.5g}"
-        return f"WorstCase(mean_square={self.mean_square:.5g}, nominal={self.nominal:.5g}{proven})"
+        return f"WorstCase(mean_square={self.mean_square:.5g}, nominal={self.nominal:.5g})"
 
 
 @one_thread
-def worst_case(
-    smoother: Estimator,
-    output: str = "smoothed",
-    loop: str = "theory",
-) -> WorstCase:
+def worst_case(smoother: Estimator, output: str = "smoothed", loop: str = "theory") -> WorstCase:
     """Search for the constant admissible uncertainty with the largest mean square error.
 
     Parameters
@@ -278,7 +256,7 @@ def worst_case(
     >>> import robsmooth as rs
     >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
     >>> rs.worst_case(ngcf, "filtered")
-    WorstCase(mean_square=0.2053, nominal=0.12483, guarantee=0.24335)
+    WorstCase(mean_square=0.2053, nominal=0.12483)
     """
     opened, _ = scaled(open_loop(smoother, output, loop))
     _, Delta = worst_delta(opened, _STARTS)
@@ -288,5 +266,4 @@ def worst_case(
             return np.inf
         return float(np.trace(error_covariance(smoother, Delta, output, loop)))
 
-    worst, nominal = error(Delta), error(np.zeros_like(Delta))
-    return WorstCase(frozen(Delta), worst, nominal, guarantee(smoother, output, loop))
+    return WorstCase(frozen(Delta), error(Delta), error(np.zeros_like(Delta)))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _LEVEL = 0.01  # how often one of the three tests is wrong about a record of the model
-_LAGS = 20
+_LAGS = 20  # samples, up to which correlations are looked at
 _PAIRS = 50  # for each measurement: at a lag with fewer, correlations are not looked at
 Floats = NDArray[np.float64]
 
@@ -112,7 +112,6 @@ def check_record(
     *,
     reference: ArrayLike | None = None,
     inputs: ArrayLike | None = None,
-    lags: int = _LAGS,
 ) -> RecordCheck:
     """Compare a record with the model that a smoother is made for, by its innovations.
 
@@ -126,21 +125,11 @@ def check_record(
         tuned design has a model of its own, whose noises are other than the plant's.
     y, reference, inputs
         The record, as in `DiscreteSmoother.run`.
-    lags : int, for how many lags, in samples, correlations are looked at
-
-    Returns
-    -------
-    RecordCheck
 
     Raises
     ------
-    ValueError, TypeError
-        For an argument that is not as described; for a smoother that runs a model of its delay,
-        and so has no innovations.
-
-    See Also
-    --------
-    DiscreteSmoother.innovations : the innovations alone.
+    ValueError
+        For a smoother that runs a model of its delay, and so has no innovations.
 
     Examples
     --------
@@ -155,17 +144,16 @@ def check_record(
     'The record does not agree with the model. Of'
     """
     validation.instance("smoother", smoother, DiscreteSmoother)
-    lags = validation.integer("lags", lags, low=1)
     z = smoother.innovations(y, reference=reference, inputs=inputs)
     seen = np.isfinite(z)
-    if len(z) <= lags or not seen.any(axis=0).all():
+    if len(z) <= _LAGS or not seen.any(axis=0).all():
         raise ValueError(
-            f"y must have more than {lags} rows, and some samples of each measurement, got "
+            f"y must have more than {_LAGS} rows, and some samples of each measurement, got "
             f"{len(z)} rows with {seen.sum(axis=0).tolist()} samples"
         )
     values, count = np.where(seen, z, 0.0), seen.sum(axis=0)
     total = (values**2).sum()
-    correlations = np.array([_correlations(values, seen, d) for d in range(1, lags + 1)])
+    correlations = np.array([_correlations(values, seen, d) for d in range(1, _LAGS + 1)])
     squared, known = np.nansum(correlations**2), np.isfinite(correlations).sum()
     return RecordCheck(
         innovations=z,

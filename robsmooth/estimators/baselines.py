@@ -20,7 +20,6 @@ from robsmooth.estimators.tuned import classical
 from robsmooth.estimators.tuned import tuned_fixed_lag_smoother as tuned_fixed_lag_smoother
 from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import with_feedback
-from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import UncertainSystem
 
 _CORNERS = 4  # of the set of uncertainties, with their opposites, where a search starts
@@ -69,10 +68,6 @@ def fixed_lag_smoother(
     copies
         As in `kalman_bucy`, and what it raises, too.
 
-    Returns
-    -------
-    Estimator
-
     See Also
     --------
     minimize_bound, optimal_fixed_lag_error : the robust smoother; what no smoother can beat.
@@ -97,10 +92,6 @@ def ngcf(system: UncertainSystem) -> RobustSmoother:
     Parameters
     ----------
     system : UncertainSystem
-
-    Returns
-    -------
-    RobustSmoother
 
     References
     ----------
@@ -153,7 +144,7 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     two_sided = np.ndim(delay) == 0 and delay == np.inf
     if not two_sided:
         delay = validation.real("delay", delay, low=0.0)
-    P, gain = kalman_gain(system, pade_delay(0.0, 0, system.m))
+    P, gain = kalman_gain(system)
     A_f = system.A - gain @ system.C2
     noise = np.linalg.cholesky(system.D21 @ system.D21.T)
     rate = solve_triangular(noise, system.C2, lower=True).T  # a root of C2' R^-1 C2

@@ -181,11 +181,11 @@ def problem_of(estimator: Estimator, kept: np.ndarray | None = None) -> Constrai
     return ConstraintProblem(model_loop(estimator), estimator.plant, kept)
 
 
-def model_loop(estimator: Estimator) -> OpenLoop:
-    """Return the loop with the error of w-hat against the delay model's output."""
+def model_loop(estimator: Estimator, loop: str = "real") -> OpenLoop:
+    """Return the loop with the error of the smoothed estimate against the delay model's output."""
     plant, none = estimator.plant, np.zeros_like(estimator.C_a)
     return replace(
-        open_loop(estimator, "filtered", "real"),
+        open_loop(estimator, "filtered", loop),
         truth=np.hstack([plant.C_a, none]),
         estimate=np.hstack([np.zeros_like(plant.C_a), estimator.C_a]),
     )
@@ -294,7 +294,7 @@ def _quasi_newton(
         trial = np.exp(logarithms)
         try:
             point = problem.at(trial, fraction)
-        except RiccatiError:
+        except (RiccatiError, LinAlgError):  # multipliers that rounding takes for zero
             return _INFEASIBLE, np.zeros_like(trial)
         if point.mean_square < best[0]:
             best = point.mean_square, trial

@@ -19,7 +19,7 @@ _HINTS = {
     ASSUMPTION_X: "; other ratios of the multipliers, or less uncertainty (smaller outputs C or "
     "Lipschitz constants), may help",
 }
-_EQUALITY_SLACK = 1e-9  # of inequalities that hold with equality at an optimum
+EQUALITY_SLACK = 1e-9  # of inequalities that hold with equality at an optimum
 
 
 def check_plant(plant: AugmentedSystem, cost: str) -> None:
@@ -69,7 +69,7 @@ def check_multipliers(plant: AugmentedSystem, multipliers: np.ndarray, limit: bo
             "that does not enter the state needs that of the difference alone)",
         )
     level = multiplier_level(plant, multipliers)
-    if level > 1.0 + _EQUALITY_SLACK:
+    if level > 1.0 + EQUALITY_SLACK:
         raise InfeasibleDesignError(
             "The multiplier constraint M(lambda)^-1 >= J J'",
             f"the largest eigenvalue of J'M(lambda)J is {level:.6g}, above 1; divide the "
@@ -89,24 +89,14 @@ def check_stable(plant: AugmentedSystem) -> None:
         )
 
 
-def check_nonnegative(condition: str, smallest: float) -> None:
-    """Check the smallest eigenvalue, relative to the norm, of a Riccati equation's solution."""
-    if smallest < -_EQUALITY_SLACK:
-        detail = f"smallest eigenvalue {smallest:.3g} of its norm"
-        text = f"its stabilising solution is not nonnegative definite: {detail}"
-        raise refusal(condition, text)
-
-
 def certified_solution(condition: str, equation: tuple[Matrix, ...]) -> RiccatiSolution:
     """Solve one Riccati equation; name the assumption where there is no nonnegative solution."""
     try:
         solution = solve_riccati(*equation)
+        smallest = solution.smallest_eigenvalue
+        if smallest < -EQUALITY_SLACK:
+            detail = f"smallest eigenvalue {smallest:.3g} of its norm"
+            raise RiccatiError(f"its stabilising solution is not nonnegative definite: {detail}")
     except RiccatiError as error:
-        raise refusal(condition, str(error)) from None
-    check_nonnegative(condition, solution.smallest_eigenvalue)
+        raise InfeasibleDesignError(condition, f"{error}{_HINTS[condition]}") from None
     return solution
-
-
-def refusal(condition: str, detail: str) -> InfeasibleDesignError:
-    """Return the error of an assumption, with what usually mends it."""
-    return InfeasibleDesignError(condition, detail + _HINTS.get(condition, ""))

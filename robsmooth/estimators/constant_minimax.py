@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
@@ -42,10 +41,7 @@ class ConstantMinimaxSmoother(Estimator):
     worst_constant : float
         The largest mean square error under a constant admissible uncertainty that was found, in the
         squared unit of w, against the truly delayed w.
-    Deltas : (N, r + 2g, h + 2g) array
-        The uncertainties that the design is for: the worst are among them.
-    cost : {"smoothed", "filtered"}
-        Which error it is.
+    cost : {"smoothed", "filtered"}, which error it is
 
     Examples
     --------
@@ -56,7 +52,6 @@ class ConstantMinimaxSmoother(Estimator):
     """
 
     worst_constant: float
-    Deltas: NDArray[np.float64]
     cost: str
 
     @property
@@ -77,10 +72,6 @@ def constant_minimax_smoother(
     ----------
     plant, output
         As in `minimax_smoother`.
-
-    Returns
-    -------
-    ConstantMinimaxSmoother
 
     Raises
     ------
@@ -106,12 +97,12 @@ def constant_minimax_smoother(
             "some constant uncertainty destabilises the plant, so that its error has no limit; "
             "less uncertainty (smaller outputs C or Lipschitz constants) may help",
         )
-    value, estimator, Deltas = _designed(*start, drifts)
+    value, estimator = _designed(*start, drifts)
     fields = natural.restored(in_plant_states(estimator))
     value *= natural.units.w**2
     if drifts:
         value, _ = worst_constant(Estimator(**fields), output, _STARTS)
-    return ConstantMinimaxSmoother(**fields, worst_constant=value, Deltas=Deltas, cost=output)
+    return ConstantMinimaxSmoother(**fields, worst_constant=value, cost=output)
 
 
 def _candidates(plant: AugmentedSystem) -> list[Estimator]:
@@ -135,8 +126,8 @@ def _loop(estimator: Estimator, drifts: bool) -> OpenLoop:
 
 def _designed(
     value: float, Delta: np.ndarray, estimator: Estimator, drifts: bool
-) -> tuple[float, Estimator, np.ndarray]:
-    """Return the least largest error from a start, the estimator and the set of Delta."""
+) -> tuple[float, Estimator]:
+    """Return the least largest error from a start, and the estimator."""
     Deltas, best = [np.zeros_like(Delta), Delta], (value, estimator)
     for _ in range(_ROUNDS):
         for sharpness in _SHARPNESS:
@@ -149,7 +140,7 @@ def _designed(
         if value <= (1.0 + _CLOSED) * inner:
             break
         Deltas.append(Delta)
-    return *best, np.array(Deltas)
+    return best
 
 
 def _descended(

@@ -2,10 +2,9 @@ r"""Descent on an error over all linear estimators of a given order.
 
 The variables are the drift, the measurement's gain, the copies' arguments and the read-out of the
 estimate of (eqcontrol). What a copy gives is taken off the measurement as its nonlinearity enters
-it: then a reference that both arguments are less does not matter. The error and its gradient with
-respect to the loop's matrices are the caller's; here that is brought to the estimator's own. States
-of the estimator have no meaning of their own: the search goes on in coordinates in which their
-covariance is the identity.
+it: then a reference that both arguments are less does not matter. The caller has the error and its
+gradient in the loop's matrices. States of the estimator have no meaning of their own: the search
+goes on in coordinates in which their covariance is the identity.
 """
 
 from collections.abc import Callable

@@ -1,30 +1,43 @@
 """An estimator in discrete time, for a measured record.
 
-A record has a row for each interval of `dt`: the mean of :math:`dy/dt` over it. Classical designs
-run as exact filters and smoothers in discrete time (`robsmooth.estimators.exact`), all others as
+Classical designs run as exact filters and smoothers (`robsmooth.estimators.exact`), all others as
 the equations in continuous time that they are (`robsmooth.estimators.held`).
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Literal, overload
+from threading import RLock
+from typing import Any, Literal, TypedDict, Unpack, overload
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
-from robsmooth.estimators import sample_loop
+from robsmooth.estimators.copies import Functions, running_copies, running_functions
 from robsmooth.estimators.exact import ExactFilter
+from robsmooth.estimators.exports import Exports
 from robsmooth.estimators.held import HeldEstimator
+from robsmooth.estimators.sample_loop import Samples
 from robsmooth.systems.system import covariance_root
 
 Floats = NDArray[np.float64]
 Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
 DELAYS = ("exact", "model")
+SAMPLES = ("means", "instants")
+_FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of samples that are as most are
+_SHORTEST = 1e-6  # times dt
+_ROWS = 4096  # of samples with lengths of their own, whose matrices are in memory at a time
 
 
-class DiscreteSmoother:
+class Beside(TypedDict, total=False):
+    """What may stand beside the samples of a record: see `DiscreteSmoother.run`."""
+
+    reference: ArrayLike | None
+    inputs: ArrayLike | None
+    intervals: ArrayLike | None
+
+
+class DiscreteSmoother(Exports):
     r"""An estimator that is fed the samples of a record, one by one or many at a time.
 
     Made by ``estimator.discretize(dt)``. Sample k, from zero since the start or the last `reset`,
@@ -70,6 +83,7 @@ class DiscreteSmoother:
         delay: str | None = None,
         mean: ArrayLike | None = None,
         offset: ArrayLike | None = None,
+        samples: str = "means",
     ) -> None:
         self.dt: float = validation.positive("dt", dt)
         self.delay: float = estimator.plant.delay
@@ -85,18 +99,25 @@ class DiscreteSmoother:
                 "runs as delay='model'"
             )
         self.exact: bool = estimator.nominal is not None and delay != "model"
-        self._mean = _vector("mean", mean, system.n)
-        self._offset = _vector("offset", offset, self.l) + system.C2 @ self._mean
+        self._mean = validation.matrix(
+            "mean", [0.0] * system.n if mean is None else mean, [system.n]
+        )
+        offset = validation.matrix("offset", [0.0] * self.l if offset is None else offset, [self.l])
+        self._offset = offset + system.C2 @ self._mean
         self._w = system.C0 @ self._mean
-        self._running = sample_loop.running_copies(estimator)
+        self._running = running_copies(estimator)
         arguments = [c.C @ self._mean for c in system.nonlinearities]
         self._shift = np.array(arguments).reshape(-1)[self._running]
-        run = sample_loop.running_functions(system.nonlinearities, functions, self._running)
-        self.compiled: bool = (
-            all(map(sample_loop.takes_numbers, run)) and not numba.config.DISABLE_JIT
-        )
-        kind = ExactFilter if self.exact else HeldEstimator
-        self._engine = kind(estimator, self.dt, self._running, run, self.compiled)
+        run = Functions(running_functions(system.nonlinearities, functions, self._running))
+        self.compiled: bool = run.compiled
+        given = estimator, self.dt, self._running, run, self._shift
+        instants = validation.choice("samples", samples, SAMPLES) == "instants"
+        self._engine: ExactFilter | HeldEstimator
+        self._engine = ExactFilter(*given, instants) if self.exact else HeldEstimator(*given)
+        if instants:
+            self._exact("samples='instants'")
+        self._moved = bool(self._mean.any() or self._offset.any())
+        self._lock = RLock()
         self.reset()
 
     def __repr__(self) -> str:
@@ -136,6 +157,8 @@ class DiscreteSmoother:
         (rows,) array, s from the start or the last `reset`
         """
         rows = validation.integer("rows", rows, low=0)
+        if not self._even:
+            raise ValueError("rows had intervals of their own: their ends are np.cumsum(intervals)")
         if rows > self.samples:
             raise ValueError(f"rows must be at most the {self.samples} samples taken, got {rows}")
         delay = self.delay if validation.choice("output", output, OUTPUTS) == "smoothed" else 0.0
@@ -167,12 +190,14 @@ class DiscreteSmoother:
             self._exact("covariance")
         n = self._engine.states
         if state is not None:
-            state = _vector("state", state, n) - (self._mean if self.exact else 0.0)
+            state = validation.matrix("state", state, [n]) - (self._mean if self.exact else 0.0)
         if covariance is not None:
             root = covariance_root("covariance", covariance, n)
             covariance = root @ root.T
-        self._engine.start(state, covariance)
-        self.samples: int = samples
+        with self._lock:
+            self._engine.start(state, covariance)
+            self.samples: int = samples
+            self._even = True  # whether all samples had intervals of dt
 
     def step(
         self,
@@ -180,33 +205,47 @@ class DiscreteSmoother:
         *,
         reference: ArrayLike | None = None,
         inputs: ArrayLike | None = None,
+        interval: float | None = None,
     ) -> Floats:
         """Take one sample.
 
         Parameters
         ----------
-        y, reference, inputs : (l,), (g,) and (p,) arrays, a row of those of `run`
+        y, reference, inputs : (l,), (g,) and (p,) arrays, a row of those of `run`; y may be a float
+        interval : float, optional
+            The length of the sample's interval, s, `dt` by default
 
         Returns
         -------
         (m,) array, the smoothed estimate at the interval's end; `filtered` has the other
         """
-        y = np.asanyarray(y)
-        if y.ndim != 1:
-            raise ValueError(f"y must have shape ({self.l},), got shape {y.shape}")
-        rows = (None if each is None else np.asanyarray(each)[None] for each in (reference, inputs))
-        reference, inputs = rows
-        return self.run(y[None], reference=reference, inputs=inputs)[0]
+        row, known = _plain(y, self.l), _plain(reference, self.g)
+        is_plain = row is not None and (reference is None or known is not None)
+        if is_plain and interval is None and not self.p:
+            if self._moved:
+                row = row - self._offset
+            if known is not None:
+                known = known[self._running] - self._shift
+            with self._lock:
+                found = self._engine.step(row, known)
+                if found is not None:
+                    self.samples += 1
+                    return found + self._w if self._moved else found
+        beside = y, reference, inputs, interval
+        rows = [None if each is None else np.atleast_1d(each)[None] for each in beside]
+        if rows[0].ndim != 2 or (np.ndim(y) == 0 and self.l > 1):
+            raise ValueError(f"y must have shape ({self.l},), got shape {np.shape(y)}")
+        rows[3] = None if interval is None else rows[3][0]
+        return self._take(self._given(*rows), "smoothed", None, False)[0][0, 0]
 
     @overload
     def run(
         self,
         y: ArrayLike,
         *,
-        reference: ArrayLike | None = None,
         output: str = "smoothed",
-        inputs: ArrayLike | None = None,
         return_std: Literal[False] = False,
+        **beside: Unpack[Beside],
     ) -> Floats: ...
     @overload
     def run(self, y: ArrayLike, *, return_std: Literal[True], **of: Any) -> Pair: ...
@@ -217,6 +256,7 @@ class DiscreteSmoother:
         reference: ArrayLike | None = None,
         output: str = "smoothed",
         inputs: ArrayLike | None = None,
+        intervals: ArrayLike | None = None,
         return_std: bool = False,
     ) -> Floats | Pair:
         r"""Take the samples of a record, or of a piece of it.
@@ -233,6 +273,9 @@ class DiscreteSmoother:
         output : {"smoothed", "filtered"}, which estimates to return
         inputs : (N, p) array, optional
             The means of the known inputs over the intervals, where the system has any.
+        intervals : (N,) array, optional
+            The lengths of the rows' intervals, s, where they are not `dt`; rounded to 1e-9 dt. The
+            matrices of each length are exact, and made once for those that come again.
         return_std : bool
             Whether to return the standard deviations of the errors, too. An exact smoother knows
             them for its nominal system: they grow in a gap, and at both ends of a record.
@@ -251,25 +294,19 @@ class DiscreteSmoother:
         ArithmeticError
             Where the state leaves the range of floats.
         """
-        lag = self._engine.samples_back if output == "smoothed" else 0
         if validation.boolean("return_std", return_std):
             self._exact("return_std")
-        found, spread = self._take(y, reference, inputs, output, [lag], return_std)
+        validation.choice("output", output, OUTPUTS)
+        given = self._given(y, reference, inputs, intervals)
+        found, spread = self._take(given, output, None, return_std)
         return (found[:, 0], spread[:, 0]) if return_std else found[:, 0]
 
-    def bank(
-        self,
-        y: ArrayLike,
-        lags: Sequence[int],
-        *,
-        reference: ArrayLike | None = None,
-        inputs: ArrayLike | None = None,
-    ) -> Floats:
+    def bank(self, y: ArrayLike, lags: Sequence[int], **beside: Unpack[Beside]) -> Floats:
         """Take samples, and return the estimates at many lags in one pass.
 
         Parameters
         ----------
-        y, reference, inputs : as in `run`
+        y, **beside : the record, and reference, inputs and intervals, as in `run`
         lags : sequence of int
             In samples, ascending, at most the delay. A lag of d belongs to d intervals before the
             end of the row's.
@@ -284,38 +321,27 @@ class DiscreteSmoother:
         lags = [validation.integer("lags", lag, low=0) for lag in lags]
         if not lags or lags != sorted(set(lags)) or lags[-1] > longest:
             raise ValueError(f"lags must ascend, and be at most {longest}, got {lags}")
-        return self._take(y, reference, inputs, "filtered", lags, False)[0]
+        return self._take(self._given(y, **beside), "filtered", lags, False)[0]
 
-    def two_sided(
-        self,
-        y: ArrayLike,
-        *,
-        reference: ArrayLike | None = None,
-        inputs: ArrayLike | None = None,
-    ) -> Pair:
+    def two_sided(self, y: ArrayLike, **beside: Unpack[Beside]) -> Pair:
         """Return the estimates that use a whole record: fixed-interval smoothing.
 
         The record begins as `reset` last said. The samples taken and the state stay as they are.
 
         Parameters
         ----------
-        y, reference, inputs : as in `run`
+        y, **beside : the record, and reference, inputs and intervals, as in `run`
 
         Returns
         -------
         (N, m) array, estimates of w at the ends of the intervals
         (N, m) array, the standard deviations of their errors
         """
-        found, spread = self._exact("two_sided").two_sided(*self._given(y, reference, inputs))
+        engine = self._exact("two_sided")
+        found, spread = engine.two_sided(self._given(y, **beside))
         return found + self._w, spread
 
-    def innovations(
-        self,
-        y: ArrayLike,
-        *,
-        reference: ArrayLike | None = None,
-        inputs: ArrayLike | None = None,
-    ) -> Floats:
+    def innovations(self, y: ArrayLike, **beside: Unpack[Beside]) -> Floats:
         """Return the normalised innovations of a record: white, of variance one, by the model.
 
         An innovation is what a sample differs by from what the filter expects of it. Those of a
@@ -323,7 +349,7 @@ class DiscreteSmoother:
 
         Parameters
         ----------
-        y, reference, inputs : as in `two_sided`
+        y, **beside : the record, and reference, inputs and intervals, as in `run`
 
         Returns
         -------
@@ -333,7 +359,8 @@ class DiscreteSmoother:
         --------
         robsmooth.check_record : tells whether they are what the model says.
         """
-        return self._exact("innovations").innovations(*self._given(y, reference, inputs))
+        engine = self._exact("innovations")
+        return engine.innovations(self._given(y, **beside))
 
     def _exact(self, name: str) -> ExactFilter:
         if isinstance(self._engine, ExactFilter):
@@ -344,25 +371,44 @@ class DiscreteSmoother:
         )
 
     def _take(
-        self, y: Any, reference: Any, inputs: Any, output: str, lags: Sequence[int], spread: bool
+        self, given: Samples, output: str, lags: Sequence[int] | None, spread: bool
     ) -> tuple[Floats, Floats]:
-        validation.choice("output", output, OUTPUTS)
-        given = self._given(y, reference, inputs)
-        found, deviations = self._engine.take(*given, output, lags, spread)
-        self.samples += len(given[0])
-        return found + self._w if self._w.any() else found, deviations
+        rows = len(given.y) if given.intervals is None else _ROWS
+        with self._lock:
+            before = self._engine.memory
+            try:
+                found = [
+                    self._engine.take(_rows(given, slice(i, i + rows)), output, lags, spread)
+                    for i in range(0, len(given.y) or 1, rows or 1)
+                ]
+            except BaseException:
+                self._engine.memory = before
+                raise
+            self.samples += len(given.y)
+            self._even = self._even and given.intervals is None
+        estimates, deviations = map(np.concatenate, zip(*found, strict=True))
+        return estimates + self._w, deviations
 
-    def _given(self, y: Any, reference: Any, inputs: Any) -> tuple[Floats, Floats, Floats | None]:
-        """Return samples, references of the copies that run, and inputs, after their check."""
+    def _given(
+        self, y: Any, reference: Any = None, inputs: Any = None, intervals: Any = None
+    ) -> Samples:
+        """Return samples, and what stands beside them, after their check."""
         y = checked("y", y, self.l)
         refuse("y must be finite, or nan where it is missing", y, np.isinf(y))
         reference = self._beside("reference", reference, self.g, len(y))
         if inputs is None and self.p:
             raise ValueError(f"inputs must be given: the system has {self.p}; zeros where none act")
-        if inputs is not None:
-            inputs = self._beside("inputs", inputs, self.p, len(y))
-        y = y - self._offset if self._offset.any() else y
-        return y, np.ascontiguousarray(reference[:, self._running] - self._shift), inputs
+        inputs = self._beside("inputs", inputs, self.p, len(y))
+        reference = np.ascontiguousarray(reference[:, self._running] - self._shift)
+        if intervals is not None and len(y):
+            intervals = validation.array("intervals", intervals, ndim=1) / self.dt
+            if len(intervals) != len(y) or not (intervals > _SHORTEST).all():
+                rule = f"the lengths of {len(y)} intervals, positive and not below {_SHORTEST:g} dt"
+                raise ValueError(
+                    f"intervals must be {rule}: rows in order of their times have such"
+                )
+            intervals = np.round(intervals, 9) * self.dt
+        return Samples(y - self._offset, reference, inputs, intervals if len(y) else None)
 
     def _beside(self, name: str, given: ArrayLike | None, columns: int, rows: int) -> Floats:
         """Return what stands beside y, zero by default."""
@@ -376,17 +422,28 @@ class DiscreteSmoother:
 
     def _checkpoint(self) -> tuple[Any, int]:
         """Return what `_restore` goes back to."""
-        return self._engine.memory, self.samples
+        with self._lock:
+            return self._engine.copied(), self.samples
 
     def _restore(self, checkpoint: tuple[Any, int]) -> None:
         self._engine.memory, self.samples = checkpoint
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_lock"}
 
-def _vector(name: str, given: ArrayLike | None, size: int) -> Floats:
-    result = validation.array(name, np.zeros(size) if given is None else given, ndim=1)
-    if result.size != size:
-        raise ValueError(f"{name} must have {size} entries, got {result.size}")
-    return result
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _lock=RLock())
+
+
+def _plain(given: Any, size: int) -> Floats | None:
+    """Return a sample as an array where it is what most are: floats in no array of another kind."""
+    row = np.asarray(given) if type(given) in _PLAIN else None
+    usual = row is not None and row.dtype is _FLOAT and row.size == size and row.ndim < 2
+    return row.reshape(-1) if usual else None
+
+
+def _rows(given: Samples, rows: slice) -> Samples:
+    return Samples(*(None if each is None else each[rows] for each in given))
 
 
 def checked(name: str, given: ArrayLike, columns: int) -> Floats:

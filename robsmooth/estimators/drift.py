@@ -6,11 +6,9 @@ The modes that hardly decay, and that no uncertainty sees, are :math:`x = Vz` wi
 .. math:: dx_0 = (Ax_0 + VW\bar B\tilde\mu)\,dt + L_0\,dy', \qquad
           dy' = dy - (C_2x_0 + \bar D\tilde\mu)\,dt, \qquad x_0 = Vz_0,
 
-leaves the plant of :math:`x - x_0` with the measurement :math:`dy'`: the drift :math:`A - L_0C_2`,
-the noise :math:`B_1 - L_0D_{21}`, the channels' inputs :math:`B - L_0D`, and the same outputs. The
-outputs of the copies, which are known, are taken off what the observer has of them. What is left is
-stable, and an estimator for it and the observer are one for the plant. The least error does not
-depend on :math:`L_0`: any observer will do.
+leaves the plant of :math:`x - x_0` with the measurement :math:`dy'`. It is stable, and an estimator
+for it and the observer are one for the plant. The outputs of the copies, which are known, are taken
+off what the observer has of them.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +24,6 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.kalman import kalman_gain
 from robsmooth.estimators.loop import drifting_output
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import UncertainSystem
 
 _SLOW = 1e-3  # of the filter's fastest rate: modes that decay by less are left to the observer
@@ -52,8 +49,7 @@ class Drift:
         if not reaches(system.A, system.B1, system.C0):
             detail = "no noise in B1 drives C0 x, so that the estimate zero has no error in the end"
             raise InfeasibleDesignError("A process noise", detail)
-        without_delay = pade_delay(0.0, 0, system.m)
-        _, gain = kalman_gain(system, without_delay)
+        _, gain = kalman_gain(system)
         rate = np.abs(np.linalg.eigvals(system.A - gain @ system.C2)).max()
         found = modes(system.A, natural_units(system.A, system.B1), _SLOW * rate)
         rest = _unseen(found, system, rate)
@@ -63,14 +59,19 @@ class Drift:
             noise = np.hstack([W @ system.B1, np.zeros((V.shape[1], system.q))])
             more = np.hstack([system.D21, _MORE * system.D21])
             parts = W @ system.A @ V, noise, system.C0 @ V, system.C2 @ V, more
-            gain = V @ kalman_gain(UncertainSystem(*parts), without_delay)[1]
+            gain = V @ kalman_gain(UncertainSystem(*parts))[1]
             B, _, D = system.stacked(system.nonlinearities)
             taken_off = np.vstack([V @ W @ B - gain @ D, D])
         kept = np.ones(k + 3 * g, dtype=bool)
         for i, channel in enumerate(system.nonlinearities, start=k):
             kept[[i + g, i + 2 * g]] = not replace(found, V=V).seen_by(channel.C).any()
-        left = replace(plant, system=_left(system, gain), taken_off=taken_off)
-        return cls(left, V, W, gain, kept)
+        left = {
+            kind: [replace(c, B=c.B - gain @ c.D) for c in getattr(system, kind)]
+            for kind in ("uncertainties", "nonlinearities")
+        }
+        A, B1 = system.A - gain @ system.C2, system.B1 - gain @ system.D21
+        system = replace(system, A=A, B1=B1, **left)
+        return cls(replace(plant, system=system, taken_off=taken_off), V, W, gain, kept)
 
     def restored(self, plant: AugmentedSystem, fields: dict[str, Any]) -> dict[str, Any]:
         """Return the fields of an estimator of the plant, from those of one of what is left.
@@ -120,13 +121,3 @@ def _unseen(found: Modes, system: UncertainSystem, rate: float) -> Matrix:
             raise InfeasibleDesignError("A bounded uncertainty", detail)
         rest = rest @ null_space((np.eye(len(rest)) - unseen @ unseen.T) @ rest)
     return rest
-
-
-def _left(system: UncertainSystem, gain: Matrix) -> UncertainSystem:
-    """Return the system of what the observer leaves, all but functions and known inputs."""
-    channels = {
-        kind: [replace(c, B=c.B - gain @ c.D) for c in getattr(system, kind)]
-        for kind in ("uncertainties", "nonlinearities")
-    }
-    A, B1 = system.A - gain @ system.C2, system.B1 - gain @ system.D21
-    return replace(system, A=A, B1=B1, **channels)

@@ -1,28 +1,9 @@
 r"""The equations of the design (Section III), for all that solves them.
 
-With :math:`M = \tilde M(\lambda)`, :math:`N = \tilde N(\lambda)` and
-:math:`E_\lambda = \tilde D_{21} M^{-1} \tilde D_{21}'`, which the paper uses but does not define
-(it is in Petersen, Ugrinovskii and Savkin, *Robust Control Design Using H-infinity Methods*), the
-paper has
-
-.. math::
-
-    R &= C'C + \tau \tilde C_1' N \tilde C_1, \qquad
-    G = \begin{bmatrix} I_m & 0\\ 0 & 0\end{bmatrix} + \tau \tilde D_{12}' N \tilde D_{12}, \qquad
-    \Gamma = -[C'\; 0] + \tau \tilde C_1' N \tilde D_{12},\\
-    0 &= A_Y Y + Y A_Y' - Y(\tilde C_2' E_\lambda^{-1} \tilde C_2 - R/\tau) Y
-         + \tilde B_1 (M^{-1} - M^{-1}\tilde D_{21}' E_\lambda^{-1} \tilde D_{21} M^{-1})
-         \tilde B_1', \quad
-         A_Y = A_p - \tilde B_1 M^{-1} \tilde D_{21}' E_\lambda^{-1} \tilde C_2,\\
-    0 &= X A_p + A_p' X + (R - \Gamma G^{-1} \Gamma')
-         + \tfrac{1}{\tau} X \tilde B_1 M^{-1} \tilde B_1' X,
-
-where `C` is :math:`C_{p0}` when the cost is on the filtered error, as in the paper's example, and
-:math:`C_a` when it is on the smoothed error, as in its text. Two slips of the printed equations are
-put right here: the constant term of the second Riccati equation, and :math:`A_c = A_p + \dots`, not
-:math:`A + \dots`. The Y equation is the paper's with its inner signs kept; the quadratic term of
-the X equation has the sign as printed (the paper's numbers follow from the other one, see
-`robsmooth.paper.published`).
+They are those of Assumption 3, (eqCparams) and (eqbound), with :math:`M = \tilde M(\lambda)`,
+:math:`N = \tilde N(\lambda)` and :math:`C` as the cost has it. The quadratic term of the X equation
+has the sign as printed; the paper's numbers follow from the other one, see
+`robsmooth.paper.published`.
 
 Only between a nonlinearity and its copy have :math:`M(\lambda)` and :math:`N(\lambda)` entries off
 their diagonals. With d, o and c the multipliers of the difference, of the nonlinearity's own
@@ -42,7 +23,7 @@ weight f in the X equation, where the noise is 1/f, too. Nothing cancels in e an
 
 With the channels of uncertainties and nonlinearities side by side in B, D and
 :math:`C_1 = [C_{1,s};\ \beta_i\bar C_{1,i}]`, and the weights :math:`\Lambda_Y` and
-:math:`\Lambda_X`, which are :math:`\lambda_s` and then e and f, the equations above are
+:math:`\Lambda_X`, which are :math:`\lambda_s` and then e and f, the equations of Assumption 3 are
 
 .. math::
 
@@ -61,12 +42,9 @@ with l rows of measurements in the place of l + g. (eqCparams) and (eqbound) bec
     A_c = A_p - KC_2 + Y(R + \Gamma\tilde C_c)/\tau,\\
     V &= \tfrac12\operatorname{tr}(YR + UXT).
 
-Where both multipliers of a nonlinearity and of its copy go to zero, and only that of their
-difference stays, the bound may fall all the way, and no design attains its infimum. Then f goes to
-zero, and the noise 1/f of the X equation has no bound. Where that noise does not enter the state,
-it is left out, and the equations are those of the limit. There the share a of the copy is one:
-this is the *nonlinear observer*, which takes the copy's output for the nonlinearity's, and is
-robust against their difference alone.
+Where o and c go to zero, f does, and the noise 1/f of the X equation has no bound. Where it does
+not enter the state, it is left out: these are the equations of the limit. There a is one: the
+*nonlinear observer* takes the copy's output for the nonlinearity's.
 """
 
 from dataclasses import dataclass

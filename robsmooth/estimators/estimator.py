@@ -88,10 +88,6 @@ class Estimator:
         slopes : (g,) sequence of floats, optional
             Those of the copies, which closes them, and ``mu_copy`` goes. Zeros are nominal.
 
-        Returns
-        -------
-        control.StateSpace
-
         Examples
         --------
         >>> import robsmooth as rs
@@ -106,10 +102,7 @@ class Estimator:
         if slopes is None:
             inputs["mu_copy"] = copies
         else:
-            slopes = validation.array("slopes", slopes, ndim=1)
-            if slopes.size != system.g:
-                raise ValueError(f"slopes must have {system.g} entries, got {slopes.size}")
-            A = A + copies * slopes @ nu
+            A = A + copies * validation.matrix("slopes", slopes, [system.g]) @ nu
         read_outs = {"smoothed": self.C_a, "filtered": self.C_f, "nu_copy": nu}
         return state_space(A, inputs, read_outs, {})
 
@@ -121,16 +114,17 @@ class Estimator:
         delay: str | None = None,
         mean: ArrayLike | None = None,
         offset: ArrayLike | None = None,
+        samples: str = "means",
     ) -> "DiscreteSmoother":
         """Return the estimator in discrete time, for a measured record.
 
         Parameters
         ----------
         dt : float
-            Length of a sample's interval, s. A sample is the mean of dy/dt over it.
+            Length of a sample's interval, s.
         functions : sequence of g callables, optional
             The nonlinearities' functions, instead of those of the plant; None keeps the plant's.
-            One that numba has compiled for scalars is a hundred times as fast as others.
+            What numba cannot compile is called in Python, a hundred times as slowly.
         delay : {"exact", "model"}, optional
             Whether the smoother of the nominal system in discrete time runs, which needs no delay
             model, or the estimator's own equations, which are faster. By default the former where
@@ -138,10 +132,10 @@ class Estimator:
         mean, offset : (n,) and (l,) arrays, optional
             The mean of the system's state, which something that is not modelled keeps up, and
             what is added to the measurements. Zero by default.
-
-        Returns
-        -------
-        DiscreteSmoother
+        samples : {"means", "instants"}
+            Whether a sample is the mean of dy/dt over its interval, or is taken at the interval's
+            end: then its noise, of the variance :math:`D_{21}D_{21}'/dt`, is all that is averaged.
+            Instants are for exact delays.
 
         Raises
         ------
@@ -157,7 +151,7 @@ class Estimator:
         """
         from robsmooth.estimators.discrete import DiscreteSmoother  # numba takes long to import
 
-        return DiscreteSmoother(self, dt, functions, delay, mean, offset)
+        return DiscreteSmoother(self, dt, functions, delay, mean, offset, samples)
 
     def of_nominal(self, model: UncertainSystem, gain: UncertainSystem) -> Self:
         """Return the same estimator as that of a nominal system, that of its model and its gain."""

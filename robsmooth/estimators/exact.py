@@ -1,44 +1,35 @@
 r"""A Kalman filter and smoother of a record in discrete time, without a model of the delay.
 
-The nominal system of a classical design, classical or tuned, is sampled exactly, with the mean of
-:math:`dy/dt` over an interval as its measurement. The filter is the time-varying one: it begins
-with what is known at the start, and what is missing makes it uncertain. The smoothed estimate is
-that of fixed-lag smoothing of the innovations (`robsmooth.estimators.exact_loop`), exact for any
-delay: one that is no whole number of samples adds the state within a sample to the model. A robust
-design has no innovations of its own to smooth. It is a filter of the plant with its delay model,
-and runs as such (`robsmooth.estimators.discrete`).
+It is for the nominal system of a classical design, as `robsmooth.estimators.exact_model` samples
+it, and has the equations of `robsmooth.estimators.sample_loop`.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
-from robsmooth._numerics.lyapunov import covariances, noise_root
+from robsmooth._numerics.lyapunov import covariances
 from robsmooth._numerics.modes import rates, separations
-from robsmooth._numerics.steps import MULTIPLE_TOLERANCE, responses
+from robsmooth._numerics.steps import MULTIPLE_TOLERANCE
 from robsmooth._support.blas import one_thread
-from robsmooth.estimators.exact_loop import (
-    Memory,
-    Sampled,
-    advance,
-    advance_linear,
-    read,
-    spread_of,
-)
+from robsmooth.estimators.copies import Functions
+from robsmooth.estimators.engine import Engine
+from robsmooth.estimators.exact_model import SampledModel
 from robsmooth.estimators.kalman import kalman_gain
-from robsmooth.estimators.sample_loop import check_state, loop_of
-from robsmooth.systems.delay import pade_delay
+from robsmooth.estimators.sample_loop import Memory, Reading, Samples, empty_memory, read, spread_of
+from robsmooth.systems.system import UncertainSystem
 
 _STANDING = 1e-13  # of the fastest mode's rate: a mode that decays by less does not
 _APART = 1e-7  # of that rate: what decays by more is apart from those that do not
 _MOST_NUMBERS = 2e8  # in the ring of a delay
+_NEVER = 2**62  # samples back: before the record
 Floats = NDArray[np.float64]
 
 
-class ExactFilter:
+class ExactFilter(Engine):
     """The classical filter and smoother of an estimator's nominal system, in steps of dt."""
 
     def __init__(
@@ -46,215 +37,188 @@ class ExactFilter:
         estimator: Any,
         dt: float,
         running: list[int],
-        functions: Sequence[Callable[[Any], Any]],
-        compiled: bool,
+        functions: Functions,
+        shift: Floats,
+        instants: bool,
     ) -> None:
-        self._system, self._running = estimator.plant.system, running
-        self._model, self._gain = estimator.nominal
-        ratio = estimator.plant.delay / dt
-        self.samples_back, self._part = round(ratio), 0.0
-        if abs(ratio - self.samples_back) > MULTIPLE_TOLERANCE:
-            self.samples_back = int(ratio)
-            self._part = dt * (1.0 - (ratio - self.samples_back))  # of a sample, from its beginning
-        self.states = self._model.n
-        self._sampled, self._inputs = self._in_samples(dt)
-        more = len(self._sampled.Phi) - self.states
-        now = np.pad(self._model.C0, ((0, 0), (0, more)))
-        self._outputs = {"filtered": now, "smoothed": np.roll(now, more, axis=1)}
-        if self.samples_back * self._sampled.Phi.size > _MOST_NUMBERS:
-            raise ValueError(
-                f"dt makes {self.samples_back} samples of the delay, too many to keep: take "
-                "delay='model', or a longer dt"
-            )
-        self._prior, self._unknown, self._stationary = self._before(in_lock=bool(functions))
-        self._advance = loop_of(advance, advance_linear, tuple(functions), compiled)
+        self._dt, self._delay = dt, estimator.plant.delay
+        self._model = SampledModel(estimator, dt, running, instants)
+        super().__init__(functions, self._model.arguments, shift)
+        y, reference, inputs, _ = self._model.nothing(1)
+        self._row = y, inputs, reference
+        self.states, self._C0 = self._model.n, np.ascontiguousarray(estimator.nominal[0].C0)
+        self._even = self._model.sampled([dt])
+        ratio = self._delay / dt
+        self.samples_back = math.ceil(ratio - MULTIPLE_TOLERANCE)
+        part = (self.samples_back - ratio) * dt
+        self._check_ring(self.samples_back)
+        self._reading = self._of([self.samples_back], [(dt, part)])
+        self._prior, self._unknown, self._stationary = _before(estimator.nominal[1], bool(running))
 
-    @one_thread
-    def _in_samples(self, dt: float) -> tuple[Sampled, tuple[Floats, Floats]]:
-        """Return the system in samples, and what inputs held over one do to state and y."""
-        model, gain, system, part = self._model, self._gain, self._system, self._part
-        n, states = model.n, slice(model.n)
-        B, C_nu, D = (
-            each[:, self._running] if i != 1 else each[self._running]
-            for i, each in enumerate(system.stacked(system.nonlinearities))
-        )
-        driven = np.hstack([np.vstack([B, D]), np.vstack([system.B2, system.D22])])
-        whole = {
-            each: np.block([[each.A, np.zeros((n, model.l))], [each.C2, np.zeros((model.l,) * 2)]])
-            for each in (model, gain)
-        }
-        units = np.concatenate([np.ones(n), np.full(model.l, 1.0 / dt)])[:, None]
-        step, held, ramp = (units * each for each in responses(whole[model], driven, dt))
-        noise = np.vstack([gain.B1, gain.D21])
-        root = units * noise_root(whole[gain], noise, dt)
-        first = units * expm(dt * whole[gain])
-        Phi, H = first[states, states], first[n:, states]
-        of_model = step[states, states]
-        into, change = held[states], ramp[states]
-        root_x = root[states]
-        if part:  # the state within a sample, too
-            early = noise_root(whole[gain], noise, part)
-            late = expm((dt - part) * whole[gain]) @ early
-            rest = noise_root(whole[gain], noise, dt - part)
-            root = units * np.hstack([late, rest])
-            root_x = np.vstack([root[states], np.hstack([early[states], 0.0 * early[states]])])
-            zero = np.zeros((n, n))
-            Phi = np.block([[Phi, zero], [expm(part * gain.A), zero]])
-            H = np.hstack([H, np.zeros_like(H)])
-            within, held_within, ramp_within = responses(model.A, driven[:n], part)
-            of_model = np.block([[of_model, zero], [within, zero]])
-            into = np.vstack([into, held_within])
-            change = np.vstack([change, part / dt * ramp_within])
-        root_y, g, more = root[n:], len(self._running), len(Phi) - n
-        sampled = Sampled(
-            transition=of_model,
-            measurement=np.pad(step[n:, states], ((0, 0), (0, more))),
-            copies=np.array([into[:, :g], change[:, :g]]),
-            of_copies=np.array([held[n:, :g], ramp[n:, :g]]),
-            arguments=np.pad(C_nu, ((0, 0), (0, more))),
-            Phi=Phi,
-            H=H,
-            Q=root_x @ root_x.T,
-            S=root_x @ root_y.T,
-            R=root_y @ root_y.T,
-        )
-        inputs = into[:, g:], held[n:, g:]
-        return Sampled(*map(np.ascontiguousarray, sampled)), inputs
+    def _check_ring(self, ring: int) -> None:
+        if ring * self.states**2 > _MOST_NUMBERS:
+            raise ValueError(
+                f"dt makes {ring} samples of the delay, too many to keep: take delay='model', or a "
+                "longer dt"
+            )
+
+    def _of(self, lags: Any, parts: Any) -> Reading:
+        """Return the reading at lags, row by row, with (length, time) within samples."""
+        lags = np.asarray(lags).reshape(-1, 1)
+        parts = np.asarray(parts).reshape(-1, 2)
+        inside = parts[:, 1] > MULTIPLE_TOLERANCE * self._dt
+        different, which = np.unique(parts[inside], axis=0, return_inverse=True)
+        times = np.full(lags.shape, -1)
+        times[inside, 0] = which.ravel()
+        return Reading(self._C0, lags, times, self._model.within(different))
+
+    def _at(self, lags: Sequence[int]) -> Reading:
+        """Return the reading at the beginnings of samples, the same ones for all rows."""
+        lags = np.array(lags, dtype=np.int64).reshape(1, -1)
+        return Reading(self._C0, lags, np.full_like(lags, -1), self._reading.within)
 
     def start(self, state: Floats | None, covariance: Floats | None) -> None:
         """Begin a record: with what is known of the state, or with nothing but its model."""
         self._begin = state, covariance
+        self._uneven = False  # whether samples had lengths of their own
         self.memory = self._fresh(self.samples_back)
         if self._stationary and state is None and covariance is None:
             # times before the record are estimated, too
-            rows, l = self.samples_back + 1, self._model.l  # noqa: E741 - the paper's letter
-            nothing = np.full((rows, l), np.nan), np.zeros((rows, len(self._running))), None
-            self.take(*nothing, "filtered", [0], False)
+            rows = self.samples_back + 1
+            self.take(self._model.nothing(rows), "filtered", [0], False)
 
     def _fresh(self, ring: int) -> Memory:
         state, covariance = self._begin
-        n, l = len(self._sampled.Phi), self._model.l  # noqa: E741
-        P, x = np.zeros((n, n)), np.zeros(n)
-        P[: self.states, : self.states] = self._prior if covariance is None else covariance
-        x[: self.states] = 0.0 if state is None else state
+        n, l = self.states, self._model.l  # noqa: E741 - the paper's letter
         unknown = self._unknown if covariance is None else self._unknown[:, :0]
-        d = unknown.shape[1]
-        return Memory(
-            x=x,
-            P=P,
-            gain=np.zeros((n, l)),
-            white=np.zeros((l, l)),
-            seen=np.zeros((l, n)),
-            closed=np.zeros((n, n)),
-            pattern=np.zeros(l, dtype=bool),
-            counts=np.array([0, 0, -1 if d else 0]),
-            unknown=np.vstack([unknown, np.zeros((n - self.states, d))]),
-            information=np.zeros((d, d)),
-            score=np.zeros(d),
-            states=np.zeros((ring, n)),
-            covariances=np.zeros((ring, n, n)),
-            errors=np.zeros((ring, n)),
-            sights=np.zeros((ring, l, n)),
-            transitions=np.zeros((ring, n, n)),
-            lost=np.zeros(ring, dtype=bool),
-        )
+        memory = empty_memory(n, l, self._even.model.shape[2] - n, ring, unknown)
+        memory.states[-1, :n] = 0.0 if state is None else state
+        memory.covariances[-1] = self._prior if covariance is None else covariance
+        return memory
 
     def take(
-        self,
-        y: Floats,
-        reference: Floats,
-        inputs: Floats | None,
-        output: str,
-        lags: Sequence[int],
-        spread: bool,
+        self, given: Samples, output: str, lags: Sequence[int] | None, spread: bool
     ) -> tuple[Floats, Floats]:
-        """Take samples; return estimates and deviations, (rows, lags, m), the latter if wanted."""
-        result = np.empty((len(y), len(lags), self._model.m))
+        """Take samples; return estimates and deviations, (rows, lags, m), the latter if wanted.
+
+        The lags are those of the output where they are None.
+        """
+        if lags is None and output == "filtered":
+            lags = [0]
+        count = 1 if lags is None else len(lags)
+        result = np.empty((len(given.y), count, len(self._C0)))
         deviations = np.empty_like(result) if spread else result[:0]
-        memory = Memory(*(each.copy() for each in self.memory))
-        self._run(memory, output, lags, (y, reference, inputs), result, deviations, y[:0])
-        self.memory = memory
+        memory, reading = self.copied(), self._reading if lags is None else self._at(lags)
+        uneven = self._uneven or given.intervals is not None
+        if uneven:
+            if given.intervals is None:
+                given = given._replace(intervals=np.full(len(given.y), self._dt))
+            if lags is None:
+                memory, reading = self._delayed(memory, given.intervals)
+        self._run(memory, reading, given, (result, deviations, given.y[:0]))
+        self.memory, self._uneven = memory, uneven
         return result, deviations
 
-    def two_sided(
-        self, y: Floats, reference: Floats, inputs: Floats | None
-    ) -> tuple[Floats, Floats]:
+    def two_sided(self, given: Samples) -> tuple[Floats, Floats]:
         """Return the estimates and deviations from a whole record."""
-        memory, readout, lags = self._fresh(len(y)), self._outputs["filtered"], np.arange(len(y))
-        result, deviations = np.empty((2, len(y), len(readout)))
-        none = np.empty((len(y), 0, len(readout)))
-        self._run(memory, "filtered", [], (y, reference, inputs), none, none[:0], y[:0])
-        read(memory, readout, lags, 0, result)
-        spread_of(memory, readout, lags, 0, deviations)
+        rows, m = len(given.y), len(self._C0)
+        memory, reading = self._fresh(rows), self._at(range(rows))
+        none = np.empty((rows, 0, m))
+        self._run(memory, self._at([]), given, (none, none[:0], given.y[:0]))
+        result, deviations = np.empty((2, rows, m))
+        read(memory, reading, 0, result)
+        spread_of(memory, reading, 0, deviations)
         return result[::-1], deviations[::-1]
 
-    def innovations(self, y: Floats, reference: Floats, inputs: Floats | None) -> Floats:
+    def innovations(self, given: Samples) -> Floats:
         """Return the normalised innovations of a whole record."""
-        result, none = np.empty_like(y), np.empty((len(y), 0, self._model.m))
-        memory = self._fresh(0)
-        self._run(memory, "filtered", [], (y, reference, inputs), none, none[:0], result)
+        result, none = np.empty_like(given.y), np.empty((len(given.y), 0, len(self._C0)))
+        self._run(self._fresh(0), self._at([]), given, (none, none[:0], result))
         return result
 
+    def step(self, y: Floats, reference: Floats | None) -> Floats | None:
+        """Take a sample as most are; return None where it is not taken, and `take` has to."""
+        return None if self._uneven else super().step(y, reference)
+
     def _run(
-        self,
-        memory: Memory,
-        output: str,
-        lags: Sequence[int],
-        samples: tuple[Floats, Floats, Floats | None],
-        *results: Floats,
+        self, memory: Memory, reading: Reading, given: Samples, results: tuple[Floats, ...]
     ) -> None:
-        y, reference, inputs = samples
-        known, drive = np.zeros_like(y), np.zeros((len(y), len(memory.x)))
-        if inputs is not None:
-            drive += inputs @ self._inputs[0].T
-            known += inputs @ self._inputs[1].T
-        how = self._outputs[output], np.array(lags, dtype=int), self._within(output)
-        try:
-            self._advance(self._sampled, memory, *how, (y, known, drive, reference), *results)
-        except np.linalg.LinAlgError:
-            memory.P[:] = np.inf
-        check_state(memory.x)
-        if not np.isfinite(memory.P).all():
-            raise ArithmeticError(
-                "the covariance of the error left the range of floating-point numbers: with too "
-                "few samples, what is known of a mode that grows is lost"
-            )
+        sampled, kinds = self._even, np.empty(0, dtype=np.int64)
+        if given.intervals is not None:
+            lengths, kinds = np.unique(given.intervals, return_inverse=True)
+            sampled = self._model.sampled(lengths)
+        samples = given.y, given.inputs, given.reference
+        self._advance(sampled, kinds, memory, reading, samples, results)
 
-    def _within(self, output: str) -> int:
-        return int(output == "smoothed" and self._part > 0.0)
-
-    @property
-    def state(self) -> Floats:
-        """The estimate of the system's state now."""
-        return self.memory.x[: self.states]
+    def _delayed(self, memory: Memory, lengths: Floats) -> tuple[Memory, Reading]:
+        """Return the reading one delay before the ends of samples, and a ring that has it."""
+        before = memory.intervals[_slots(memory, len(memory.states) - 1)]
+        times = np.cumsum(np.concatenate([[0.0], before, lengths]))
+        ends = np.arange(len(times) - max(len(lengths), 1), len(times))
+        wanted = times[ends] - self._delay
+        close = MULTIPLE_TOLERANCE * self._dt
+        begins = np.minimum(np.searchsorted(times, wanted + close, side="right") - 1, ends)
+        known = begins >= 0
+        lags = np.where(known, ends - begins, _NEVER)
+        parts = np.zeros((len(ends), 2))
+        inside = known & (lags > 0)
+        parts[inside, 0] = (times[1:] - times[:-1])[begins[inside]]
+        parts[inside, 1] = (wanted - times[begins])[inside]
+        ring = int(lags.max(initial=self.samples_back, where=known))
+        self._check_ring(ring)
+        return _grown(memory, ring), self._of(lags, parts)
 
     def estimate(self, output: str) -> Floats:
         """Return an estimate now, as the last sample left it."""
-        lag = self.samples_back if output == "smoothed" else 0
-        result = np.empty((1, self._model.m))
-        read(self.memory, self._outputs[output], np.array([lag]), self._within(output), result)
+        memory, reading = self.memory, self._reading if output == "smoothed" else self._at([0])
+        if self._uneven and output == "smoothed":
+            memory, reading = self._delayed(memory, np.empty(0))
+        result = np.empty((1, len(self._C0)))
+        read(memory, reading, 0, result)
         return result[0]
 
-    def _before(self, in_lock: bool) -> tuple[Floats, Floats, bool]:
-        """Return what is known before any sample.
 
-        That is the covariance of the state, the modes that are not known at all, in units of the
-        filter's deviations, and whether the covariance is stationary. A filter that runs copies is
-        in lock: it begins with its own covariance, for what copies do depends on the estimate.
-        """
-        A, B = self._gain.A, self._gain.B1
-        slowest, fastest = rates(A)
-        if slowest > _STANDING * fastest:
-            return covariances(A, B).stationary, np.zeros((len(A), 0)), True
-        V = W = np.eye(len(A))
-        rest = np.zeros_like(A)
-        for found in separations(A, B):
-            if rates(found.A_rest)[0] > _APART * fastest:
-                V, W, below = found.V, found.W, found.W_rest
-                inner = covariances(found.A_rest, below @ B).stationary
-                rest = found.V_rest @ inner @ found.V_rest.T
-        P, _ = kalman_gain(self._gain, pade_delay(0.0, 0, self._model.m))
-        unknown = V * np.sqrt(np.diag(W @ P @ W.T))
-        if in_lock:
-            return rest + unknown @ unknown.T, unknown[:, :0], False
-        return rest, unknown, False
+def _slots(memory: Memory, ring: int) -> NDArray[np.int64]:
+    """Return where in a ring the samples are that the memory has, from the oldest."""
+    taken, kept = memory.counts[0], min(memory.counts[0], len(memory.states) - 1)
+    return np.arange(taken - kept, taken) % max(ring, 1)
+
+
+def _grown(memory: Memory, ring: int) -> Memory:
+    """Return a memory whose ring has at least this length."""
+    length = len(memory.states) - 1
+    if ring <= length:
+        return memory
+    rings = []
+    for old in memory[:7]:
+        new = np.zeros((ring + 1, *old.shape[1:]), dtype=old.dtype)
+        new[_slots(memory, ring)], new[-1] = old[_slots(memory, length)], old[-1]
+        rings.append(new)
+    memory.counts[1] = min(memory.counts[1], length)  # more is not in the new ring
+    return Memory(*rings, *memory[7:])
+
+
+@one_thread
+def _before(system: UncertainSystem, in_lock: bool) -> tuple[Floats, Floats, bool]:
+    """Return what is known before any sample.
+
+    That is the covariance of the state, the modes that are not known at all, in units of the
+    filter's deviations, and whether the covariance is stationary. A filter that runs copies is
+    in lock: it begins with its own covariance, for what copies do depends on the estimate.
+    """
+    A, B = system.A, system.B1
+    slowest, fastest = rates(A)
+    if slowest > _STANDING * fastest:
+        return covariances(A, B).stationary, np.zeros((len(A), 0)), True
+    V = W = np.eye(len(A))
+    rest = np.zeros_like(A)
+    for found in separations(A, B):
+        if rates(found.A_rest)[0] > _APART * fastest:
+            V, W, below = found.V, found.W, found.W_rest
+            inner = covariances(found.A_rest, below @ B).stationary
+            rest = found.V_rest @ inner @ found.V_rest.T
+    P, _ = kalman_gain(system)
+    unknown = V * np.sqrt(np.diag(W @ P @ W.T))
+    if in_lock:
+        return rest + unknown @ unknown.T, unknown[:, :0], False
+    return rest, unknown, False

@@ -27,30 +27,28 @@ innovation is zero. This changes `A` and :math:`B_\mu`, so that every set of mis
 matrices of its own. In a long gap the estimates go back to the prior, zero.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth.estimators import sample_loop
-from robsmooth.estimators.sample_loop import Record, Steps
+from robsmooth._numerics.steps import responses
+from robsmooth._support.blas import one_thread
+from robsmooth.estimators.copies import Functions
+from robsmooth.estimators.engine import Engine
+from robsmooth.estimators.sample_loop import Reading, Sampled, Samples, Within, empty_memory, hold
 
+_KEPT = 1000  # kinds of samples whose matrices are kept
+_NO_WITHIN = Within(*np.empty((3, 0, 0, 0)))
 Floats = NDArray[np.float64]
 
 
-class HeldEstimator:
-    """The equations of an estimator in steps of dt."""
-
-    samples_back = 0  # its delay is a part of it
+class HeldEstimator(Engine):
+    """The equations of an estimator in steps of dt: to the loop, y are inputs."""
 
     def __init__(
-        self,
-        estimator: Any,
-        dt: float,
-        running: list[int],
-        functions: Sequence[Callable[[Any], Any]],
-        compiled: bool,
+        self, estimator: Any, dt: float, running: list[int], functions: Functions, shift: Floats
     ) -> None:
         system, self.states = estimator.plant.system, len(estimator.A_c)
         if system.p:
@@ -59,62 +57,72 @@ class HeldEstimator:
                 "design without delay='model': this one runs a model of its delay; a design of "
                 "the system without B2 and D22 takes no inputs"
             )
+        super().__init__(functions, estimator.C_c[system.m :][running], shift)
+        self._row = np.empty((1, 0)), np.empty((1, system.l)), np.empty((1, len(running)))
         self._estimator, self._dt, self._running = estimator, dt, running
-        self._C_nu = np.ascontiguousarray(estimator.C_c[system.m :][running])
-        self._outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
-        self._sizes = sample_loop.sizes_of(self.states, system.l, system.m, len(running))
-        loops = sample_loop.advance, sample_loop.advance_linear
-        self._advance = sample_loop.loop_of(*loops, tuple(functions), compiled)
-        self._patterns: dict[bytes, int] = {}  # of missing channels, to a row of the steps
-        self._steps: Steps | None = None
-        self._pattern(np.zeros(system.l, dtype=bool))
+        now = np.zeros((1, 1), dtype=np.int64)
+        outputs = {"smoothed": estimator.C_a.copy(), "filtered": estimator.C_f.copy()}
+        self._readings = {name: Reading(C, now, now - 1, _NO_WITHIN) for name, C in outputs.items()}
+        self._reading, self._kept = self._readings["smoothed"], dict[bytes, Floats]()
+        self._even = self._sampled([np.append(np.zeros(system.l), dt)])
+        self._transposed = self._even.model[0].T.copy()
+        self._sizes = tuple((0.0,) * count for count in (self.states, system.l, system.m))
 
     def start(self, state: Floats | None, covariance: None) -> None:
         """Begin a record with a state, zero by default."""
-        self.memory = np.zeros(self.states) if state is None else state.copy()
-
-    @property
-    def state(self) -> Floats:
-        """The estimator's state now."""
-        return self.memory
+        drives = self._even.model.shape[2] - self.states
+        self.memory = empty_memory(self.states, 0, drives, 0, np.empty((self.states, 0)))
+        self.memory.states[-1, : self.states] = 0.0 if state is None else state
+        self.memory.counts[1] = 1  # there is no covariance that could change
 
     def estimate(self, output: str) -> Floats:
         """Return an estimate now."""
-        return self._outputs[output] @ self.memory
+        return self._readings[output].readout @ self.state
 
     def take(
-        self,
-        y: Floats,
-        reference: Floats,
-        _inputs: None,
-        output: str,
-        lags: Sequence[int],
-        spread: bool,
+        self, given: Samples, output: str, _lags: Sequence[int] | None, _spread: bool
     ) -> tuple[Floats, Floats]:
         """Take samples; return the estimates, (rows, 1, m), and no deviations."""
-        readout, record = self._outputs[output], self._record(y, reference)
-        state, result = self.memory.copy(), np.empty((len(y), len(readout)))
-        self._advance(self._sizes, self._steps, self._C_nu, readout, record, state, result)
-        sample_loop.check_state(state)
-        self.memory = state
-        return result[:, None], result[:0, None]
+        missing, lengths, memory = np.isnan(given.y), given.intervals, self.copied()
+        reading, kinds = self._readings[output], np.empty(0, dtype=np.int64)
+        result, sampled = np.empty((len(missing), 1, len(reading.readout))), self._even
+        if missing.any() or lengths is not None:
+            lengths = np.full(len(missing), self._dt) if lengths is None else lengths
+            every = np.column_stack([missing, lengths])
+            different, kinds = np.unique(every, axis=0, return_inverse=True)
+            sampled = self._sampled(different)
+        if sampled is self._even and not self._running:
+            state = memory.states[-1, : self.states]
+            finite = hold(self._sizes, self._transposed, given.y, state, reading.readout, result)
+            self._functions.check(finite, "the estimate")
+        else:
+            samples = given.y[:, :0], np.where(missing, 0.0, given.y), given.reference
+            results = result, result[:0], given.y[:0]
+            self._advance(sampled, kinds, memory, reading, samples, results)
+        self.memory = memory
+        return result, result[:0]
 
-    def _record(self, y: NDArray[np.float64], reference: NDArray[np.float64]) -> Record:
-        """Return the samples, in segments with the same measurements missing."""
-        if np.isfinite(y).all():
-            return Record(y, reference, np.array([0, len(y)]), np.zeros(1, dtype=np.intp))
-        missing = np.isnan(y)
-        changes = 1 + np.flatnonzero((missing[1:] != missing[:-1]).any(axis=1))
-        starts = np.array([0, *changes, len(y)])
-        patterns = np.array([self._pattern(row) for row in missing[starts[:-1]]])
-        return Record(np.where(missing, 0.0, y), reference, starts, patterns)
+    def _sampled(self, kinds: Iterable[Floats]) -> Sampled:
+        """Return the estimator in samples of these kinds: which channels are missing, a length."""
+        models = np.array([self.model(kind[:-1].astype(bool), kind[-1]) for kind in kinds])
+        none = np.empty((len(models), 0, 0))
+        return Sampled(np.zeros(len(models)), models, none, none)
 
-    def _pattern(self, missing: NDArray[np.bool_]) -> int:
-        """Return the index of the matrices for these missing channels; make them where needed."""
-        key = missing.tobytes()
-        if key not in self._patterns:
-            steps = sample_loop.steps_of(self._estimator, self._running, self._dt, missing)
-            if self._steps is not None:
-                steps = Steps(*map(np.concatenate, zip(self._steps, steps, strict=True)))
-            self._patterns[key], self._steps = len(self._patterns), steps
-        return self._patterns[key]
+    @one_thread
+    def model(self, missing: NDArray[np.bool_], length: float) -> Floats:
+        """Return what a sample does to the state, the copies' values and changes, and y."""
+        key = missing.tobytes() + np.float64(length).tobytes()
+        if key in self._kept:
+            return self._kept[key]
+        estimator, system, g = self._estimator, self._estimator.plant.system, len(self._running)
+        B_y, B_mu = np.hsplit(estimator.B_c, [system.l])
+        _, _, D = system.stacked(system.nonlinearities)
+        gain = B_y * missing
+        inputs = np.hstack([(B_mu + gain @ D)[:, self._running], B_y * ~missing])
+        A = estimator.A_c.copy()
+        A[:, : estimator.plant.n] += gain @ estimator.plant.C2_tilde[: system.l]
+        transition, held, ramp = responses(A, inputs, length)
+        if len(self._kept) >= _KEPT:
+            self._kept.clear()
+        self._kept[key] = np.hstack([transition, held[:, :g], ramp[:, :g], held[:, g:]])
+        return self._kept[key]

@@ -10,14 +10,14 @@ from robsmooth._support import notation
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.validation import Matrix
 from robsmooth.systems.augmented import check_noise
-from robsmooth.systems.delay import DelayModel
+from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.system import UncertainSystem
 
 _LOST = 1e-8  # of a mode, relatively: what is seen of it is rounding
 
 
-def kalman_gain(system: UncertainSystem, model: DelayModel) -> tuple[Matrix, Matrix]:
-    """Return covariance and gain of the Kalman-Bucy filter of a system with a delay model behind.
+def kalman_gain(system: UncertainSystem, model: DelayModel | None = None) -> tuple[Matrix, Matrix]:
+    """Return covariance and gain of the Kalman-Bucy filter, of a delay model behind it, too.
 
     The covariance is that of the errors of x and of the model's state with the error of x. Of the
     Riccati solution only the gain is used: a covariance that follows from the gain cannot be
@@ -36,6 +36,7 @@ def kalman_gain(system: UncertainSystem, model: DelayModel) -> tuple[Matrix, Mat
         condition = "The Kalman-Bucy filter's Riccati equation"
         raise InfeasibleDesignError(condition, _reason(system) or str(error)) from None
     gain = cho_solve(R, C @ P + cross.T).T
+    model = model or pade_delay(0.0, 0, system.m)
     states = len(model.F)
     drift = np.block([[A - gain @ C, np.zeros((system.n, states))], [model.G @ system.C0, model.F]])
     noise = np.vstack([B - gain @ D, np.zeros((states, system.q))])

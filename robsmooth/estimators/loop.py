@@ -24,7 +24,6 @@ from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.channels import REFERENCES
 from robsmooth.systems.system import UncertainSystem
@@ -115,21 +114,14 @@ def _reference_rows(estimator: Estimator, reference: Reference) -> Matrix:
     rows = np.zeros(shape)
     for i, nonlinearity in enumerate(system.nonlinearities):
         name = nonlinearity.reference if reference == "system" else reference
-        if name is None:
-            continue
-        weights = argument_weights(system, i)
-        if weights is None:
-            raise ValueError(
-                f"reference must be a matrix of shape {shape} or None: there is no {name} estimate "
-                f"of the argument of nonlinearities[{i}], whose C is no combination of the rows of "
-                "C0; the matrix reads the references out of the estimator's state"
-            )
-        rows[i] = weights @ (estimator.C_f if name == "filtered" else estimator.C_a)
+        if name is not None:
+            read_out = estimator.C_f if name == "filtered" else estimator.C_a
+            rows[i] = _argument_weights(system, i) @ read_out
     return rows
 
 
-def argument_weights(system: UncertainSystem, index: int) -> Matrix | None:
-    """Return the (m,) weights of w in the argument of a nonlinearity, if it is made of w."""
+def _argument_weights(system: UncertainSystem, index: int) -> Matrix:
+    """Return the (m,) weights of w in the argument of a nonlinearity, which is made of w."""
     C, target = system.C0, system.nonlinearities[index].C[0]
     # states and outputs may have any units
     states = np.maximum(np.abs(C).max(axis=0), np.abs(target))
@@ -139,7 +131,11 @@ def argument_weights(system: UncertainSystem, index: int) -> Matrix | None:
     scaled, target = C / states / outputs[:, None], target / states
     weights = np.linalg.lstsq(scaled.T, target, rcond=None)[0]
     if np.abs(weights @ scaled - target).max() > _COMBINATION_TOLERANCE * np.abs(target).max():
-        return None
+        raise ValueError(
+            "reference must be None or a (g, n_c) matrix, which reads it out of the estimator's "
+            f"state: there is no estimate of the argument of nonlinearities[{index}], whose C is "
+            "no combination of the rows of C0"
+        )
     return weights / outputs
 
 
@@ -170,7 +166,7 @@ def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
     A, B, inputs, outputs = matrices(smoother, loop)
     blocks = tuple(
         block
-        for block in _structure(smoother.plant)
+        for block in blocks_of(smoother.plant)
         if any(inputs[:, rows].any() and outputs[columns].any() for rows, columns in block.places)
     )
     return OpenLoop(A, B, inputs, outputs, truth, estimate, delay, blocks)
@@ -238,17 +234,7 @@ def drifting_output(name: str, A: Matrix) -> str:
     )
 
 
-def guarantee(smoother: Estimator, output: str, loop: str) -> float | None:
-    """Return the guarantee where it is proven for this error in this loop, else None.
-
-    What is proven for the theory's loop holds for the real one too, which has less noise.
-    """
-    covered = output == "guaranteed" or output == smoother.cost == "filtered"
-    covered &= loop == "real" or isinstance(smoother, RobustSmoother)
-    return smoother.mean_square_bound if covered else None
-
-
-def _structure(plant: AugmentedSystem) -> list[Block]:
+def blocks_of(plant: AugmentedSystem) -> list[Block]:
     """Return the blocks of Delta: the k uncertainties, then the g nonlinearities."""
     shapes = list(zip(plant.input_sizes, plant.output_sizes, strict=True))
     ends = zip(shapes, np.cumsum(shapes, axis=0), strict=True)

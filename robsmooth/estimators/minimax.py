@@ -47,8 +47,7 @@ class MinimaxSmoother(Estimator):
         error is that of w-hat against the output of the delay model, or against w ("filtered").
     multipliers : (k + 3g,) array
         theta of the certificate, in the squared unit of w times seconds.
-    cost : {"smoothed", "filtered"}
-        Which error it is.
+    cost : {"smoothed", "filtered"}, which error it is
     route : {"semidefinite programme", "descent"}
         How it was found: the first is the least over all linear estimators, with copies in the
         limit in which the multipliers of mu and mu-tilde vanish; the second is a local minimum.
@@ -87,29 +86,17 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
     output : {"smoothed", "filtered"}
         The error: of the smoothed estimate against the delay model's output, or the filtered one.
 
-    Returns
-    -------
-    MinimaxSmoother
-        With its certificate: the Riccati equation of `analysis_bound` was solved for it.
-
     Raises
     ------
     InfeasibleDesignError
         Where no estimator has a finite guarantee; it says with which fraction of the uncertainty
         one has. Where a measurement has no noise, no measurement sees a mode that does not decay,
         or an uncertainty does.
-    ValueError, TypeError
-        For an argument that is not as described.
 
     See Also
     --------
     minimize_bound : the paper's design, with the least bound V.
     analysis_bound : the certified error of any estimator.
-
-    References
-    ----------
-    J. C. Geromel, "Optimal linear filtering under parameter uncertainty", IEEE Trans. Signal
-    Process. 47(1), 1999.
 
     Examples
     --------
@@ -186,10 +173,11 @@ def _by_descent(natural: Natural) -> tuple[Estimator, np.ndarray, float]:
         )
     estimator, theta = best
     for _ in range(_ROUNDS):
-        start = np.log(theta)
-        estimator, logarithms, found = descend(estimator, partial(_objective, kept), start)
-        theta = np.exp(logarithms)
-    return estimator, np.where(kept, theta, 0.0), math.exp(found)
+        trial, logarithms, found = descend(estimator, partial(_objective, kept), np.log(theta))
+        if found > math.log(least):
+            break  # next to the edge of what has a certificate, new coordinates can lose it
+        estimator, theta, least = trial, np.exp(logarithms), math.exp(found)
+    return estimator, np.where(kept, theta, 0.0), least
 
 
 def _objective(

@@ -53,6 +53,7 @@ import numpy as np
 from robsmooth._numerics.modes import reaches
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.estimators.loop import blocks_of
 from robsmooth.systems.augmented import AugmentedSystem
 
 
@@ -70,16 +71,15 @@ class _Channel:
 
 def _channels(plant: AugmentedSystem) -> list[_Channel]:
     """Return the channels that have an effect, those of the uncertainties first."""
-    k, columns, rows = plant.system.k, np.cumsum(plant.input_sizes), np.cumsum(plant.output_sizes)
-    gains = [1.0] * k + [c.lipschitz for c in plant.system.nonlinearities]
     found = []
-    for i, gain in enumerate(gains):
-        inputs = slice(columns[i] - plant.input_sizes[i], columns[i])
-        C = gain * plant.C1_tilde[rows[i] - plant.output_sizes[i] : rows[i]]
+    for i, block in enumerate(blocks_of(plant)):
+        inputs, outputs = block.places[0]
+        C = block.gain * plant.C1_tilde[outputs]
         size = float(np.linalg.norm(C))
         if size > 0.0:
             B, D = plant.B1_tilde[:, inputs], plant.D21_tilde[: plant.system.l, inputs]
-            found.append(_Channel(size * B, size * D, C / size, size, i, copied=i >= k))
+            copied = i >= plant.system.k
+            found.append(_Channel(size * B, size * D, C / size, size, i, copied))
     return found
 
 

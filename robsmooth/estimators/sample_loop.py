@@ -1,219 +1,436 @@
-r"""What an estimator does in one sample of a record, and the loop over samples.
+r"""The time-varying Kalman filter in discrete time, and fixed-lag smoothing of its innovations.
 
-The loop is compiled by numba where all functions of the nonlinearities are, or no copy runs; else
-Python goes from sample to sample.
+With the state :math:`x_k` at the beginning of sample k, a sample and its noises
+
+.. math::
+
+    x_{k+1} = \Phi x_k + d_k + w_k, \qquad y_k = H x_k + h_k + v_k, \qquad
+    \operatorname{cov}\begin{bmatrix}w\\v\end{bmatrix} = \begin{bmatrix}Q & S\\ S' & R\end{bmatrix},
+
+the innovation :math:`e_k = y_k - h_k - H\hat x_k` of covariance :math:`\Sigma = HPH' + R` gives
+
+.. math::
+
+    \hat x_{k+1} = \Phi\hat x_k + d_k + Ke_k, \qquad K = (\Phi PH' + S)\Sigma^{-1}, \qquad
+    \Psi = \Phi - KH .
+
+Known at the end of sample k, the state d samples before is :math:`\hat x_j + P_jr` and has the
+covariance :math:`P_j - P_jNP_j`, where the innovations since then are gathered backward from
+:math:`r = 0,\ N = 0` (P. de Jong, "Smoothing and interpolation with the state-space model",
+J. Am. Stat. Assoc. 84(408), 1989):
+
+.. math::
+
+    r \leftarrow H'\Sigma^{-1}e_i + \Psi_i'r, \qquad N \leftarrow H'\Sigma^{-1}H + \Psi_i'N\Psi_i .
+
+With the Cholesky factor :math:`\Sigma = LL'`, the normalised innovations :math:`L^{-1}e_k` are
+white with the covariance I, where the record is one of the model. Rows of a missing measurement are
+left out of H.
+
+Within sample j, a time :math:`\tau` after it began, the state is
+:math:`x(\tau) = \Phi_\tau x_j + d_\tau + w_\tau`, and with `r` and `N` of the samples after j and
+:math:`C = \Phi_\tau P_j\Psi_j' + \operatorname{E}w_\tau w_j' - \operatorname{E}w_\tau v_j'K_j'`,
+its estimate and the covariance of that are
+
+.. math::
+
+    \Phi_\tau\hat x_j + d_\tau + G\Sigma^{-1}e_j + Cr, \qquad
+    \Phi_\tau P_j\Phi_\tau' + \operatorname{E}w_\tau w_\tau' - G\Sigma^{-1}G' - CNC', \qquad
+    G = \Phi_\tau P_jH' + \operatorname{E}w_\tau v_j' .
+
+Where modes V of the state are not known at the start, :math:`x_0 = \hat x_0 + V\delta`, the filter
+runs with :math:`\delta = 0` until the innovations determine it (the same author, "The diffuse
+Kalman filter", Ann. Stat. 19(2), 1991). With :math:`V \leftarrow \Psi V`, they are
+:math:`e_k - HV\delta`, and :math:`\delta` and its covariance, added to estimate and covariance, are
+those of least squares.
+
+What a copy gives, :math:`\mu = \psi(C_\nu\hat x - r)`, is taken at the beginning of a sample and,
+predicted, at its end, and held to be linear in time.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numba
 import numpy as np
-from numba import njit
-from numba.extending import is_jitted
 from numpy.typing import NDArray
 
-from robsmooth._numerics.steps import responses
-from robsmooth._support.blas import one_thread
 from robsmooth._support.kernels import kept
-from robsmooth.systems.channels import Nonlinearity
+from robsmooth.estimators.copies import call
 
-_Vectorized = type(numba.vectorize(lambda value: value))
-
-
-class Steps(NamedTuple):
-    """The transposed matrices of a step, for each pattern of missing channels."""
-
-    transition: NDArray[np.float64]  # (patterns, n, n), phi_0
-    measurement: NDArray[np.float64]  # (patterns, l, n), phi_1 h B_y
-    copies: NDArray[np.float64]  # (patterns, copies, n), phi_1 h B_mu
-    correction: NDArray[np.float64]  # (patterns, copies, n), phi_2 h B_mu
+Floats = NDArray[np.float64]
+_STEADY = 1e-15  # of the variances: a covariance that changes by less stays as it is
+_KNOWN = 1e-6  # delta is determined where its variance, in its own units, is below one over this
+# Times the noise of a sample: where more than this is not known of a state, its smoothed estimate
+# would be the difference of numbers that are too large.
+_MOST = 1e10
 
 
-class Record(NamedTuple):
-    """The samples of a record, with zeros for what is missing."""
+class Samples(NamedTuple):
+    """Samples of a record, and what is known beside them."""
 
-    y: NDArray[np.float64]  # (N, l)
-    reference: NDArray[np.float64]  # (N, copies)
-    starts: NDArray[np.intp]  # segment s has the samples from starts[s] to starts[s + 1] ...
-    patterns: NDArray[np.intp]  # ... and the matrices of patterns[s]
-
-
-def running_copies(estimator: Any) -> list[int]:
-    """Return which copies are run: those with an argument and a gain."""
-    system = estimator.plant.system
-    inputs, arguments = estimator.B_c[:, system.l :], estimator.C_c[system.m :]
-    return [i for i in range(system.g) if inputs[:, i].any() and arguments[i].any()]
+    y: Floats  # (N, l), nan where it is missing
+    reference: Floats  # (N, copies)
+    inputs: Floats  # (N, p)
+    intervals: Floats | None  # (N,) their lengths, s, where these are not dt
 
 
-@one_thread
-def steps_of(estimator: Any, running: list[int], dt: float, missing: NDArray[np.bool_]) -> Steps:
-    """Return the matrices of a step; C_2 x_hat + D mu is in the place of what is missing."""
-    system = estimator.plant.system
-    B_y, B_mu = np.hsplit(estimator.B_c, [system.l])
-    _, _, D = system.stacked(system.nonlinearities)
-    gain = B_y * missing
-    inputs = np.hstack([B_y * ~missing, (B_mu + gain @ D)[:, running]])
-    A = estimator.A_c.copy()
-    A[:, : estimator.plant.n] += gain @ estimator.plant.C2_tilde[: system.l]
-    transition, held, ramp = responses(A, inputs, dt)
-    copies = slice(system.l, None)
-    matrices = (transition, held[:, : system.l], held[:, copies], ramp[:, copies])
-    return Steps(*(np.ascontiguousarray(matrix.T)[None] for matrix in matrices))
+class Sampled(NamedTuple):
+    """The system in samples of some lengths: the state at the end and the measurement, below it.
+
+    What drives it in a sample are d numbers: the copies' values at its beginning, their changes
+    until its end, and known inputs.
+    """
+
+    interval: Floats  # (K,) s
+    model: Floats  # (K, n + l, n + d) of state and drive, by the model that is run
+    gain: Floats  # (K, n + l, n) Phi and H, by the gain's
+    noise: Floats  # (K, n + l, n + l) Q and S, S' and R, by the gain's
 
 
-def running_functions(
-    nonlinearities: Sequence[Nonlinearity],
-    given: Iterable[Callable[[Any], Any] | None] | None,
-    running: Sequence[int],
-) -> tuple[Callable[[Any], Any], ...]:
-    """Return the functions of the copies that run, with those given instead of the plant's."""
-    if callable(given):
-        raise TypeError("functions must be a sequence of callables, got a single one")
-    given = [None] * len(nonlinearities) if given is None else list(given)
-    if len(given) != len(nonlinearities):
-        raise ValueError(
-            f"functions must have {len(nonlinearities)} entries, one for each nonlinearity, got "
-            f"{len(given)}"
-        )
-    pairs = zip(nonlinearities, given, strict=True)
-    functions = [
-        own.function if f is None else replace(own, function=f).function for own, f in pairs
-    ]
-    for i in running:
-        if functions[i] is None:
-            raise ValueError(
-                f"nonlinearities[{i}] must have a function, because the estimator runs a copy of "
-                "it: give Nonlinearity(..., function=psi), or discretize(dt, functions=[psi])"
-            )
-    return tuple(functions[i] for i in running)
+class Within(NamedTuple):
+    """The same for the state at times within samples."""
+
+    model: Floats  # (T, n, n + d)
+    gain: Floats  # (T, n, n) Phi_tau
+    noise: Floats  # (T, n, n + n + l) covariances of w_tau with itself, w and v
 
 
-def takes_numbers(function: Callable) -> bool:
-    """Tell whether compiled code can call this function with a number."""
-    if not (is_jitted(function) or isinstance(function, _Vectorized)):
-        return False
-    try:
-        return np.ndim(function(0.0)) == 0
-    except Exception:  # it is for arrays only
-        return False
+class Memory(NamedTuple):
+    """What is kept of the samples in the longest lag, in a ring, and in its last row of now."""
+
+    states: Floats  # (ring + 1, n + d) the state before a sample, and its drive
+    covariances: Floats  # (ring + 1, n, n) P
+    closed: Floats  # (ring + 1, n, n + l) Psi and K; in the last row those of the sample before
+    seen: Floats  # (ring + 1, l, n + l) H and I times the inverse of L; zeros for what is missing
+    innovations: Floats  # (ring + 1, l) normalised
+    intervals: Floats  # (ring + 1,) s
+    lost: NDArray[np.bool_]  # (ring + 1,) whether too little is known to smooth
+    pattern: NDArray[np.bool_]  # (l,) which measurements of the sample before were there
+    # samples taken, how many of the last had one covariance, from which on the state is known or -1
+    counts: NDArray[np.int64]
+    unknown: Floats  # (n, u) V, of what is not known until then
+    information: Floats  # (u, u) the inverse of delta's covariance
+    score: Floats  # (u,) that times delta
 
 
-@lru_cache(maxsize=64)
-def compiled_copies(functions: tuple[Callable, ...]) -> Callable:
-    """Return what writes the values of all functions: the same one for the same functions."""
-    if not functions:
-        return _no_copies
-    others, function, index = compiled_copies(functions[:-1]), functions[-1], len(functions) - 1
-
-    @njit
-    def copies(arguments, values):
-        others(arguments, values)
-        values[index] = function(arguments[index])
-
-    return copies
-
-
-@njit
-def _no_copies(arguments, values):
-    pass
-
-
-def loop_of(
-    loop: Callable, linear: Callable, functions: tuple[Callable[[Any], Any], ...], compiled: bool
-) -> Callable:
-    """Return a loop over samples as a function of what follows `copies`; `linear` has none."""
-    if not functions:
-        return linear
-    if compiled:
-        return partial(loop, compiled_copies(functions))
-    return partial(_interpret, loop, Interpreted(functions))
+def empty_memory(n: int, l: int, d: int, ring: int, unknown: Floats) -> Memory:  # noqa: E741
+    """Return a memory of nothing."""
+    rows, u = ring + 1, unknown.shape[1]
+    return Memory(
+        states=np.zeros((rows, n + d)),
+        covariances=np.zeros((rows, n, n)),
+        closed=np.zeros((rows, n, n + l)),
+        seen=np.zeros((rows, l, n + l)),
+        innovations=np.zeros((rows, l)),
+        intervals=np.zeros(rows),
+        lost=np.zeros(rows, dtype=bool),
+        pattern=np.zeros(l, dtype=bool),
+        counts=np.array([0, 0, -1 if u else 0]),
+        unknown=unknown.copy(),
+        information=np.zeros((u, u)),
+        score=np.zeros(u),
+    )
 
 
-def _interpret(loop: Callable, *given: Any) -> None:
-    """Run a loop with functions that are not compiled; this can be pickled by its name."""
-    getattr(loop, "py_func", loop)(*given)
+class Reading(NamedTuple):
+    """Which estimates are read: in the row for a sample, or in the only one for all."""
 
-
-def check_state(state: NDArray[np.float64]) -> None:
-    """Raise an ArithmeticError where a state is not finite."""
-    if not np.isfinite(state).all():
-        raise ArithmeticError("the estimator's state left the range of floating-point numbers")
-
-
-class Interpreted:
-    """Functions that are not compiled, called as compiled ones are."""
-
-    def __init__(self, functions: Iterable[Callable[[Any], Any]]) -> None:
-        self._functions = [f if takes_numbers(f) else partial(_value, f) for f in functions]
-
-    def __call__(self, arguments: Any, values: Any) -> None:  # noqa: D102
-        for i, function in enumerate(self._functions):
-            values[i] = function(arguments[i])
-
-
-def _value(function: Callable, argument: float) -> float:
-    """Return the value of a function of arrays at a number."""
-    return np.asarray(function(np.array([argument])))[0]
-
-
-def sizes_of(*counts: int) -> tuple[tuple[float, ...], ...]:
-    """Return tuples of these lengths, which the compiler knows, unlike those of arrays."""
-    return tuple((0.0,) * count for count in counts)
-
-
-@njit
-def advance(copies, sizes, steps, C_nu, readout, record, state, result):
-    """Take all samples of a `Record`, and write `state` and `result`."""
-    states, measurements, outputs, g = len(sizes[0]), len(sizes[1]), len(sizes[2]), len(sizes[3])
-    x = np.empty((2, states))  # now, and at the end of the sample
-    arguments, mu, mu_end = np.empty(g), np.empty(g), np.empty(g)
-    x[0] = state
-    for segment in range(len(record.patterns)):
-        p = record.patterns[segment]
-        for k in range(record.starts[segment], record.starts[segment + 1]):
-            for i in range(states):
-                x[1, i] = 0.0
-            for j in range(measurements):
-                for i in range(states):
-                    x[1, i] += steps.measurement[p, j, i] * record.y[k, j]
-            for j in range(states):
-                for i in range(states):
-                    x[1, i] += steps.transition[p, j, i] * x[0, j]
-            if copies is not None:
-                _subtract(C_nu, x, 0, record.reference, k, arguments)
-                copies(arguments, mu)
-                for j in range(g):
-                    for i in range(states):
-                        x[1, i] += steps.copies[p, j, i] * mu[j]
-                _subtract(C_nu, x, 1, record.reference, k, arguments)
-                copies(arguments, mu_end)
-                for j in range(g):
-                    for i in range(states):
-                        x[1, i] += steps.correction[p, j, i] * (mu_end[j] - mu[j])
-            for i in range(states):
-                x[0, i] = x[1, i]
-            for i in range(outputs):
-                estimate = 0.0
-                for j in range(states):
-                    estimate += readout[i, j] * x[0, j]
-                result[k, i] = estimate
-    for i in range(states):
-        state[i] = x[0, i]
-
-
-@njit
-def _subtract(C_nu, x, row, reference, k, arguments):
-    """Write the copies' arguments at one of the two states."""
-    for i in range(len(arguments)):
-        arguments[i] = -reference[k, i]
-        for j in range(x.shape[1]):
-            arguments[i] += C_nu[i, j] * x[row, j]
+    readout: Floats  # (m, n)
+    lags: NDArray[np.int64]  # (rows or 1, L) at the beginning of which sample, back from the end
+    times: NDArray[np.int64]  # (rows or 1, L) or, where this is not -1, at which time within it
+    within: Within
 
 
 @kept()
-def advance_linear(sizes, steps, C_nu, readout, record, state, result):
-    """Do as `advance` for an estimator without copies; it need not be compiled anew."""
-    advance(None, sizes, steps, C_nu, readout, record, state, result)
+def _gains(gain, noise, P, present):
+    """Return Psi and K, `seen`, the next P, and whether P is too large to smooth."""
+    n, l = len(P), len(present)  # noqa: E741
+    rows, white, lost = np.flatnonzero(present), np.zeros((l, l)), False
+    through = gain @ P @ np.ascontiguousarray(gain.T) + noise  # of the state and the measurement
+    for i in range(l):
+        lost = lost or through[n + i, n + i] > _MOST * noise[n + i, n + i]
+    if len(rows):
+        root = np.linalg.inv(np.linalg.cholesky(through[n:, n:][rows][:, rows]))
+        for i in range(len(rows)):
+            for j in range(i + 1):
+                white[rows[i], rows[j]] = root[i, j]
+    inverse = np.ascontiguousarray(white.T) @ white
+    closing = np.eye(n, n + l)  # I and -K, of the state and the measurement
+    closing[:, n:] = -np.ascontiguousarray(through[:n, n:]) @ inverse
+    closed = np.hstack((closing @ gain, -closing[:, n:]))
+    seen = np.hstack((white @ np.ascontiguousarray(gain[n:]), white))
+    after = closed[:, :n].copy() @ P @ np.ascontiguousarray(closed[:, :n].T)
+    after += closing @ noise @ np.ascontiguousarray(closing.T)
+    return closed, seen, (after + after.T) / 2, lost
+
+
+@kept()
+def _add(result, matrix, vector):
+    """Add a matrix, as many rows and columns as there are, times a vector."""
+    for i in range(len(result)):
+        for j in range(len(vector)):
+            result[i] += matrix[i, j] * vector[j]
+
+
+@kept()
+def _copies(functions, arguments, x, reference, k, values, first):
+    """Write what the copies give at a state, from an entry of `values` on."""
+    for i in range(len(functions)):
+        argument = -reference[k, i]
+        for j in range(arguments.shape[1]):
+            argument += arguments[i, j] * x[j]
+        values[first + i] = call(functions[i], argument)
+
+
+@kept()
+def _predict(functions, arguments, model, state, inputs, reference, k, following):
+    """Write the drive into a state, and what follows on that, state and measurement."""
+    n, g = arguments.shape[1], len(functions)
+    for i in range(inputs.shape[1]):
+        state[n + 2 * g + i] = inputs[k, i]
+    for i in range(g):
+        state[n + g + i] = 0.0
+    if g:
+        _copies(functions, arguments, state, reference, k, state, n)
+        following[:] = 0.0
+        _add(following, model, state)
+        _copies(functions, arguments, following, reference, k, state, n + g)
+        for i in range(g):
+            state[n + g + i] -= state[n + i]
+    following[:] = 0.0
+    _add(following, model, state)
+
+
+@kept()
+def advance(functions, arguments, sampled, kinds, memory, reading, given, results):
+    """Take samples; write estimates, (rows, lags, m), their deviations and normalised innovations.
+
+    The latter two are not wanted where they have no rows. NaN is missing. Where a state is not
+    finite, return False, with the memory as the sample before left it.
+    """
+    y, inputs, reference = given
+    result, spread, normalised = results
+    states, innovations, counts = memory.states, memory.innovations, memory.counts
+    now, l, n = len(states) - 1, y.shape[1], arguments.shape[1]  # noqa: E741
+    error, z, following = np.zeros(l), np.zeros(l), np.zeros(n + l)
+    present, state, P = np.zeros(l, dtype=np.bool_), states[now], memory.covariances[now]
+    closed, seen, after, lost, kind = memory.closed[now], memory.seen[now], P, False, 0
+    model, only_now = sampled.model[0], now == 0 and l == 0 and reading.lags.shape[1] == 1
+    for k in range(len(y)):
+        if len(kinds):
+            kind = kinds[k]
+            model = sampled.model[kind]
+        _predict(functions, arguments, model, state, inputs, reference, k, following)
+        changed = counts[1] == 0 or sampled.interval[kind] != memory.intervals[now]
+        for i in range(l):
+            present[i] = not np.isnan(y[k, i])
+            changed = changed or present[i] != memory.pattern[i]
+            error[i] = y[k, i] - following[n + i] if present[i] else 0.0
+        if changed:
+            closed, seen, after, lost = _gains(sampled.gain[kind], sampled.noise[kind], P, present)
+        finite = True
+        for i in range(n):
+            for j in range(l):
+                following[i] += closed[i, n + j] * error[j]
+            finite = finite and np.isfinite(following[i])
+        if not finite or (changed and not np.isfinite(after).all()):
+            return False
+        for i in range(l):
+            z[i] = 0.0
+            for j in range(i + 1):
+                z[i] += seen[i, n + j] * error[j]
+        if now:
+            slot, known_in_ring = counts[0] % now, counts[1] > now
+            for i in range(len(state)):
+                states[slot, i] = state[i]
+            for i in range(l):
+                innovations[slot, i] = z[i]
+            if not known_in_ring:
+                memory.covariances[slot] = P
+            if changed or not known_in_ring:
+                memory.closed[slot], memory.seen[slot] = closed, seen
+                memory.lost[slot] = lost if changed else memory.lost[now]
+                memory.intervals[slot] = sampled.interval[kind]
+        if changed:
+            memory.closed[now], memory.seen[now], memory.lost[now] = closed, seen, lost
+            closed, seen = memory.closed[now], memory.seen[now]
+            memory.pattern[:], memory.intervals[now] = present, sampled.interval[kind]
+            sizes = np.sqrt(np.outer(np.diag(P), np.diag(P)))
+            counts[1] = (np.abs(after - P) <= _STEADY * sizes).all()
+            P[:] = after
+        else:
+            counts[1] += 1
+        for i in range(n):
+            state[i] = following[i]
+        counts[0] += 1
+        if len(normalised):
+            normalised[k] = np.where(present, z, np.nan)
+        if counts[2] < 0:
+            _determine(memory, z)
+            normalised[k : k + 1] = np.nan
+        if only_now:
+            for i in range(len(reading.readout)):
+                result[k, 0, i] = 0.0
+                for j in range(n):
+                    result[k, 0, i] += reading.readout[i, j] * state[j]
+        else:
+            read(memory, reading, k, result[k])
+        if len(spread):
+            if k == 0 or counts[1] <= now + 1 or len(reading.lags) > 1:
+                spread_of(memory, reading, k, spread[k])
+            else:
+                spread[k] = spread[k - 1]
+    return True
+
+
+@kept()
+def hold(sizes, model, y, state, readout, result):
+    """Do as `advance` where only y drives a state: quickly, for sizes that the compiler knows."""
+    n, measurements, outputs = len(sizes[0]), len(sizes[1]), len(sizes[2])
+    x = np.zeros((2, n))  # now, and at the end of the sample
+    x[0] = state
+    for k in range(len(y)):
+        for i in range(n):
+            x[1, i] = 0.0
+        for j in range(n):
+            for i in range(n):
+                x[1, i] += model[j, i] * x[0, j]
+        for j in range(measurements):
+            for i in range(n):
+                x[1, i] += model[n + j, i] * y[k, j]
+        for i in range(n):
+            x[0, i] = x[1, i]
+        for i in range(outputs):
+            result[k, 0, i] = 0.0
+            for j in range(n):
+                result[k, 0, i] += readout[i, j] * x[0, j]
+    state[:] = x[0]
+    return np.isfinite(x[0]).all()
+
+
+@kept()
+def step(
+    functions, arguments, interval, model,
+    states, covariances, closed, seen, innovations, intervals, lost, pattern, counts,
+    readout, lags, times, within_model, within_gain, within_noise,
+    y, inputs, reference, result,
+):  # fmt: skip
+    """Take a sample where all measurements are there and the gain is as before; else return False.
+
+    Each array is an argument of its own, because numba takes long to look into a tuple.
+    """
+    usual = counts[1] > 0 and counts[2] >= 0 and interval[0] == intervals[-1]
+    for i in range(len(pattern)):
+        usual = usual and pattern[i] and np.isfinite(y[0, i])
+    if not usual:
+        return False
+    now = covariances[-1]
+    sampled = Sampled(interval, model, covariances, covariances)  # the gain is known
+    rings = states, covariances, closed, seen, innovations, intervals, lost
+    memory = Memory(*rings, pattern, counts, now, now, states[-1])
+    reading = Reading(readout, lags, times, Within(within_model, within_gain, within_noise))
+    kinds = np.empty(0, dtype=np.int64)
+    given, results = (y, inputs, reference), (result, result[:0], y[:0])
+    return advance(functions, arguments, sampled, kinds, memory, reading, given, results)
+
+
+@kept()
+def _determine(memory, z):
+    """Add what a sample tells of delta; where that is enough, add delta to the estimate."""
+    n = len(memory.unknown)
+    seen = np.ascontiguousarray(memory.seen[-1][:, :n]) @ memory.unknown
+    memory.information[:] += seen.T @ seen
+    _add(memory.score, seen.T, z)
+    memory.unknown[:] = np.ascontiguousarray(memory.closed[-1][:, :n]) @ memory.unknown
+    if np.linalg.eigvalsh(memory.information)[0] > _KNOWN:
+        inverse = np.linalg.inv(memory.information)
+        _add(memory.states[-1][:n], memory.unknown @ inverse, memory.score)
+        memory.covariances[-1][:] += memory.unknown @ inverse @ memory.unknown.T
+        memory.counts[1], memory.counts[2] = 0, memory.counts[0]
+
+
+@kept()
+def _known(memory):
+    """Return for how many samples the state has been known."""
+    return memory.counts[0] - memory.counts[2] if memory.counts[2] >= 0 else -1
+
+
+@kept()
+def read(memory, reading, row, result):
+    """Write the estimates at the lags of a row, which ascend."""
+    samples, ring, n = memory.counts[0], len(memory.states) - 1, reading.readout.shape[1]
+    row, l = min(row, len(reading.lags) - 1), memory.innovations.shape[1]  # noqa: E741
+    if reading.lags.shape[1] == 1 and reading.lags[row, 0] == 0 and memory.counts[2] == 0:
+        result[0] = 0.0
+        _add(result[0], reading.readout, memory.states[ring][:n])
+        return
+    known, done, slot = _known(memory), 0, samples % max(ring, 1)
+    r, later, part, x = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    closed, seen, innovations = memory.closed, memory.seen, memory.innovations
+    for at in range(reading.lags.shape[1]):
+        lag, time = reading.lags[row, at], reading.times[row, at]
+        if lag > known:
+            result[at] = np.nan
+            continue
+        for _ in range(done, lag):
+            slot = (slot if slot else ring) - 1
+            for i in range(n):
+                later[i], r[i] = r[i], 0.0
+            for j in range(n):
+                for i in range(n):
+                    r[i] += closed[slot, j, i] * later[j]
+            for j in range(l):
+                for i in range(n):
+                    r[i] += seen[slot, j, i] * innovations[slot, j]
+        done = lag
+        part[:] = 0.0
+        if lag:
+            _add(part, memory.covariances[slot], r)
+        before = memory.states[slot if lag else ring]
+        if time < 0:
+            x[:] = before[:n] + part
+        else:
+            with_noise = np.zeros(n + l)
+            _add(with_noise, seen[slot].T, innovations[slot])
+            _add(with_noise, closed[slot].T, -later)
+            with_noise = np.concatenate((np.zeros(n), later, with_noise[n:]))
+            x[:] = 0.0
+            _add(x, reading.within.model[time], before)
+            _add(x, reading.within.gain[time], part)
+            _add(x, reading.within.noise[time], with_noise)
+        result[at] = np.nan if lag and memory.lost[slot] else 0.0
+        _add(result[at], reading.readout, x)
+
+
+@kept()
+def spread_of(memory, reading, row, result):
+    """Write the standard deviations of the errors of these estimates."""
+    samples, ring, n = memory.counts[0], len(memory.states) - 1, reading.readout.shape[1]
+    row = min(row, len(reading.lags) - 1)
+    known, done, slot = _known(memory), 0, samples % max(ring, 1)
+    N = later = np.zeros((n, n))
+    for at in range(reading.lags.shape[1]):
+        lag, time = reading.lags[row, at], reading.times[row, at]
+        if lag > known:
+            result[at] = np.nan
+            continue
+        for _ in range(done, lag):
+            slot, later = (slot if slot else ring) - 1, N
+            closed = np.ascontiguousarray(memory.closed[slot][:, :n])
+            seen = np.ascontiguousarray(memory.seen[slot][:, :n])
+            N = np.ascontiguousarray(closed.T) @ later @ closed
+            N += np.ascontiguousarray(seen.T) @ seen
+        done = lag
+        P = memory.covariances[slot if lag else ring]
+        covariance = P - P @ N @ P if lag else P.copy()
+        if time >= 0:  # of w_tau with itself, with what follows and with what is seen
+            gain, noise = reading.within.gain[time], reading.within.noise[time]
+            through = np.hstack((gain @ P, noise[:, 2 * n :]))
+            onto = through @ np.ascontiguousarray(memory.seen[slot].T)
+            through[:, n:] *= -1.0
+            into = through @ np.ascontiguousarray(memory.closed[slot].T) + noise[:, n : 2 * n]
+            covariance = gain @ P @ np.ascontiguousarray(gain.T) + noise[:, :n]
+            covariance -= into @ later @ np.ascontiguousarray(into.T)
+            covariance -= onto @ np.ascontiguousarray(onto.T)
+        for i in range(len(reading.readout)):
+            variance = max(reading.readout[i] @ covariance @ reading.readout[i], 0.0)
+            result[at, i] = np.nan if lag and memory.lost[slot] else np.sqrt(variance)

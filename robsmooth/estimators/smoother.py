@@ -81,23 +81,15 @@ def design_smoother(
         paper's example has it, or for the error against the delay model's output, with :math:`C_a`
         as its text has it.
 
-    Returns
-    -------
-    RobustSmoother
-
     Raises
     ------
     InfeasibleDesignError
         Where Assumption 2 or 3, M(lambda) > 0 or the constraint (eqcons) fails; the message says
-        which and by how much.
+        which and by how much. The gains are those of (eqCparams), the bound that of (eqbound).
 
     See Also
     --------
     minimize_bound, limiting_smoother : the search for tau and lambda; multipliers that vanish.
-
-    References
-    ----------
-    Section III: Assumptions 2 and 3, equations (eqcons), (eqCparams) and (eqbound).
 
     Examples
     --------

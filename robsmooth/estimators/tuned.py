@@ -73,17 +73,12 @@ def tuned_fixed_lag_smoother(
 
     Parameters
     ----------
-    plant : AugmentedSystem
-        Made by `augment`.
+    plant : AugmentedSystem, made by `augment`
     against : {"constant", "admissible"}
         Which error is to be least: the worst constant or the certified worst one, the latter
         against the output of the delay model.
     output : {"smoothed", "filtered"}
         Which estimate is wanted.
-
-    Returns
-    -------
-    Estimator
 
     Raises
     ------

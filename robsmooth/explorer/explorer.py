@@ -51,9 +51,6 @@ class Explorer:
         """All that there is to see, or why there is nothing."""
         return take_snapshot(self.settings)
 
-    def __repr__(self) -> str:
-        return f"Explorer({self.settings})"
-
     def _repr_mimebundle_(self, **_) -> dict[str, object]:
         live = self.widget._repr_mimebundle_() if can_show_widgets() else {}
         found = self.snapshot

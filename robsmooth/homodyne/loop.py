@@ -1,13 +1,8 @@
 r"""The adaptive homodyne loop of Section IV with a linear estimator in it.
 
-The phase drifts and the photocurrent measures it against the local oscillator's phase :math:`u`,
-
-.. math::
-
-    d\varphi &= -\lambda\varphi\,dt + \sqrt\kappa\,dV,\\
-    I\,dt &= 2\alpha\sin(\varphi - u)\,dt + \sqrt s\,dW .
-
-The estimator is driven by the measurement and by its own copy of the nonlinearity,
+The phase and the photocurrent are those of `robsmooth.homodyne.parameters`, with the local
+oscillator's phase :math:`u` in place of the estimate, and a noise of the power s. The estimator is
+driven by the measurement and by its own copy of the nonlinearity,
 
 .. math::
 
@@ -52,11 +47,7 @@ from robsmooth.systems.channels import REFERENCES
 from robsmooth.systems.system import UncertainSystem
 
 OSCILLATORS = (*REFERENCES, "copy", "none")
-FIXED_POINT_TOLERANCE = 1e-10
-ILL_CONDITIONED = (
-    "the covariance of the linearised loop is lost in rounding: its rates, or the scales of the "
-    "estimator's states, are too far apart"
-)
+_SLOPE_TOLERANCE = 1e-13
 _LEAST_DECAY = 1e-8  # of the phase, relative to the rate of its filter
 LARGEST_VARIANCE = 4 * np.pi**2  # rad^2, a turn: such a loop is not locked at all
 
@@ -89,16 +80,10 @@ class Loop:
         return covariances(drift, self.noise).stationary
 
     def stationary_root(self, slopes: Sequence[float], S: Matrix, inverse: Matrix) -> Matrix:
-        """Return a root of the stationary covariance of the linear loop in the coordinates S.
-
-        It tells small deviations from none, down to rounding; the covariance only their squares.
-        """
+        """Return a root of the stationary covariance in S: it tells small deviations from none."""
         drift = self.linearised_drift(*slopes)
         decay_rate(drift)
-        try:
-            return stationary_root(inverse @ drift @ S, inverse @ self.noise)
-        except UnstableLoopError:  # the eigenvalues are stable
-            raise ArithmeticError(ILL_CONDITIONED) from None
+        return stationary_root(inverse @ drift @ S, inverse @ self.noise)
 
     def error_coordinates(self) -> tuple[Matrix, Matrix]:
         """Return coordinates with the argument of the first sine for the phase, and their inverse.
@@ -119,7 +104,7 @@ class Loop:
         lagged = float(P[0, 0] + 2 * smoothed @ cross + smoothed @ P @ smoothed)
         return float(filtered @ P @ filtered), lagged
 
-    def equivalent_slopes(self, tolerance: float = FIXED_POINT_TOLERANCE) -> tuple[float, float]:
+    def equivalent_slopes(self) -> tuple[float, float]:
         """Return the slopes of statistical linearisation, iterated from slopes of one.
 
         An UnstableLoopError says that there are none, because the loop loses lock.
@@ -130,7 +115,7 @@ class Loop:
             np.ones(2),
             lambda slopes: ((rows @ self.stationary_root(slopes, S, inverse)) ** 2).sum(axis=1),
             lambda variances: np.exp(-0.5 * variances),
-            tolerance=tolerance,
+            tolerance=_SLOPE_TOLERANCE,
             largest=LARGEST_VARIANCE,
         )
         return tuple(slopes.tolist())
@@ -276,5 +261,5 @@ def statistical_linearisation(
 
 def linearised(loop: Loop) -> StatisticalLinearisation:
     """Return the errors of a loop with its equivalent slopes."""
-    slopes = loop.equivalent_slopes(tolerance=1e-13)
+    slopes = loop.equivalent_slopes()
     return StatisticalLinearisation(*loop.linear_errors(*slopes), slopes)

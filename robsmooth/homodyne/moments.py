@@ -54,7 +54,7 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.homodyne.loop import ILL_CONDITIONED, Loop, homodyne_loop
+from robsmooth.homodyne.loop import Loop, homodyne_loop
 from robsmooth.homodyne.parameters import HomodyneParameters
 
 TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
@@ -65,7 +65,6 @@ GAIN_OF_A_STEP = 10.0  # by which a step in degree is believed to reduce the tru
 DEFAULT_UNKNOWNS, MOST_UNKNOWNS = 2500, 6000  # at most: of the default degree, and at all
 DECAYED = 30.0  # time constants of the loop's slowest mode after which e^{Lt} is zero
 _LARGEST_RESIDUAL = 1e-10  # relative residual up to which the moments are solved for
-_ZERO_ENTRY = 1e-16  # of a matrix, relative to its largest entry, below which it is zero
 
 LARGEST_DEVIATION = math.pi / 2  # standard deviation of the argument of a sine in lock, rad
 _NEGLIGIBLE_REMAINDER = 1e-15  # of what sin(v) - v does to the state in a time constant
@@ -149,14 +148,10 @@ def stationary_errors(
     parameters, smoother, oscillator, copy, shot_noise
         As in `monte_carlo`.
 
-    Returns
-    -------
-    StationaryErrors
-
     Raises
     ------
-    TypeError, ValueError
-        For an argument that is not as described, or more than 6000 unknowns, before any work.
+    ValueError
+        Where there are more than 6000 unknowns, before any work.
     UnstableLoopError
         Where the loop is unstable, or by statistical linearisation not in lock.
     ArithmeticError
@@ -246,11 +241,7 @@ def _generator(problem: WhitenedLoop, basis: HermiteBasis) -> sparse.csr_array:
     terms = [a.T @ basis.derivative(column) for a, column in columns]
     for row, slope, gain in problem.sines:
         terms.append(_remainder(row, slope, basis) @ basis.derivative(gain))
-    generator = sum(terms).tocsr()
-    size = np.abs(generator.data)
-    generator.data[size < _ZERO_ENTRY * size.max()] = 0.0  # they would only fill the factors
-    generator.eliminate_zeros()
-    return generator
+    return sum(terms).tocsr()
 
 
 def _remainder(row: Matrix, slope: float, basis: HermiteBasis) -> sparse.csr_array:
@@ -338,5 +329,8 @@ def _white_coordinates(loop: Loop, slopes: Matrix) -> tuple[Matrix, Matrix, floa
     white = loop.stationary_root(slopes, S, inverse)
     rounding = np.abs(white @ white.T - np.eye(rank)).max(initial=0.0)
     if rounding > _LARGEST_ROUNDING:
-        raise ArithmeticError(ILL_CONDITIONED)
+        raise ArithmeticError(
+            "the covariance of the linearised loop is lost in rounding: its rates, or the scales "
+            "of the estimator's states, are too far apart"
+        )
     return S, inverse, rounding

@@ -22,6 +22,7 @@ from scipy.special import erf
 from robsmooth._support import validation
 from robsmooth._support.tables import Table
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
+from robsmooth.systems.functions import Combination
 from robsmooth.systems.system import UncertainSystem
 
 
@@ -92,10 +93,12 @@ class HomodyneParameters:
         r"""Return :math:`f(e) = \sin e - \beta e` at errors in rad."""
         return np.sin(error) - self.beta * np.asarray(error)
 
-    def channel(self, nu: ArrayLike) -> NDArray[np.float64]:
-        r"""Return :math:`\psi(\nu) = 2\alpha f(\nu/2\alpha\gamma)`."""
-        scale = 2.0 * self.alpha * self.gamma
-        return 2.0 * self.alpha * self.remainder(np.asarray(nu) / scale)
+    @property
+    def channel(self) -> Combination:
+        r"""The function :math:`\psi(\nu) = 2\alpha f(\nu/2\alpha\gamma)`."""
+        argument, value = 1.0 / (2.0 * self.alpha * self.gamma), 2.0 * self.alpha
+        name = "HomodyneParameters.channel"
+        return Combination(np.sin, argument, value, self.beta / self.gamma, name)
 
     @property
     def sector_slope(self) -> float:

@@ -21,7 +21,6 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.tables import Table
 from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
@@ -71,11 +70,6 @@ class Study:
     failures: Mapping[tuple[float, float], str]
 
     @property
-    def designs(self) -> int:
-        """Number of designs that there are."""
-        return int(np.isfinite(self.quantities["bound"]).sum())
-
-    @property
     def ratio(self) -> NDArray[np.float64]:
         """Smoothed over filtered mean square error in the nonlinear loop."""
         return self.quantities["smoothed"] / self.quantities["filtered"]
@@ -87,16 +81,8 @@ class Study:
 
     def __repr__(self) -> str:
         sizes = " x ".join(f"{len(getattr(self, name))} {name}" for name in AXES)
-        return f"Study({sizes}: {self.designs} designs, {len(self.failures)} columns without)"
-
-    def _repr_html_(self) -> str:
-        names = (r"half width $\gamma$", "power of the shot noise", "order", "lag (s)")
-        ranges = dict(zip(names, (self.gammas, self.noises, self.orders, self.lags), strict=True))
-        if (found := self.ratio[np.isfinite(self.ratio)]).size:
-            ranges["smoothed / filtered"] = found
-        rows = [(name, len(r), float(min(r)), float(max(r))) for name, r in ranges.items()]
-        caption = f"{self.designs} designs; {len(self.failures)} sectors and noises have none."
-        return Table(("over", "values", "from", "to"), rows, caption).html()
+        designs = np.isfinite(self.quantities["bound"]).sum()
+        return f"Study({sizes}: {designs} designs, {len(self.failures)} columns without)"
 
 
 def parameter_study(
@@ -124,10 +110,6 @@ def parameter_study(
         alpha / sqrt(noise).
     runs, seed, client, checkpoint, progress
         As in `monte_carlo`, of the ergodic protocol, and what it raises, too.
-
-    Returns
-    -------
-    Study
 
     Examples
     --------

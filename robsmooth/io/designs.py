@@ -25,6 +25,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -56,10 +57,6 @@ def save(
     path : str or path
         Ends in .toml or .json. The file appears whole or not at all.
 
-    Returns
-    -------
-    None
-
     Raises
     ------
     ValueError, TypeError
@@ -86,11 +83,7 @@ def save(
     there = _object(content, functions={})
     if isinstance(value, RobustSmoother) and not np.allclose(there.A_c, value.A_c, rtol=1e-6):
         raise ValueError("value must have the gains that follow from its tau and multipliers")
-    if language == "toml":
-        first = "# Of robsmooth: time in seconds, rates in 1/s, matrices by rows."
-        text = "\n".join([first, *_toml(content, "")])
-    else:
-        text = _json(content)
+    text = "\n".join(_toml(content, "")) if language == "toml" else _json(content)
     files.write_text(path, text + "\n")
 
 
@@ -117,7 +110,7 @@ def load(
         Where the file is not valid, or a certified error does not follow from its multipliers: one
         sentence that names the file and the field.
     TypeError
-        For functions that are not a mapping of names to callables.
+        For functions that are not a mapping.
     OSError
         Where the file cannot be read.
 
@@ -133,12 +126,9 @@ def load(
     path, language = _language(path)
     functions = {} if functions is None else functions
     validation.instance("functions", functions, Mapping)
-    for name, function in functions.items():
-        if not callable(function):
-            raise TypeError(f"functions[{name!r}] must be callable, got {function!r}")
     try:
-        text, toml = path.read_bytes().decode("utf-8-sig"), language == "toml"
-        content = tomllib.loads(text) if toml else json.loads(text, object_pairs_hook=_distinct)
+        text = path.read_bytes().decode("utf-8-sig")
+        content = _READERS[language](text)
         return _object(content, functions)
     except RecursionError:
         raise ValueError(f"{path.name}: its brackets are nested too deeply") from None
@@ -149,17 +139,19 @@ def load(
 def _language(path: str | os.PathLike[str]) -> tuple[Path, str]:
     path = Path(os.path.expanduser(path))
     language = path.suffix[1:].lower()
-    if language not in ("toml", "json"):
+    if language not in _READERS:
         raise ValueError(f"path must end in .toml or .json, got {path.name!r}")
     return path, language
 
 
 def _distinct(pairs: list[tuple[str, object]]) -> dict:
     """Return a table of JSON whose names are there once."""
-    names = [name for name, _ in pairs]
-    if len(set(names)) < len(names):
-        raise ValueError(f"{max(names, key=names.count)!r} is there twice")
+    if len({name for name, _ in pairs}) < len(pairs):
+        raise ValueError(f"one of {', '.join(name for name, _ in pairs)} is there twice")
     return dict(pairs)
+
+
+_READERS = {"toml": tomllib.loads, "json": partial(json.loads, object_pairs_hook=_distinct)}
 
 
 def _object(content: object, functions: Mapping[str, Callable]) -> Any:
@@ -168,11 +160,7 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
         raise ValueError(f"its content must be a table, got {reprlib.repr(content)}")
     header = {"format": (1,), "kind": tuple(_KINDS), "units": ("SI",)}
     for name, allowed in header.items():
-        if name not in content:
-            raise ValueError(f"{name} is missing")
-        if name == "format":
-            validation.integer(name, content[name], low=1)
-        validation.choice(name, content[name], allowed)
+        validation.choice(name, content.get(name), allowed)
     named: dict[str, None] = {}
 
     def of_table(name: str, table: object, path: str) -> Any:
@@ -231,11 +219,6 @@ def _within(place: str) -> Iterator[None]:
         raise ValueError(f"{place}: {error}" if place else str(error)) from None
 
 
-def _uncertainty(B: Any, C: Any, D: Any) -> Uncertainty:
-    """Return an uncertainty; a C without rows has no columns in a file."""
-    return Uncertainty(B, np.zeros((0, *np.shape(B)[:1])) if C == [] else C, D)
-
-
 def _gains(plant: AugmentedSystem, **gains: Any) -> dict[str, Matrix]:
     """Return an estimator's matrices, checked against its plant."""
     m, g = plant.system.m, plant.system.g
@@ -290,7 +273,7 @@ _TABLES = {
     "plant": (augment, "system delay order J_21"),
     "system": (UncertainSystem, "A B1 C0 C2 D21 B2 D22 uncertainties nonlinearities"),
     "nominal": (UncertainSystem, "A B1 C0 C2 D21"),
-    "uncertainties": (_uncertainty, "B C D"),
+    "uncertainties": (Uncertainty, "B C D"),
     "nonlinearities": (Nonlinearity, "B C D lipschitz function reference"),
 }
 _OPTIONAL = "uncertainties nonlinearities function reference J_21 nominal B2 D22"

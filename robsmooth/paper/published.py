@@ -1,13 +1,10 @@
-r"""What the paper prints, in ``data/published.toml``: its numbers, and the designs they make.
+"""What the paper prints, in ``data/published.toml``: its numbers, and the designs they make.
 
 Beside it lies ``data/monte_carlo.json``: what it is compared with, as notebook 04 writes it.
-The printed gains follow from the printed :math:`\tau` and :math:`\lambda` only with the quadratic
-term of the X equation negated, as a standard Riccati solver has it.
 """
 
 import itertools
 import json
-import math
 import time
 import tomllib
 from collections.abc import Mapping
@@ -21,7 +18,7 @@ import numpy as np
 
 from robsmooth import homodyne
 from robsmooth._numerics.riccati import solve_riccati
-from robsmooth._support import files
+from robsmooth._support import files, validation
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
@@ -163,10 +160,7 @@ def read_simulation(folder: Path) -> SimulatedErrors:
     """Read the mean square errors of a folder; ValueError where the file is missing or corrupt."""
     try:
         cases = json.loads((folder / RESULTS).read_text(encoding="utf-8"))["cases"]
-        return {
-            name: {output: _mean_square(cases[name][output]) for output in ("smoothed", "filtered")}
-            for name in NEEDED
-        }
+        return {name: _errors(cases[name]) for name in NEEDED}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
             f"{RESULTS} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
@@ -179,15 +173,15 @@ def read_nonlinear_floor() -> Mapping[str, MeanSquare]:
 
     Bayes' rule gives them, in a loop that the filter steers: ``benchmarks/nonlinear_floor.py``.
     """
-    found = json.loads((data_folder() / NONLINEAR_FLOOR).read_text(encoding="utf-8"))
-    return {output: _mean_square(found[output]) for output in ("smoothed", "filtered")}
+    return _errors(json.loads((data_folder() / NONLINEAR_FLOOR).read_text(encoding="utf-8")))
 
 
-def _mean_square(stored: Mapping[str, float]) -> MeanSquare:
-    for field in ("mean_square", "standard_error"):
-        if not 0.0 <= stored[field] < math.inf:
-            raise ValueError(f"{field} is not a finite number of at least zero")
-    return MeanSquare(stored["mean_square"], stored["standard_error"])
+def _errors(stored: Mapping[str, Mapping[str, float]]) -> Mapping[str, MeanSquare]:
+    found, fields = {}, ("mean_square", "standard_error")
+    for output in ("smoothed", "filtered"):
+        values = (validation.real(name, stored[output][name], low=0.0) for name in fields)
+        found[output] = MeanSquare(*values)
+    return found
 
 
 def write_simulation(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) -> None:

@@ -44,12 +44,9 @@ def _table(digits: int = 4) -> Callable[[Callable[..., Records]], Callable[..., 
     return decorate
 
 
-def _number(value: float, form: str = ".4f", error: str = "") -> str:
-    return "none" if math.isnan(value) else f"{value:{form}}{error}"
-
-
 def _estimate(found: MeanSquare, form: str = ".5f", error_form: str | None = None) -> str:
-    return _number(found.mean_square, form, f" ± {found.standard_error:{error_form or form}}")
+    value, error = found.mean_square, found.standard_error
+    return "none" if math.isnan(value) else f"{value:{form}} ± {error:{error_form or form}}"
 
 
 def _numbers(values: Iterable[complex], digits: int = 4) -> str:

@@ -1,9 +1,4 @@
-r"""Whether the paper reproduces: every printed number recomputed and judged.
-
-A value agrees with a printed one when rounding it, or cutting it off, at the printed digits gives
-what is printed (the paper does both). What follows from the printed :math:`\tau` and
-:math:`\lambda` agrees when it does so for some values that round to the printed ones.
-"""
+"""Whether the paper reproduces: every printed number recomputed, and judged as the report says."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -53,11 +48,6 @@ class Verdict:
     verdict: str
     reason: str
 
-    def __repr__(self) -> str:
-        found = f", ours {self.value:.6g}" if isinstance(self.value, float) else ""
-        short = self.printed if len(self.printed) <= 40 else f"{self.printed[:37]}..."
-        return f"Verdict({self.name}: printed {short}{found}, {self.verdict})"
-
 
 class Verdicts(list[Verdict]):
     """A list of verdicts, which a notebook shows as a table."""
@@ -102,7 +92,9 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     if "simulation" in kinds:
         folder = Path(data_dir) if data_dir else published.data_folder()
         simulation = published.read_simulation(folder)
-        recompute["simulation"] = lambda: [_simulated(simulation)]
+        names = "error covariance, smoother", "error covariance, NGCF"
+        errors = statements.simulated_errors(simulation)
+        recompute["simulation"] = lambda: [dict(zip(names, errors, strict=True))]
     recomputed = {kind: values() for kind, values in recompute.items() if kind in kinds}
     found, checks = Verdicts(), statements.checks(simulation)
     for entry in published.published()["quantity"]:
@@ -162,11 +154,6 @@ def _design() -> list[Values]:
         matrices = {name: getattr(estimator, name) for name in ("A_c", "B_c", "C_c")}
         found.append(matrices | {"V at the printed tau, lambda": bound})
     return found
-
-
-def _simulated(errors: published.SimulatedErrors) -> Values:
-    names = ("error covariance, smoother", "error covariance, NGCF")
-    return dict(zip(names, statements.simulated_errors(errors), strict=True))
 
 
 def _verdicts_on(entry: dict, values: Sequence[float | Matrix]) -> Iterator[Verdict]:

@@ -5,14 +5,12 @@ With :math:`z = [x; \hat x_p]` and the paper's channels, uncertainties, nonlinea
 .. math::
 
     dz &= [Fz + G\tilde\xi]\,dt + B\,dW, \qquad \tilde\zeta = Lz - Rz, \qquad
-    \tilde\xi = \Delta\tilde\zeta + \rho(t, \tilde\zeta), \\
-    F &= \begin{bmatrix} A & 0\\ B_yC_2 & A_c\end{bmatrix},\quad
-    G = \begin{bmatrix} B_{1s} & \bar B_{1i} & 0\\ B_yD_{21,s} & B_y\bar D_{21,i} & B_\mu
-        \end{bmatrix},\quad
-    L = \begin{bmatrix} C_{1,s} & 0\\ \bar C_{1,i} & 0\\ 0 & \tilde C_{c,\nu}\end{bmatrix},
+    \tilde\xi = \Delta\tilde\zeta + \rho(t, \tilde\zeta),
 
-where :math:`\tilde B_c = [B_y\ B_\mu]`. Below them are the rows of the measurement y, on which
-nothing depends. In :math:`R` are the references, rows of the estimator's state.
+where F, G, B and L are :math:`\mathbf A, B_\xi, \mathbf B` and :math:`C_\zeta` of
+`robsmooth.estimators.loop`, without the delay model's states. Below them are the rows of the
+measurement y, on which nothing depends. In :math:`R` are the references, rows of the estimator's
+state.
 
 :math:`\Delta` holds the constant uncertainties and, for each nonlinearity and each copy, the slope
 that is statistically equivalent to it in the loop (`robsmooth._numerics.linearisation`). What is
@@ -38,7 +36,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -54,7 +51,7 @@ from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import matrices, reference_outputs
+from robsmooth.estimators.loop import blocks_of, matrices, reference_outputs
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.functions import on_arrays
 
@@ -158,17 +155,10 @@ class NonlinearLoop:
 
     def remainder(self, time: float, arguments: NDArray) -> NDArray:
         """Return rho, (r + 2g, paths), of zeta-tilde, (h + 2g, paths)."""
-        result = -self._slopes_of_functions @ arguments
+        result = np.zeros((len(self.delta), arguments.shape[1]))
         for part in self.functions:
-            result[part.inputs] += part.function(time, arguments[part.outputs])
-        return result
-
-    @cached_property
-    def _slopes_of_functions(self) -> Matrix:
-        """Return the part of Delta that stands in for functions."""
-        result = np.zeros_like(self.delta)
-        for part in self.functions:
-            result[part.inputs] = self.delta[part.inputs]
+            linear = self.delta[part.inputs] @ arguments
+            result[part.inputs] = part.function(time, arguments[part.outputs]) - linear
         return result
 
 
@@ -237,8 +227,8 @@ def _uncertainties(plant: AugmentedSystem, given: Uncertainties) -> tuple[Matrix
     values = list(given) if np.iterable(given) else []
     constants = [0.0 if callable(value) else value for value in values]
     delta, functions = plant.structured_delta(constants or given), []
-    channels = zip(values, _ranges(plant.input_sizes), _ranges(plant.output_sizes), strict=False)
-    for s, (value, inputs, outputs) in enumerate(channels):
+    for s, (value, block) in enumerate(zip(values, blocks_of(plant), strict=False)):
+        inputs, outputs = (np.r_[each].tolist() for each in block.places[0])
         if callable(value):
             shape = np.shape(value(0.0, np.zeros((len(outputs), 2))))
             if shape != (len(inputs), 2):
@@ -277,11 +267,6 @@ def _nonlinearities(smoother: Estimator, arguments: Matrix) -> list[Function]:
 
         functions.append(Function(inputs, outputs, function, elementwise=True))
     return functions
-
-
-def _ranges(sizes: Sequence[int]) -> list[list[int]]:
-    ends = np.cumsum((0, *sizes))
-    return [list(range(start, end)) for start, end in pairwise(ends)]
 
 
 class ExponentialIntegrator:

@@ -73,10 +73,6 @@ def simulate(
         At least 0. A path depends on it, the path's number and the step alone.
     progress : bool, whether to show a bar
 
-    Returns
-    -------
-    SimulationResult
-
     Warns
     -----
     InadmissibleWarning
@@ -150,10 +146,6 @@ def sample_paths(
     ----------
     smoother, uncertainties, runs, duration, step, seed
         As in `simulate`, and what it raises, too; the default duration is a fifth of that there.
-
-    Returns
-    -------
-    SamplePaths
 
     Examples
     --------

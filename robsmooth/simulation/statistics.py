@@ -16,8 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._support import notation
-from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
 
 Floats = NDArray[np.float64]
@@ -47,9 +45,6 @@ class MeanSquare:
 
     def __str__(self) -> str:
         return f"{self.mean_square:.6g} +- {self.standard_error:.2g}"
-
-    def _repr_latex_(self) -> str:
-        return f"${notation.estimate(self.mean_square, self.standard_error)}$"
 
 
 class InadmissibleWarning(RuntimeWarning):
@@ -109,22 +104,11 @@ class SimulationResult:
 
     def __repr__(self) -> str:
         return (
-            f"SimulationResult(smoothed {self.smoothed}, filtered {self.filtered}, {self._setting})"
-        )
-
-    def _repr_html_(self) -> str:
-        rows = [(name, getattr(self, name)._repr_latex_()) for name in ("smoothed", "filtered")]
-        columns = ("estimate", "mean square error")
-        caption = f"The nonlinear loop, in the squared unit of $w$; {self._setting}."
-        return Table(columns, rows, caption).html()
-
-    @property
-    def _setting(self) -> str:
-        return (
-            f"constraints used to {self.constraints.max(initial=0.0):.3g}, violated for "
+            f"SimulationResult(smoothed {self.smoothed}, filtered {self.filtered}; constraints "
+            f"used to {self.constraints.max(initial=0.0):.3g}, violated for "
             f"{self.violated.max(initial=0.0):.2%} of the time; {self.runs} runs of "
             f"{self.duration:.4g} s, step {self.step:.4g} s, seed {self.seed}; "
-            f"{self.path_steps:.3g} path-steps"
+            f"{self.path_steps:.3g} path-steps)"
         )
 
 
@@ -205,11 +189,8 @@ def control_weights(values: Floats, controls: Floats) -> Floats:
     """Return weights, (values, controls), of controls that leave least of values: (., paths)."""
     values = values - values.mean(axis=1, keepdims=True)
     controls = controls - controls.mean(axis=1, keepdims=True)
-    scale = np.sqrt((controls**2).sum(axis=1))
-    scale[scale == 0.0] = 1.0
     # Where two controls are the same, as without a delay, the weights of least norm.
-    weights = np.linalg.lstsq((controls / scale[:, None]).T, values.T, rcond=1e-10)[0]
-    return (weights / scale[:, None]).T
+    return np.linalg.lstsq(controls.T, values.T, rcond=1e-10)[0].T
 
 
 class Tally(NamedTuple):

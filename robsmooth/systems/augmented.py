@@ -1,16 +1,6 @@
-r"""The augmented and compact system of Section III.
+r"""The augmented and compact system of Section III, (eqNsystem) and (eqCsystem).
 
-The delay model joins the system, :math:`x_p = [x; x_a]`, and all channels are stacked as in
-(eqCsystem): k uncertainties, g nonlinearities, g copies in the estimator.
-
-.. math::
-
-    dx_p &= [A_p x_p + \tilde B_1 \tilde\xi]\,dt + B_{p1}\,dW, & w &= C_{p0} x_p,\quad
-        w_a = C_a x_p,\\
-    d\tilde y &= [\tilde C_2 x_p + \tilde D_{21}\tilde\xi]\,dt + \bar D_{21}\,dW, &
-        \tilde\zeta &= \tilde C_1 x_p + \tilde D_{12}\tilde u,
-
-with :math:`\tilde y = [y; \tilde\mu]` and :math:`\tilde u = [\hat w; \tilde\nu]`. After the
+All channels are stacked: k uncertainties, g nonlinearities, g copies in the estimator. After the
 system's q noises, `W` has g that the theory adds to the copies through :math:`J_{21}`.
 """
 
@@ -193,11 +183,6 @@ class AugmentedSystem:
         -------
         (r + 2g, h + 2g) array
 
-        Raises
-        ------
-        ValueError, TypeError
-            For an entry too few or many, or one that is no number or block of its channel's size.
-
         Examples
         --------
         >>> import robsmooth as rs
@@ -228,15 +213,6 @@ def augment(
     order : int, that of the Pade approximation, at least zero; order 0 has no delay states
     J_21 : float or (g, g) array
         Intensity of the fictitious noise of the copies, positive definite; the paper has 1.
-
-    Returns
-    -------
-    AugmentedSystem
-
-    Raises
-    ------
-    ValueError, TypeError
-        For a bad delay, order or J_21.
 
     See Also
     --------

@@ -28,11 +28,6 @@ class Uncertainty:
     D : (l, r_s) array
         :math:`D_{21,s}`, how the uncertainty input enters the measurement rate.
 
-    Raises
-    ------
-    ValueError, TypeError
-        For a matrix that is not 2-D, real and finite.
-
     Examples
     --------
     A rate of decay that is known to 10%, in a system of one state:
@@ -69,26 +64,20 @@ class Nonlinearity:
         :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`. Either this
         or `sector` is given; of a sector it is the larger size of its ends.
     function : callable, optional
-        :math:`\psi_i`, vectorised or compiled by numba, for scalars too. A design needs none.
+        :math:`\psi_i`, zero at zero, vectorised or compiled by numba, for scalars too. A design
+        needs none.
     reference : {None, "filtered", "smoothed"}
         The estimate :math:`r_i` of :math:`\nu_i` that the detector is steered by: the nonlinearity
         acts on :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. `simulate` uses it,
         designs and their guarantees do not.
     sector : (float, float), optional
         The least and the largest slope :math:`(\psi_i(a) - \psi_i(b))/(a - b)`, which need not lie
-        around zero. `UncertainSystem` takes the slope in the middle for a linear part.
-
-    Raises
-    ------
-    ValueError, TypeError
-        For a matrix that is not 2-D, real and finite, a constant that is not positive, a function
-        that is not callable, not vectorised or not zero at zero, another reference, no sector, or
-        one around another slope than zero with a reference and a B that is not zero.
+        around zero. `UncertainSystem` moves the slope in the middle to A and C2, and keeps the
+        rest of the function. With a reference and a B that is not zero it must lie around zero.
 
     See Also
     --------
     sector : finds the slopes of a function, and makes its nonlinearity.
-    Uncertainty, UncertainSystem : the other channels, and what they are part of.
 
     Examples
     --------
@@ -121,7 +110,11 @@ class Nonlinearity:
     ) -> None:
         _set_matrices(self, B, C, D)
         if sector is not None:
-            sector = _slopes(sector)
+            slopes = validation.array("Nonlinearity sector", sector, ndim=1).tolist()
+            if len(slopes) != 2 or not slopes[0] < slopes[1]:
+                wanted = "two slopes, the least and the largest"
+                raise ValueError(f"Nonlinearity sector must be {wanted}, got {sector!r}")
+            sector = tuple(slopes)
             if lipschitz not in (None, max(map(abs, sector))):
                 raise TypeError("Nonlinearity must have a lipschitz or a sector, got both")
             lipschitz = max(map(abs, sector))
@@ -192,12 +185,3 @@ def _set_matrices(channel: Channel, B: ArrayLike, C: ArrayLike, D: ArrayLike) ->
 
 def _text(channel: Channel) -> str:
     return ", ".join(f"{name}={notation.array(getattr(channel, name))}" for name in "BCD")
-
-
-def _slopes(sector: tuple[float, float]) -> tuple[float, float]:
-    """Return a sector as two floats, the lesser first."""
-    slopes = validation.array("Nonlinearity sector", sector, ndim=1)
-    if len(slopes) != 2 or not slopes[0] < slopes[1]:
-        wanted = "two slopes, the least and the largest"
-        raise ValueError(f"Nonlinearity sector must be {wanted}, got {sector!r}")
-    return float(slopes[0]), float(slopes[1])

@@ -1,8 +1,6 @@
-r"""The finite-dimensional model of the delay (Section III).
+r"""The finite-dimensional model of the delay, (eqdelay).
 
-.. math:: \dot x_a = F_a x_a + G_a w, \qquad w_a = H_a x_a + J_a w
-
-with the transfer function of the Pade approximation :math:`[N/N]` of :math:`e^{-s\delta}`, for
+Its transfer function is the Pade approximation :math:`[N/N]` of :math:`e^{-s\delta}`, for
 each output of `w` separately (S. Chirarattananon and B. D. O. Anderson, "Stable fixed-lag
 smoothing of continuous time processes", IEEE Trans. Inf. Theory 20(1), 1974).
 
@@ -23,7 +21,7 @@ realises it, all-pass by construction:
 Both Gramians are the identity (up to the unit of time): no coordinates are better conditioned.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,8 +30,7 @@ from robsmooth._support import validation
 from robsmooth._support.validation import Matrix, frozen
 
 
-@dataclass(frozen=True, eq=False)
-class DelayModel:
+class DelayModel(NamedTuple):
     r"""A linear model of the delay of `channels` signals by `delay` seconds.
 
     Attributes
@@ -52,15 +49,6 @@ class DelayModel:
     J: Matrix
     delay: float
     order: int
-
-    def __repr__(self) -> str:
-        channels, states = self.H.shape
-        sizes = f"{states} states, {channels} channels"
-        return f"DelayModel(delay={self.delay:g} s, order={self.order}, {sizes})"
-
-    def __post_init__(self) -> None:
-        for value in (self.F, self.G, self.H, self.J):
-            frozen(value)
 
     def response(self, omega: ArrayLike) -> NDArray[np.complex128]:
         """Return the transfer matrix at the angular frequencies `omega` (rad/s): (..., m, m)."""
@@ -84,5 +72,5 @@ def pade_delay(delay: float, order: int, channels: int = 1) -> DelayModel:
     driven = 2.0 * elements[:, None] * np.linalg.inv(ladder)
     F, b, J = driven * elements, driven @ np.eye(N, 1), (-1.0) ** N
     unit = delay or 1.0
-    F, G, H = np.kron(each, F / unit), np.kron(each, b / unit), np.kron(each, -J * b.T)
-    return DelayModel(F, G, H, J * each, delay, order)
+    blocks = F / unit, b / unit, -J * b.T, np.array([[J]])
+    return DelayModel(*(frozen(np.kron(each, block)) for block in blocks), delay, order)

@@ -15,10 +15,6 @@ def random_walk(diffusion: float = 1.0, noise: float = 1.0) -> UncertainSystem:
     diffusion : float, the walk's variance in a second, in its squared unit
     noise : float, the intensity of the measurement's noise
 
-    Returns
-    -------
-    UncertainSystem
-
     Examples
     --------
     >>> import robsmooth as rs
@@ -40,10 +36,6 @@ def clock(
     phase_noise, frequency_noise : float
         The intensities of the noises that drive phase and frequency.
     noise : float, that of the phase's measurement
-
-    Returns
-    -------
-    UncertainSystem
 
     Examples
     --------

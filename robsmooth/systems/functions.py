@@ -19,9 +19,12 @@ class Combination:
     argument: float = 1.0  # a
     value: float = 1.0  # b
     slope: float = 0.0  # c
+    called: str = ""  # its name, by default a formula
 
     @property
     def __name__(self) -> str:
+        if self.called:
+            return self.called
         name = name_of(self.function)
         if (self.argument, self.value) != (1.0, 1.0):
             name = f"{self.value:.6g} {name}({self.argument:.6g} nu)"
@@ -41,7 +44,7 @@ def compiled(made: Combination) -> Function:
 def _compiled(made: Combination) -> Function:
     import numba
 
-    function, a, b, c = vars(made).values()
+    function, a, b, c, _ = vars(made).values()
 
     def of_number(nu):
         return b * function(a * nu) - c * nu

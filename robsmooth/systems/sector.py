@@ -83,13 +83,8 @@ def sector(function: Function, reach: float) -> Sector:
 
     Raises
     ------
-    ValueError, TypeError
-        For a function that is not as described, not finite, of unbounded slope or linear, and for a
-        `reach` that is not positive.
-
-    See Also
-    --------
-    Nonlinearity : what it is for.
+    ValueError
+        For a function that is not finite, of unbounded slope or linear.
 
     Examples
     --------

@@ -1,23 +1,8 @@
-r"""The class of uncertain nonlinear systems of Section II.
-
-.. math::
-
-    dx &= \Bigl[A x + \sum_{i=1}^g \bar B_{1i}\,\mu_i + \sum_{s=1}^k B_{1s}\,\xi_s\Bigr] dt
-          + B_1\,dW, & w &= C_0 x,\\
-    dy &= \Bigl[C_2 x + \sum_{i=1}^g \bar D_{21,i}\,\mu_i + \sum_{s=1}^k D_{21,s}\,\xi_s\Bigr] dt
-          + D_{21}\,dW, & \zeta_s &= C_{1,s} x,\quad \nu_i = \bar C_{1,i} x,
-
-with :math:`\mu_i = \psi_i(\nu_i)`, each :math:`\psi_i` Lipschitz with constant :math:`\beta_i` and
-zero at zero, and each :math:`\xi_s` bounded by :math:`\zeta_s` in the mean-square sense of the
-paper's integral quadratic constraint.
+r"""The class of uncertain nonlinear systems of Section II, (eqsystem) to (eqIQC1).
 
 A detector may be steered by an estimate, the *reference* :math:`r_i`, as in homodyne detection by
 the phase of the local oscillator: :math:`\mu_i = \psi_i(\nu_i - r_i)`. The known :math:`r_i` has
 been added to the linear part of the measurement again, as in Section IV-A.
-
-A nonlinearity whose slopes lie in a sector around another slope than zero, :math:`c_i`, is centred:
-:math:`c_i \bar B_{1i} \bar C_{1,i}` goes to A, :math:`c_i \bar D_{21,i} \bar C_{1,i}` to
-:math:`C_2`, and :math:`\psi_i(\nu) - c_i\nu` is kept, whose constant is half the sector's width.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -66,13 +51,7 @@ class UncertainSystem:
         The g channels :math:`(\bar B_{1i}, \bar C_{1,i}, \bar D_{21,i}, \beta_i)`, centred.
     B2, D22 : (n, p) and (l, p) arrays, optional
         How known inputs u enter: :math:`B_2u` adds to the drift, :math:`D_{22}u` to the
-        measurement. An estimator that is told them has the same error as without, but for what
-        uncertainty makes of the states that they move: its outputs :math:`C_1x` are larger.
-
-    Raises
-    ------
-    ValueError, TypeError
-        For any matrix that is not 2-D, real, finite and of the shape above.
+        measurement.
 
     See Also
     --------
@@ -129,17 +108,12 @@ class UncertainSystem:
             kept.append(channel)
             if slope:
                 A, C2 = map(frozen, with_feedback(A, C2, channel, slope * channel.C))
-        given = {"B2": (B2, n), "D22": (D22, len(C2))}
-        inputs = {
-            name: validation.matrix(name, value, (rows, None))
-            for name, (value, rows) in given.items()
-            if value is not None
-        }
-        p = next((value.shape[1] for value in inputs.values()), 0)
-        B2, D22 = (
-            validation.matrix(name, inputs.get(name, np.zeros((rows, p))), (rows, p))
-            for name, (_, rows) in given.items()
-        )
+        if B2 is None:
+            none = np.zeros((len(C2), 0)) if D22 is None else D22
+            B2 = np.zeros((n, validation.matrix("D22", none, (len(C2), None)).shape[1]))
+        B2 = validation.matrix("B2", B2, (n, None))
+        D22 = np.zeros((len(C2), B2.shape[1])) if D22 is None else D22
+        D22 = validation.matrix("D22", D22, (len(C2), B2.shape[1]))
         vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21, B2=B2, D22=D22)
         vars(self).update(uncertainties=uncertainties, nonlinearities=tuple(kept))
 
@@ -193,7 +167,12 @@ class UncertainSystem:
         >>> rs.UncertainSystem.from_plant(plant, process_noise=1.0, measurement_noise=0.01).D21
         array([[0. , 0.1]])
         """
-        check_continuous("plant", plant)
+        with extra("control", "a python-control system"):
+            import control
+
+        validation.instance("plant", plant, control.StateSpace, "; control.ss(...) makes one")
+        if plant.isdtime(strict=True):
+            raise ValueError(f"plant must be in continuous time, got steps of dt={plant.dt!r}")
         n, l = plant.nstates, plant.noutputs  # noqa: E741 - the paper's letter
         process = covariance_root("process_noise", process_noise, plant.ninputs)
         measurement = covariance_root("measurement_noise", measurement_noise, l)
@@ -287,7 +266,7 @@ class UncertainSystem:
         )
 
     def _repr_latex_(self) -> str:
-        """Return the equations of the class with this system's numbers."""
+        """Return the equations (eqsystem) with this system's numbers."""
         mu = [(c, rf"\mu_{{{i}}}") for i, c in enumerate(self.nonlinearities[:_SHOWN], 1)]
         xi = [(c, rf"\xi_{{{s}}}") for s, c in enumerate(self.uncertainties[:_SHOWN], 1)]
         dots = r"\cdots" if max(self.k, self.g) > _SHOWN else ""
@@ -344,6 +323,7 @@ def state_space(
     inputs: Mapping[str, Matrix],
     outputs: Mapping[str, Matrix],
     feedthrough: Mapping[tuple[str, str], Matrix],
+    dt: float = 0.0,
 ) -> "control.StateSpace":
     """Return a python-control object with signals by name: inputs (n, .) and outputs (., n).
 
@@ -362,22 +342,8 @@ def state_space(
         np.hstack(list(inputs.values())),
         np.vstack(list(outputs.values())),
         np.block(D),
-        0,
+        dt,
         inputs=[f"{u}[{i}]" for u, B in inputs.items() for i in range(B.shape[1])],
         outputs=[f"{y}[{i}]" for y, C in outputs.items() for i in range(len(C))],
         remove_useless_states=False,
     )
-
-
-def check_continuous(name: str, sys: "control.StateSpace") -> None:
-    """Check that `sys` is a state-space system in continuous time, with a state."""
-    with extra("control", "a python-control system"):
-        import control
-
-    if not isinstance(sys, control.StateSpace):
-        hint = "; control.ss(...) makes it one" if isinstance(sys, control.TransferFunction) else ""
-        raise TypeError(f"{name} must be a control.StateSpace, got {type(sys).__name__}{hint}")
-    if sys.isdtime(strict=True):
-        raise ValueError(f"{name} must be in continuous time, got one in steps of dt={sys.dt!r}")
-    if sys.nstates == 0:
-        raise ValueError(f"{name} must have a state, got a static gain")

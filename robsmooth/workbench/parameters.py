@@ -6,7 +6,6 @@ papermill checks neither name nor type, and its reader skips comments that hold 
 """
 
 import ast
-import difflib
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -15,9 +14,7 @@ from typing import NamedTuple
 from robsmooth._support import validation
 
 TYPES = {"bool": bool, "int": int, "float": float, "str": str}
-# Set by the pipeline, for each run anew, and of no influence on the results. Every notebook has the
-# folders that figures, and data, are written to; the others may be there: the address of a Dask
-# scheduler, and a folder to resume an interrupted run from.
+# Set by the pipeline, for each run anew, and of no influence on the results.
 OPTIONAL = ("scheduler", "checkpoint_dir")
 SET_BY_PIPELINE = ("output_dir", "data_dir", *OPTIONAL)
 
@@ -87,11 +84,8 @@ def check(
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> PipelineError:
-    """Error for a name that is none of `known`, with the nearest of them if one is near."""
-    known = sorted(known)
-    near = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known) or 'none'}"
-    return PipelineError(f"{what} {name} is unknown; {hint}")
+    """Error for a name that is none of `known`."""
+    return PipelineError(f"{what} {name} is unknown; known: {', '.join(sorted(known)) or 'none'}")
 
 
 def _lines(source: str, notebook: Path) -> Iterable[Parameter]:

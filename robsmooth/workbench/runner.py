@@ -1,10 +1,6 @@
 """Run the notebooks that are not fresh, and publish what those that succeed have written.
 
-What a notebook that ran to its end has left in its staging folder is moved to where results live,
-each file by a rename; so a run that fails leaves the results of earlier ones as they were. Its
-checkpoints are there again when it is next run with the same inputs.
-
-A notebook is fresh when all it depends on has the hash it had, and all it produced is unchanged.
+environment.md says when a notebook is fresh, and what becomes of a failed one's files.
 """
 
 import hashlib
@@ -16,10 +12,11 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from importlib import metadata
 from pathlib import Path
 
 from robsmooth._support import cluster, files
-from robsmooth._support.extras import check_installed, extra
+from robsmooth._support.extras import extra
 from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
 from robsmooth.workbench.execution import Execution
@@ -119,7 +116,8 @@ def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResul
 def plan(run: Request) -> list[Task]:
     """Select the notebooks, and check all that can be checked before anything is run."""
     with extra("notebooks", "a run of the notebooks"):
-        check_installed(*NEEDED)
+        for package in NEEDED:
+            metadata.version(package)  # raises where it is not installed, and imports nothing
     folder = run.root / "notebooks"
     profiles = _profiles(folder)
     names = select(profiles["notebooks"], run.only)
@@ -132,7 +130,7 @@ def plan(run: Request) -> list[Task]:
     try:
         with cluster.connect(run.dask):  # here an error is one sentence, and comes at once
             pass
-    except (ConnectionError, ImportError, ValueError) as error:
+    except (ConnectionError, ImportError) as error:
         raise PipelineError(f"--dask: {error}") from error
     return tasks
 

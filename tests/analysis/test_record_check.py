@@ -68,7 +68,7 @@ def test_what_is_drawn_is_what_was_found():
     plt = pytest.importorskip("matplotlib.pyplot")
     y = record(SENSORS, np.random.default_rng(3))
     y[200:220] = np.nan
-    found = rs.check_record(smoother(), y, lags=7)
+    found = rs.check_record(smoother(), y)
     along, between = found.plot()
     drawn = [line.get_ydata()[0] for line in between.lines]
     assert_array_equal(drawn, found.correlations[0].ravel())
@@ -85,9 +85,12 @@ def test_what_is_too_short_to_tell_is_not_told():
     found = rs.check_record(smoother(), record(SENSORS, np.random.default_rng(4), rows=60))
     assert np.isnan(found.p_white) and np.isnan(found.correlations).all()
     assert found.sentence == "The record agrees with the model."
-    longer = record(SENSORS, np.random.default_rng(4), rows=150, gaps=0.0)
-    found = rs.check_record(smoother(), longer, lags=100)
-    assert np.isfinite(found.correlations[:30]).all() and np.isnan(found.correlations[30:]).all()
+    one = rs.UncertainSystem([[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.3]])
+    systems = (SENSORS, 110, 10), (one, 70, 14)  # too few pairs, and too large a part of it
+    for system, rows, told in systems:
+        longer = record(system, np.random.default_rng(4), rows=rows, gaps=0.0)
+        found = rs.check_record(smoother(system), longer).correlations
+        assert np.isfinite(found[:told]).all() and np.isnan(found[told:]).all()
 
 
 def test_the_start_of_a_drift_is_no_disagreement():
@@ -101,14 +104,13 @@ def test_the_start_of_a_drift_is_no_disagreement():
 
 
 @pytest.mark.parametrize(
-    ("y", "options", "message"),
+    ("y", "message"),
     [
-        (np.zeros((20, 2)), {}, "y must have more than 20 rows"),
-        (np.full((50, 2), np.nan), {}, r"with \[0, 0\] samples"),
-        (np.zeros((50, 3)), {}, r"y must have shape \(N, 2\)"),
-        (np.zeros((50, 2)), {"lags": 0}, "lags must be an integer of at least 1"),
+        (np.zeros((20, 2)), "y must have more than 20 rows"),
+        (np.full((50, 2), np.nan), r"with \[0, 0\] samples"),
+        (np.zeros((50, 3)), r"y must have shape \(N, 2\)"),
     ],
 )
-def test_what_is_no_record_is_refused(y, options, message):
+def test_what_is_no_record_is_refused(y, message):
     with pytest.raises(ValueError, match=message):
-        rs.check_record(smoother(), y, **options)
+        rs.check_record(smoother(), y)

@@ -1,6 +1,5 @@
 """The least bound: certificates that nothing is below it, its structure, its invariances."""
 
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -227,11 +226,11 @@ def test_no_random_design_of_the_example_is_below_the_infimum(example, best):
     assert feasible > 100
 
 
-def test_search_is_reproducible_and_does_not_depend_on_its_seed(example, best):
+def test_search_is_reproducible_and_does_not_depend_on_its_starts(example, best):
     again = minimize_bound(example, "filtered")
     assert again.bound == best.bound
     assert_array_equal(again.multipliers, best.multipliers)
-    other = minimize_bound(example, "filtered", seed=5)
+    other = minimize_bound(example, "filtered", starts=3)
     assert other.bound_infimum == pytest.approx(best.bound_infimum, rel=1e-10)
 
 
@@ -431,8 +430,7 @@ def test_points_whose_numbers_overflow_are_refused_in_silence(example, capfd, th
     ):
         with np.errstate(over="ignore"):
             point = np.minimum(theta * scale, 1e300)
-        with suppress(InfeasibleDesignError):
-            assert np.isfinite(log_bound(problem, point))
+        assert log_bound(problem, point) > -np.inf
     assert capfd.readouterr() == ("", "")
 
 
@@ -445,7 +443,7 @@ def test_an_infeasible_problem_is_an_error_that_names_a_condition():
     plant = augment(two_channels(5.0, 5.0), 0.0, 0)
     with pytest.raises(InfeasibleDesignError, match="no design was found; with smaller") as caught:
         minimize_bound(plant)
-    assert caught.value.condition.startswith("Assumption 3")
+    assert caught.value.condition == "Assumption 3"
     unstable = replace(two_channels(0.4, 0.4), A=[[1.0]])
     with pytest.raises(InfeasibleDesignError, match="stable"):
         minimize_bound(augment(unstable, 0.0, 0))
@@ -464,8 +462,6 @@ def test_a_measurement_without_noise_is_named_before_the_search():
     [
         ({"starts": 0}, ValueError),
         ({"starts": 1.5}, TypeError),
-        ({"seed": -1}, ValueError),
-        ({"seed": "0"}, TypeError),
         ({"cost": "both"}, ValueError),
     ],
 )

@@ -1,6 +1,7 @@
 """The estimator in discrete time: against solvers of its equation, in any pieces, with gaps."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
 
@@ -161,6 +162,8 @@ def test_a_sample_may_be_cut_in_two(pattern):
     whole = held(estimator, 0.3).run(y)
     halves = held(estimator, 0.15).run(np.repeat(y, 2, axis=0))
     assert_allclose(halves[1::2], whole, rtol=0, atol=1e-13)
+    uneven = held(estimator, 0.1).run(np.repeat(y, 2, axis=0), intervals=[0.03, 0.27] * 5)
+    assert_allclose(uneven[1::2], whole, rtol=0, atol=1e-13)
 
 
 def test_stiff_estimators_are_exact():
@@ -182,7 +185,7 @@ def test_nothing_depends_on_the_unit_of_time(unit):
     """The same estimator with its rates told in another unit."""
     estimator = design()
     delay = estimator.plant.delay_model
-    plant = replace(estimator.plant, delay_model=replace(delay, delay=unit * delay.delay))
+    plant = replace(estimator.plant, delay_model=delay._replace(delay=unit * delay.delay))
     scaled = replace(estimator, plant=plant, A_c=estimator.A_c / unit, B_c=estimator.B_c / unit)
     y, dt = record(200, gaps=0.1), 0.2
     one, other = held(estimator, dt), held(scaled, unit * dt)
@@ -268,12 +271,13 @@ def test_long_samples_are_stable():
 
 
 KINDS = {
-    "plain": (np.tanh, np.sin),
+    "plain": (np.vectorize(math.tanh), np.vectorize(math.sin)),
     "of arrays": (np.tanh, of_arrays),
-    "mixed": (bend, np.sin),
+    "mixed": (bend, np.vectorize(math.sin)),
 }
 
 
+@pytest.mark.filterwarnings("ignore:numba cannot compile")
 @pytest.mark.parametrize("functions", KINDS.values(), ids=KINDS)
 def test_functions_that_are_not_compiled_give_the_same(functions):
     estimator = design()
@@ -298,6 +302,60 @@ def test_some_functions_may_be_given():
     given_one = held(estimator, 0.2, functions=(None, np.sin))
     y = record(20)
     assert_allclose(given_one.run(y), held(estimator, 0.2).run(y), rtol=0, atol=1e-13)
+
+
+def test_plain_functions_are_compiled():
+    functions = (lambda v: np.tanh(v), np.sin)
+    discrete = held(design(), 0.2, functions=functions)
+    assert discrete.compiled
+    y, reference = record(100, gaps=0.2), record(100, seed=1)
+    expected = held(design(), 0.2).run(y, reference=reference)
+    assert_allclose(discrete.run(y, reference=reference), expected, rtol=0, atol=1e-12)
+    loop = baselines.kalman_bucy(homodyne.PAPER.uncertain_system(), copies=True)
+    assert loop.discretize(1e-8).compiled
+
+
+def test_a_function_that_is_not_compiled_is_told_once_and_its_errors_are_raised():
+    def stubborn(v):
+        if np.abs(v).max() > 3.0:
+            raise OverflowError("too far")
+        return np.array([math.sin(each) for each in v])
+
+    with pytest.warns(RuntimeWarning, match="cannot compile the function .*stubborn") as given:
+        discrete = held(design(), 0.2, functions=(None, stubborn))
+        held(design(), 0.2, functions=(None, stubborn))
+    assert len(given) == 1 and not discrete.compiled
+    y = record(50)
+    assert_allclose(discrete.run(y), held(design(), 0.2).run(y), rtol=0, atol=1e-12)
+    before = discrete.state
+    with pytest.raises(OverflowError, match="too far"):
+        discrete.run(1e3 * y)
+    assert_array_equal(discrete.state, before)
+    assert np.isfinite(discrete.run(y)).all()
+
+
+def test_a_compiled_function_that_fails_is_not_taken_for_a_number():
+    @numba.njit
+    def limited(v):
+        if v > 3.0:
+            raise ValueError("too far")
+        return math.sin(v)
+
+    discrete = held(design(), 0.2, functions=(None, limited))
+    with pytest.raises(ArithmeticError, match="left the range"):
+        discrete.run(1e3 * record(50))
+
+
+def test_a_function_of_which_numba_makes_another_is_called_as_it_is():
+    calls = []
+
+    def counting(v):
+        calls.append(v)
+        return np.sin(v)
+
+    with pytest.warns(RuntimeWarning, match="cannot compile the function"):
+        discrete = held(design(), 0.2, functions=(None, counting))
+    assert not discrete.compiled and len(calls) > 0
 
 
 def test_a_copy_without_effect_needs_no_function():
@@ -373,7 +431,7 @@ def test_a_long_gap_ends_at_the_prior(seed, g, cost):
 def test_gaps_cost_no_more_than_their_patterns():
     discrete = held(design(), 0.2)
     discrete.run(record(500, gaps=0.5))
-    assert len(discrete._engine._steps.transition) == 4  # all subsets of two channels
+    assert len(discrete._engine._kept) == 4  # all subsets of two channels
 
 
 # --- pieces --------------------------------------------------------------------------------------
@@ -481,6 +539,7 @@ def test_the_state_is_what_the_last_row_was_read_from():
     assert discrete.samples == 0 and not discrete.state.any()
 
 
+@pytest.mark.filterwarnings("ignore:numba cannot compile")
 def test_it_tells_what_it_is():
     discrete = held(design(), 0.2)
     discrete.step([1.0, 2.0])
@@ -687,6 +746,36 @@ def test_one_measurement_may_be_a_list():
         discrete.run(np.zeros((1, 5)))
 
 
+@pytest.mark.parametrize("delay", ["exact", "model"])
+def test_samples_one_by_one_are_those_of_a_run(delay):
+    estimator = baselines.fixed_lag_smoother(homodyne.PAPER.uncertain_system(), 3.1e-6, 2, True)
+    y = record(200, 1, gaps=0.1)
+    expected = estimator.discretize(1e-6, delay=delay, offset=[1.0]).run(y)
+    for kind in (float, list, np.array):
+        discrete = estimator.discretize(1e-6, delay=delay, offset=[1.0])
+        found = [discrete.step(float(row[0]) if kind is float else kind(row)) for row in y]
+        assert_array_equal(found, expected)
+        assert discrete.samples == 200
+
+
+@pytest.mark.parametrize("delay", ["exact", "model"])
+def test_threads_that_share_a_smoother_take_turns(delay):
+    system = homodyne.PAPER.uncertain_system()
+    discrete = baselines.fixed_lag_smoother(system, 3.1e-6, 2, True).discretize(1e-6, delay=delay)
+    expected = discrete.run(np.ones((4000, 1)))[-1]
+
+    def one_by_one(y):
+        for row in y:
+            discrete.step(row)
+
+    for take in (one_by_one, discrete.run):
+        discrete.reset()
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(take, [np.ones((500, 1))] * 8))
+        assert discrete.samples == 4000
+        assert_array_equal(discrete.smoothed, expected)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -698,7 +787,7 @@ def test_one_measurement_may_be_a_list():
         (lambda d: d.run(record(3), reference=np.zeros((3, 1))), r"must have shape \(N, 2\)"),
         (lambda d: d.step([1, 2], reference=[0, np.nan]), "reference must be finite, got nan"),
         (lambda d: d.times(1), "rows must be at most the 0 samples taken, got 1"),
-        (lambda d: d.reset([1.0]), "state must have 2 entries, got 1"),
+        (lambda d: d.reset([1.0]), r"state must have shape \(2\), got \(1,\)"),
     ],
 )
 def test_wrong_calls_are_refused(call, message):

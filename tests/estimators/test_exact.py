@@ -79,6 +79,32 @@ def test_estimates_are_means_given_the_samples_whatever_the_delay(seed, parts_of
 
 
 @settings(max_examples=30)
+@given(seeds, st.integers(0, 9), st.booleans())
+def test_samples_may_have_any_lengths_and_be_of_instants(seed, parts_of_the_delay, instants):
+    system, rng = random_plant(seed)
+    delay, covariance = parts_of_the_delay / 4 * DT, np.diag(rng.uniform(0.5, 2.0, system.n))
+    counts = rng.integers(1, 6, 15)
+    y = with_gaps(rng.standard_normal((15, system.l)), rng)
+    discrete = exact(system, delay, samples="instants" if instants else "means")
+    discrete.reset(np.zeros(system.n), covariance=covariance)
+    found, now = [], []
+    for rows in np.split(np.arange(15), [rng.integers(1, 15)]):
+        found.append(discrete.run(y[rows], intervals=counts[rows] * DT / 4, return_std=True))
+        now.append([discrete.smoothed, discrete.filtered])
+        assert_allclose(now[-1][0], found[-1][0][-1], rtol=1e-9)
+    expected = conditioned(system, DT, y, delay, covariance, 4, counts=counts, instants=instants)
+    for one, other in zip(np.concatenate(found, axis=1), expected, strict=True):
+        assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.nanmax(np.abs(other), initial=0.0))
+    discrete.reset(np.zeros(system.n), covariance=covariance)
+    found = discrete.two_sided(y, intervals=counts * DT / 4)
+    expected = conditioned(
+        system, DT, y, 0.0, covariance, 4, whole=True, counts=counts, instants=instants
+    )
+    for one, other in zip(found, expected, strict=True):
+        assert_allclose(one, other, rtol=1e-8, atol=1e-8 * np.abs(other).max())
+
+
+@settings(max_examples=30)
 @given(seeds)
 def test_two_sided_estimates_are_those_of_rauch_tung_and_striebel(seed):
     system, rng = random_plant(seed)
@@ -219,6 +245,16 @@ def test_a_bank_has_the_estimates_of_every_delay():
         assert_allclose(bank[:, i], exact(PAIR, lag * DT).run(y), atol=1e-13)
 
 
+@pytest.mark.parametrize("delay", [0.3, 0.25])
+def test_lengths_of_dt_change_nothing(delay):
+    y = with_gaps(np.random.default_rng(22).standard_normal((40, 2)), np.random.default_rng(4))
+    plain, told = exact(PAIR, delay), exact(PAIR, delay)
+    expected = plain.run(y)
+    assert_allclose(told.run(y[:20], intervals=np.full(20, DT)), expected[:20], atol=1e-13)
+    assert_allclose(told.run(y[20:30]), expected[20:30], atol=1e-13)
+    assert_allclose([told.step(row) for row in y[30:]], expected[30:], atol=1e-13)
+
+
 # --- error bars ----------------------------------------------------------------------------------
 
 
@@ -317,7 +353,11 @@ def bend(v):
     return math.tanh(v)
 
 
-@pytest.mark.parametrize("function", [bend, np.tanh])
+PYTHONS = np.vectorize(math.tanh)  # numba cannot compile it
+
+
+@pytest.mark.filterwarnings("ignore:numba cannot compile")
+@pytest.mark.parametrize("function", [bend, np.tanh, PYTHONS])
 def test_copies_act_as_in_continuous_time(function):
     channel = rs.Nonlinearity([[0.5], [1.0]], [[1.0, -0.5]], [[0.3], [0.2]], 1.0, function)
     system = replace(PAIR, nonlinearities=[channel])
@@ -325,10 +365,28 @@ def test_copies_act_as_in_continuous_time(function):
     y = 3.0 * np.repeat(np.random.default_rng(9).standard_normal((80, 2)), 50, axis=0)
     reference = np.repeat(np.random.default_rng(10).standard_normal((80, 1)), 50, axis=0)
     discrete = estimator.discretize(2e-3)
-    assert discrete.compiled == (function is bend)
+    assert discrete.compiled == (function is not PYTHONS)
     found = discrete.run(y, reference=reference)[3000:]
     own = estimator.discretize(2e-3, delay="model").run(y, reference=reference)[3000:]
     assert_allclose(found, own, atol=2e-3 * np.abs(own).max())
+    lengths = np.random.default_rng(11).uniform(1e-3, 3e-3, 4000)
+    for samples, intervals in (("means", lengths), ("instants", None)):
+        given = {"reference": reference, "intervals": intervals, "output": "filtered"}
+        found = estimator.discretize(2e-3, samples=samples).run(y, **given)[3000:]
+        own = estimator.discretize(2e-3, delay="model").run(y, **given)[3000:]
+        assert_allclose(found, own, atol=3e-3 * np.abs(own).max())
+
+
+@pytest.mark.parametrize("delay", [0.034, 0.03])
+def test_estimates_within_a_sample_move_with_copies_and_inputs(delay):
+    channel = rs.Nonlinearity([[0.5], [1.0]], [[1.0, -0.5]], [[0.3], [0.2]], 1.0, bend)
+    driven = replace(PAIR, B2=[[1.0], [0.0]], D22=[[0.0], [0.5]], nonlinearities=[channel])
+    estimator = baselines.fixed_lag_smoother(driven, delay, 2, copies=True)
+    rows = np.repeat(np.random.default_rng(23).standard_normal((20, 3)), 30, axis=0)
+    coarse = estimator.discretize(1e-2).run(rows[:, :2], inputs=rows[:, 2:])
+    rows = np.repeat(rows, 10, axis=0)
+    fine = estimator.discretize(1e-3).run(rows[:, :2], inputs=rows[:, 2:])[9::10]
+    assert_allclose(coarse[100:], fine[100:], atol=5e-3 * np.abs(fine).max())
 
 
 def test_a_robust_design_runs_with_its_delay_model():
@@ -378,8 +436,9 @@ def test_a_record_in_pieces_is_as_one(delay):
     assert_array_equal([discrete.step(row) for row in y], whole[0])
 
 
+@pytest.mark.filterwarnings("ignore:numba cannot compile")
 @pytest.mark.parametrize("delay", ["exact", "model"])
-@pytest.mark.parametrize("function", [bend, np.tanh])
+@pytest.mark.parametrize("function", [bend, np.tanh, PYTHONS])
 def test_a_copy_of_a_smoother_goes_on_as_it_does(delay, function):
     channel = rs.Nonlinearity([[0.5], [1.0]], [[1.0, -0.5]], [[0.3], [0.2]], 1.0, function)
     estimator = baselines.fixed_lag_smoother(
@@ -419,6 +478,14 @@ for copies in (False, True):
         (lambda d: d.reset(covariance=[[1, 2], [2, 1]]), "covariance must be nonnegative definite"),
         (lambda d: d.bank([[0, 0]], 3), "lags must be a sequence of integers, got 3"),
         (lambda d: d.bank([[0, 0]], [2, 1]), "lags must ascend, and be at most 3"),
+        (lambda d: d.run([[0, 0]], intervals=[0.1, 0.1]), "intervals must be the lengths of 1 int"),
+        (lambda d: d.run([[0, 0]] * 2, intervals=[0.1, -0.1]), "rows in order of their times"),
+        (lambda d: d.step([0, 0], interval=0.0), "not below 1e-06 dt"),
+        (lambda d: [d.step([0, 0], interval=0.2), d.times(1)], "rows had intervals of their own"),
+        (
+            lambda d: baselines.kalman_bucy(PAIR).discretize(1, delay="model", samples="instants"),
+            "samples='instants' is for an exact smoother",
+        ),
         (lambda d: d.bank([[0, 0]], [4]), "lags must ascend, and be at most 3"),
         (lambda d: replace(PAIR, D22=1.0), r"D22 must have 2 dimension"),
         (lambda d: replace(PAIR, B2=np.zeros((2, 1)), D22=np.zeros((2, 2))), "D22 must have shape"),

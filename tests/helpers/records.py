@@ -1,5 +1,7 @@
 """Records of a linear system, and what is to be known from them, by independent routes."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.linalg import expm
 
@@ -25,30 +27,38 @@ def simulated(system, dt, rows, rng, start):
     return ends[:, system.n :] / dt, ends[:, : system.n]
 
 
-def conditioned(system, dt, y, delay, covariance, parts=1, whole=False):
+def conditioned(
+    system, dt, y, delay, covariance, parts=1, whole=False, counts=None, instants=False
+):
     """Return estimates of w and their deviations, given all samples so far, or the whole record.
 
     All noises of the record are one Gaussian vector; each estimate is its mean given the samples.
-    A sample has so many parts, of which a whole number is in the delay. The state at the start
-    has the mean zero; without a covariance nothing is known of it, and it is that of least squares.
+    A sample has so many parts, of which a whole number is in the delay; or it has counts of them.
+    It is a mean, or of the instant at its end, with the noise of a mean over `dt`. The state at the
+    start has the mean zero; without a covariance nothing is known of it, and it is that of least
+    squares.
     """
-    through, root = in_samples(system, dt / parts)
-    n, width = system.n, root.shape[1]
-    total = n + len(y) * parts * width
+    counts = [parts] * len(y) if counts is None else counts
+    within = replace(system, C2=0.0 * system.C2) if instants else system
+    through, root = in_samples(within, dt / parts)
+    n, width, ends = system.n, root.shape[1], np.cumsum(counts)
+    total = n + ends[-1] * width
     states, seen = [np.zeros((n, total))], []
     states[0][:, :n] = np.eye(n) if covariance is None else np.linalg.cholesky(covariance)
     integral = np.zeros((system.l, total))
-    for i in range(len(y) * parts):
+    for i in range(ends[-1]):
         end = through @ states[-1]
         end[:, n + i * width : n + (i + 1) * width] += root
         states.append(end[:n])
         integral = integral + end[n:]
-        if (i + 1) % parts == 0:
-            seen.append(integral / dt)
+        if i + 1 in ends:
+            length = counts[len(seen)] * dt / parts
+            noise = integral / np.sqrt(length * dt)
+            seen.append(system.C2 @ states[-1] + noise if instants else integral / length)
             integral = 0.0 * integral
     found = np.full((2, len(y), system.m), np.nan)
     for k in range(len(y)):
-        at = (k + 1) * parts - round(delay / dt * parts)
+        at = ends[k] - round(delay / dt * parts)
         if at < 0:
             continue
         last = len(y) if whole else k + 1

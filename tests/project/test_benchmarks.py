@@ -1,15 +1,17 @@
 """The benchmark: its peers simulate what robsmooth does, and the README says what was measured."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks import __main__ as bench
-from benchmarks import race, report, throughput
+from benchmarks import latency, race, report, throughput
 from benchmarks.peers import PEERS, cpp, numpy_vectorised, octave, robsmooth_kernel
 from benchmarks.problem import Sample, Unavailable, literal_problem
 from robsmooth import cli
@@ -147,6 +149,26 @@ def test_a_wrong_contender_is_found_out(monkeypatch):
     assert [name for name, row in found.items() if not row["agrees"]] == ["other"]
 
 
+def test_c_code_that_steps_otherwise_is_found_out(monkeypatch):
+    if latency.shutil.which("cc") is None:
+        pytest.skip("there is no compiler cc")
+    effort = latency.Effort(rounds=1, calls=10, samples=10)
+    right = latency.latency(effort)["contenders"]
+    assert all(row["agrees"] for row in right.values())
+    assert list(map(len, (row["nanoseconds"] for row in right.values()))) == [3, 3, 3, 3, 1, 1, 1]
+    monkeypatch.setattr(latency, "DRIVER", latency.DRIVER.replace("B[i] * y[k]", "B[i] * 2 * y[k]"))
+    wrong = latency.latency(effort)["contenders"]
+    assert [name for name, row in wrong.items() if not row["agrees"]] == [latency.BY_HAND]
+
+
+def test_without_a_compiler_the_steps_of_python_are_timed(monkeypatch, results):
+    monkeypatch.setattr(latency.shutil, "which", lambda name: None)
+    found = latency.latency(latency.Effort(rounds=1, calls=10, samples=10))
+    assert not any(name.startswith("C,") for name in found["contenders"])
+    (table,) = report.latency_tables({**results, "latency": found})
+    assert f"| {latency.OURS} |" in table.markdown()
+
+
 def test_a_workload_takes_the_time_it_is_given():
     peer = replace(BY_NAME["NumPy, float32"], width=1000)
     assert race.workload(peer, rate=1e9, seconds=0.5) == (5000, 100_000)
@@ -166,7 +188,7 @@ def test_statistics_are_of_the_squares():
 def test_bench_measures_and_prints(capfd):
     kept = [ROOT / "README.md", *report.FOLDER.glob("results.*"), *report.FOLDER.glob("scaling.*")]
     before = [path.stat().st_mtime_ns for path in kept]
-    assert cli.main(["bench", "--quick", "--peers", "NumPy,Octave"]) == 0
+    assert bench.main(["--quick", "--peers", "NumPy,Octave"]) == 0
     printed = capfd.readouterr().out
     for text in (
         "| NumPy, float64 |",
@@ -176,11 +198,21 @@ def test_bench_measures_and_prints(capfd):
         "steps^",
         "lfilter |",
         "csv to csv |",
+        "| 99.9% |",
     ):
         assert text in printed
     skipped = "skipped: Octave, vectorised: octave is not installed"
     assert ("| Octave, vectorised |" in printed) != (skipped in printed)
     assert [path.stat().st_mtime_ns for path in kept] == before
+
+
+def test_the_command_does_what_the_bench_does(monkeypatch):
+    said = []
+    ended = SimpleNamespace(returncode=3)
+    monkeypatch.setattr(cli.subprocess, "run", lambda *call, **_: said.append(call) or ended)
+    assert cli.main(["bench"]) == cli.main(["bench", "--write"]) == 3
+    plain = [sys.executable, "-m", "benchmarks"]
+    assert said == [(plain,), ([*plain, "--write"],)]
 
 
 def test_a_quick_run_is_not_written(capfd):

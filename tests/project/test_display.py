@@ -67,7 +67,7 @@ def study():
 
 # Every public class: how to come by one, and what its repr must tell.
 OBJECTS = {
-    "AnalysisBound": (lambda: rs.analysis_bound(smoother()), ["mean_square=0.2", "guarantee=0.25"]),
+    "AnalysisBound": (lambda: rs.analysis_bound(smoother()), ["mean_square=0.2", "fraction=1"]),
     "AugmentedSystem": (lambda: smoother().plant, ["delay=3.1e-06 s", "order=2", "n=3 states"]),
     "Choice": (lambda: rs.best_smoother(smoother().plant), ["against='admissible'", "nominal=0.0"]),
     "ConstantMinimaxSmoother": (
@@ -85,7 +85,7 @@ OBJECTS = {
     "InadmissibleWarning": (lambda: rs.InadmissibleWarning("outside"), ["outside"]),
     "InfeasibleDesignError": (
         lambda: rs.InfeasibleDesignError("Assumption 2", "no noise"),
-        ["Assumption 2 fails: no noise"],
+        ["Assumption 2", "no noise"],
     ),
     "Judgement": (
         lambda: rs.judge(smoother(), "filtered"),
@@ -93,7 +93,7 @@ OBJECTS = {
     ),
     "LagChoice": (
         lambda: rs.choose_lag(PAPER.uncertain_system(), fraction=0.8),
-        ["e-06 s", "order=1", "error=0.05", "target=0.05"],
+        ["lag=1.8", "order=1", "error=0.05", "target=0.05"],
     ),
     "LagSweep": (
         lambda: rs.lag_sweep(PAPER.uncertain_system(), [1e-6, 2e-6], [1, 2]),
@@ -113,7 +113,7 @@ OBJECTS = {
     ),
     "Nonlinearity": (
         lambda: PAPER.uncertain_system().nonlinearities[0],
-        ["C=[[929.6]]", "lipschitz=1", "function=channel"],
+        ["C=[[929.6]]", "lipschitz=1", "function=HomodyneParameters.channel"],
     ),
     "RecordCheck": (
         lambda: rs.check_record(
@@ -141,17 +141,12 @@ OBJECTS = {
     "UnstableLoopError": (lambda: rs.UnstableLoopError("not stable"), ["not stable"]),
     "WorstCase": (
         lambda: rs.worst_case(smoother(), "filtered"),
-        ["mean_square=0.2", "nominal=0.1", "guarantee=0.2"],
+        ["mean_square=0.2", "nominal=0.1"],
     ),
     # public by the modules of the package, or what functions return
     "HomodyneParameters": (lambda: PAPER, ["lam=9140.0", "gamma=0.4"]),
-    "DelayModel": (lambda: smoother().plant.delay_model, ["order=2", "2 states", "1 channels"]),
     "RiccatiSolution": (lambda: smoother().certificates["Y"], ["residual=", "error="]),
     "Verdicts": (lambda: rs.verdicts(kinds=("model",)), ["reproduced", "3 not reproduced"]),
-    "Verdict": (
-        lambda: rs.verdicts(kinds=("model",))[0],
-        ["A_p[0, 0]: printed -9.14e3 1/s, ours -9140, reproduced"],
-    ),
 }
 
 
@@ -233,10 +228,7 @@ def test_an_object_says_what_it_is(name):
 
 
 RICH = {
-    "AnalysisBound": ["largest mean square error", r"\theta"],
     "Choice": ["certified worst", "classical", "best"],
-    "SimulationResult": [r"\pm", "constraints used"],
-    "Study": ["smoothed / filtered", "2 designs"],
     "HomodyneParameters": [r"\(\kappa\)", "rad²/s", "40000"],
     "Verdicts": ["relative difference", "A_p[0, 0]", "zeros"],
 }
@@ -299,7 +291,7 @@ def test_systems_of_any_size_show_themselves(plant, seed):
     estimator = rs.baselines.fixed_lag_smoother(system, plant.delay, plant.order)
     wide = random_system(np.random.default_rng(seed), n=7, m=2, measurements=2, g=5)
     for shown in (
-        *(system, plant, plant.delay_model, estimator, wide),
+        *(system, plant, estimator, wide),
         *(*system.uncertainties, *system.nonlinearities, *wide.nonlinearities),
     ):
         check_display(shown)
@@ -317,20 +309,19 @@ def test_a_loop_without_a_bound_shows_itself():
     estimator = rs.baselines.kalman_bucy(two_channels(2.0, C2=0.0))
     bound, worst = rs.analysis_bound(estimator, "filtered"), rs.worst_case(estimator, "filtered")
     assert math.isinf(bound.mean_square) and math.isinf(worst.mean_square)
-    assert "guarantee" not in check_display(bound)["html"]
-    assert "inf" in check_display(worst)["text"]
+    for shown in (bound, worst):
+        assert "mean_square=inf" in check_display(shown)["text"]
 
 
 def test_a_single_path_shows_a_mean_without_an_error():
     single = rs.MeanSquare(0.05, math.nan)
     assert str(single) == "0.05 +- nan"
-    assert single._repr_latex_() == "$0.05$"
 
 
 def test_a_study_without_a_design_shows_itself():
     empty = {name: np.full((1, 1, 1, 1), np.nan) for name in ("bound", "smoothed", "filtered")}
     none = rs.Study((0.4,), (1.0,), (1,), (1e-6,), empty, {(0.4, 1.0): "no"})
-    assert "smoothed / filtered" not in check_display(none)["html"]
+    assert "0 designs, 1 columns without" in check_display(none)["text"]
 
 
 # --- verdicts -------------------------------------------------------------------------------------
@@ -341,12 +332,6 @@ def test_verdicts_are_a_list():
     assert isinstance(found, list) and all(isinstance(verdict, Verdict) for verdict in found)
     assert repr(Verdicts()) == "Verdicts(none)"
     check_display(Verdicts())
-
-
-def test_the_long_words_of_a_verdict_are_cut():
-    verdict = Verdict("41%", "IV-E", "words " * 50, "other " * 50, None, "not reproduced", "why")
-    assert repr(verdict).endswith("..., not reproduced)")
-    check_display(verdict)
 
 
 def test_words_that_html_would_misread_are_escaped():
@@ -384,21 +369,6 @@ def test_a_number_is_what_it_says(value):
     text = text.replace(r"\times10^{", "e").replace("10^{", "1e").replace("}", "")
     # 4 digits, and denormal numbers have fewer
     assert float(text) == pytest.approx(value, rel=5.1e-4, abs=1e-320)
-
-
-@pytest.mark.parametrize(
-    ("mean", "error", "text"),
-    [
-        (0.051788, 1.57e-5, r"0.051788 \pm 1.6\times10^{-5}"),
-        (12.3456, 0.21, r"12.35 \pm 0.21"),
-        (0.0, 0.1, r"0 \pm 0.1"),
-        (0.5, 3.0, r"0.5 \pm 3"),
-        (0.5, 0.0, "0.5"),
-        (math.inf, 1.0, r"\infty"),
-    ],
-)
-def test_estimates_have_the_digits_of_their_errors(mean, error, text):
-    assert notation.estimate(mean, error) == text
 
 
 def test_matrices_are_elided_in_the_middle():

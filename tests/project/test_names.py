@@ -94,16 +94,15 @@ def test_a_name_that_was_asked_for_is_there():
 @pytest.mark.parametrize(
     ("name", "here"),
     [
-        ("minimise_bound", "did you mean robsmooth.minimize_bound?"),
-        ("UncertainSytem", "did you mean robsmooth.UncertainSystem?"),
-        ("error_covarience", "did you mean robsmooth.error_covariance?"),
-        ("MonteCarlo", "did you mean robsmooth.monte_carlo?"),
+        ("minimise_bound", "minimize_bound"),
+        ("UncertainSytem", "UncertainSystem"),
+        ("error_covarience", "error_covariance"),
     ],
 )
-def test_a_near_miss_is_told_the_name(name, here):
-    with pytest.raises(AttributeError) as error:
-        getattr(rs, name)
-    assert str(error.value).endswith(f"has no attribute {name!r}; {here}")
+def test_python_tells_the_name_that_was_nearly_given(name, here):
+    program = [sys.executable, "-c", f"import robsmooth; robsmooth.{name}"]
+    ended = subprocess.run(program, capture_output=True, text=True)
+    assert ended.stderr.endswith(f"has no attribute {name!r}. Did you mean: {here!r}?\n")
 
 
 @pytest.mark.parametrize("name", ["xyzzy", "_augment", "__path_of_no_one__"])

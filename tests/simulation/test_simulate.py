@@ -454,7 +454,7 @@ def test_record_of_a_loop_without_a_reference_has_zeros():
 def test_a_reference_that_is_no_estimate_of_w_is_refused():
     estimator = referring_to(curved_estimator(), "filtered", None)
     for function in (simulate, sample_paths):
-        with pytest.raises(ValueError, match="there is no filtered estimate of the argument of"):
+        with pytest.raises(ValueError, match="there is no estimate of the argument of"):
             function(estimator)
 
 

@@ -96,9 +96,9 @@ def test_what_goes_out_is_in_continuous_time_a_copy_and_keeps_all_states(monkeyp
     [
         (
             control.tf([1.0], [1.0, 1.0]),
-            r"got TransferFunction; control\.ss\(\.\.\.\) makes it one",
+            r"got TransferFunction; control\.ss\(\.\.\.\) makes one",
         ),
-        (np.eye(2), "must be a control.StateSpace, got ndarray$"),
+        (np.eye(2), "plant must be a StateSpace, got ndarray"),
         (None, "got NoneType"),
     ],
 )
@@ -210,7 +210,7 @@ PLANT = control.ss(-1.0, [[1.0, 2.0]], 1.0, [[0.0, 0.0]])
         (dict(process_uncertainty=[[1, 2]]), ValueError, r"uncertainties\[0\]\.C must have shape"),
         (dict(measurement_uncertainty=[[1, 2]]), ValueError, r"uncertainties\[1\]\.C must have"),
         (dict(plant=control.ss(-1, 1, 1, 0, True)), ValueError, "plant must be in continuous"),
-        (dict(plant=control.ss([], [], [], [[1.0]])), ValueError, "plant must have a state"),
+        (dict(plant=control.ss([], [], [], [[1.0]])), ValueError, "A must be square and not empty"),
     ],
 )
 def test_what_makes_no_system_of_a_plant_is_one_clear_error(change, error, words):
@@ -320,7 +320,7 @@ def test_estimators_stand_side_by_side():
 
 def test_slopes_of_an_estimator_are_checked():
     design = a_design()
-    with pytest.raises(ValueError, match="slopes must have 2 entries, got 1"):
+    with pytest.raises(ValueError, match=r"slopes must have shape \(2\), got \(1,\)"):
         design.to_statespace([0.0])
     with pytest.raises(ValueError, match="slopes must be finite"):
         design.to_statespace([0.0, np.inf])

@@ -134,8 +134,7 @@ def test_damaged_profiles_are_an_error(project):
 @pytest.mark.parametrize(
     "values, message",
     [
-        ({"rums": 5}, r"rums is unknown; did you mean runs\?"),
-        ({"xyz": 5}, r"xyz is unknown; known: check, lag, runs, scale, seed$"),
+        ({"rums": 5}, "rums is unknown; known: check, lag, runs, scale, seed$"),
         ({"output_dir": "x"}, "output_dir is set by the pipeline"),
         ({"scheduler": "x"}, "scheduler is set by the pipeline"),
         ({"checkpoint_dir": "x"}, "checkpoint_dir is set by the pipeline"),
@@ -188,7 +187,7 @@ def test_profile_values_are_used_and_overridden(project):
     [
         ("[quick.01_good]\nrums = 3\n", r"profiles.toml, \[quick.01_good\]: parameter rums is unk"),
         ("[quick.01_good]\nruns = -3\n", r"\[quick.01_good\]: runs must be finite and in"),
-        ("[quick.01_god]\nruns = 3\n", r"\[quick\]: notebook 01_god is unknown; did you mean 01_"),
+        ("[quick.01_god]\nruns = 3\n", r"\[quick\]: notebook 01_god is unknown; known: 01_good"),
     ],
 )
 def test_a_wrong_profile_is_an_error(project, table, message):
@@ -247,7 +246,7 @@ def test_notebooks_are_selected_by_parts_of_their_names():
     assert runner.select(names, []) == names
     assert runner.select(names, ["02", "model"]) == ["01_model", "02_design"]
     assert runner.select(names, ["03"]) == ["03_sweep", "03_sweep_wide"]
-    with pytest.raises(PipelineError, match="02_desing is unknown; did you mean 02_design"):
+    with pytest.raises(PipelineError, match="02_desing is unknown; known: 01_model, 02_design"):
         runner.select(names, ["02_desing"])
 
 
@@ -457,7 +456,7 @@ def test_a_notebook_that_can_use_a_cluster_is_given_its_scheduler(project):
     "address, message",
     [
         ("tcp://127.0.0.1:1", "--dask: no Dask scheduler answers at tcp://127.0.0.1:1 within 5 s"),
-        ("127.0.0.1:8786", "--dask: the address of a scheduler must be tcp://host:port"),
+        ("http://host:80", "--dask: no Dask scheduler answers at http://host:80"),
     ],
 )
 def test_a_cluster_that_is_not_there_is_one_line_before_anything_runs(

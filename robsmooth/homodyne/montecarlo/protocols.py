@@ -1,25 +1,14 @@
-"""The two protocols of `monte_carlo`: what is simulated, and what is made of it.
-
-A block of `BLOCK` paths always has the same result: blocks may be computed anywhere and in any
-order, as long as they are merged in the order of their index.
-"""
+"""The two protocols of `monte_carlo`: what is simulated, and what is made of it."""
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, Self
 
 import numba
 import numpy as np
 
-from robsmooth._numerics.steps import (
-    MULTIPLE_TOLERANCE,
-    dividing_step,
-    steps_in,
-    warn_of_long_step,
-    whole_steps,
-)
+from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.cluster import ALONE, worker_threads
@@ -45,31 +34,6 @@ FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, below which there are no control 
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
 
 
-class Schedule(NamedTuple):
-    """When to sample, in steps: the order of the fields is the kernel's contract."""
-
-    start: int  # after which the phase is first recorded
-    stride: int  # between records
-    lag: int  # records: the age of the phase for the smoothed error
-    samples: int  # of the errors, from when the first record is that old
-
-    @property
-    def steps(self) -> int:
-        """Steps of a path."""
-        return self.start + (self.lag + self.samples - 1) * self.stride
-
-
-def time_average(warm_up: int, steps: int, delay: int, longest_stride: int) -> Schedule:
-    """Samples along `steps` steps after `warm_up` steps, for a lag of `delay` steps.
-
-    The stride must divide the delay, and is the longest such up to `longest_stride`.
-    """
-    stride = max(1, min(longest_stride, steps))
-    if delay > 0:
-        stride = max(s for s in range(1, min(stride, delay) + 1) if delay % s == 0)
-    return Schedule(max(warm_up - delay, 0), stride, delay // stride, steps // stride + 1)
-
-
 @dataclass(frozen=True, eq=False)
 class Simulation:
     """What the paths of any protocol depend on, together with their index."""
@@ -87,7 +51,6 @@ class Simulation:
     kernel: ClassVar[ModuleType]
     default_runs: ClassVar[int]
     compiled_for: ClassVar[tuple] = ()  # besides the order and the precision
-    weights: ClassVar[Matrix | None] = None  # of controls
 
     @property
     def blocks(self) -> int:
@@ -109,7 +72,7 @@ class Simulation:
                 (real(0),) * n,
                 np.concatenate([np.ravel(part) for part in self.coefficients]).astype(real),
                 self.readout.ravel(),
-                tuple(self.schedule),
+                self.schedule,
                 np.uint64(self.seed),
                 first,
                 results.reshape(count, -1),
@@ -163,6 +126,7 @@ class ErgodicSimulation(Simulation):
     """The time-averaging protocol: Strang's splitting, with a linear control variate."""
 
     control: Matrix  # (3,), means of the control's squared errors and of the filtered one's square
+    weights: Matrix  # (2, 3), of these for the two errors: other machines' BLAS has other last bits
 
     kernel = splitting
     default_runs = 1024
@@ -173,46 +137,38 @@ class ErgodicSimulation(Simulation):
         slopes = splitting.control_slopes(loop)
         slowest = decay_rate(loop.linearised_drift(*slopes)[1:, 1:])
         duration = duration or max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
-        longest = STEP_OF_TIME_CONSTANT * loop.response_time()
-        default = dividing_step(loop.delay, longest, duration)
+        response = loop.response_time()
+        default = dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * response, duration)
         step = step or default
         warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
-        stride = int(longest / step + MULTIPLE_TOLERANCE)
         steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
-        warn_of_long_step(step, loop.response_time(), SILENT_SPLITTING, default, stacklevel=5)
+        warn_of_long_step(step, response, SILENT_SPLITTING, default, stacklevel=5)
         filtered, lagged = loop.linear_errors(*slopes)
-        schedule = time_average(warm_up, steps, delay, longest_stride=stride)
-        return cls(
+        simulation = cls(
             **numbers,
             step=step,
             warm_up=warm_up * step,
-            duration=(schedule.samples - 1) * schedule.stride * step,
-            steps=schedule.steps,
+            duration=steps * step,
+            steps=warm_up + steps,
             readout=loop.readout,
             coefficients=splitting.coefficients_of(loop, step, slopes),
-            schedule=schedule,
+            schedule=(warm_up, delay, steps),
             control=np.array([filtered, lagged, 3 * filtered**2]),  # it is Gaussian
+            weights=np.zeros((2, 3)),
         )
+        # from a pilot of other paths in lock
+        outputs = simulation.simulate(PILOT_BLOCK, 1)[0]
+        in_lock = outputs[:, outputs[splitting.SLIPS] == 0]
+        if in_lock.shape[1] < FEWEST_IN_PILOT:
+            return simulation
+        weights = control_weights(in_lock[splitting.ERRORS], in_lock[splitting.CONTROLS])
+        return replace(simulation, weights=weights)
 
     @property
     def compiled_for(self) -> tuple:
         """The Gaussians of a step, and the copy of the nonlinearity where it has any effect."""
         runs_copy = self.coefficients.copy.any() and self.coefficients.copy_gain.any()
         return (np.float32(0),) * self.coefficients.root.shape[1], (0,) * int(runs_copy)
-
-    @cached_property
-    @one_thread
-    def weights(self) -> Matrix:
-        """Weights of the three controls for the two errors, from a pilot of other paths in lock.
-
-        Other machines are sent the weights of this one: their BLAS has other last bits.
-        """
-        outputs = self.simulate(PILOT_BLOCK, 1)[0]
-        in_lock = outputs[:, outputs[splitting.SLIPS] == 0]
-        errors, controls = in_lock[splitting.ERRORS], in_lock[splitting.CONTROLS]
-        if in_lock.shape[1] < FEWEST_IN_PILOT:
-            return np.zeros((len(errors), len(controls)))
-        return control_weights(errors, controls)
 
     def reduce(self, outputs: Matrix) -> Matrix:
         """Return the errors, and the errors less what chance did to the control."""
@@ -237,6 +193,10 @@ def plan(
     precision: str = "mixed",
 ) -> Simulation:
     """Check the numbers, fill in defaults, say what is to be simulated, and warn of long steps."""
+    if numba.config.DISABLE_JIT:
+        raise RuntimeError(
+            "monte_carlo needs numba's compiler, which NUMBA_DISABLE_JIT switches off: unset it"
+        )
     kind = PROTOCOLS[protocol]
     runs = kind.default_runs if runs is None else validation.integer("runs", runs, low=1)
     if duration is not None:

@@ -5,11 +5,10 @@ Groups depend on nothing but the simulation, and so do the last bits of the resu
 """
 
 import hashlib
-import math
 import os
 import time
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,6 @@ import numpy as np
 
 from robsmooth._support import cluster, validation
 from robsmooth._support.checkpoint import Journal, open_journal
-from robsmooth._support.kernels import check_compiler
 from robsmooth._support.progress import progress_bar
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import homodyne_loop
@@ -100,12 +98,11 @@ class MonteCarloResult:
 
     def to_dict(self) -> dict[str, Any]:
         """All fields as a dict that the json module writes; a number that is none becomes None."""
-        result = dict(vars(self))
-        for name, value in result.items():
-            if isinstance(value, MeanSquare):
-                numbers = vars(value).items()
-                result[name] = {key: x if math.isfinite(x) else None for key, x in numbers}
-        return result
+
+        def finite(fields):  # what is no number is not itself
+            return {name: None if value != value else value for name, value in fields}
+
+        return asdict(self, dict_factory=finite)
 
     def __repr__(self) -> str:
         slips = "no slips"
@@ -175,10 +172,6 @@ def monte_carlo(
     copy : bool, run the estimator's copy of the nonlinearity; without, its input is zero
     shot_noise : float, power of the photocurrent's noise, :math:`s` in :math:`\sqrt s\,dW`
 
-    Returns
-    -------
-    MonteCarloResult
-
     Warns
     -----
     LossOfLockWarning, LongStepWarning
@@ -187,9 +180,9 @@ def monte_carlo(
 
     Raises
     ------
-    TypeError, ValueError
-        For an argument that is not as described, a step with which the Euler scheme is unstable
-        ("paper"), or a checkpoint of another call (CheckpointError), before anything is simulated.
+    ValueError
+        For a step with which the Euler scheme is unstable ("paper"), or a checkpoint of another
+        call (CheckpointError), before anything is simulated.
     UnstableLoopError, RuntimeError
         Where the linearised loop is not stable ("ergodic"); where a path overflows, or numba's
         compiler is switched off.
@@ -205,7 +198,6 @@ def monte_carlo(
     0.088 rad^2, 0 slips
     """
     started = time.perf_counter()
-    check_compiler("monte_carlo")
     validation.choice("protocol", protocol, tuple(PROTOCOLS))
     loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
     simulation = plan(loop, protocol, runs, duration, step, seed, precision)
@@ -249,8 +241,6 @@ def _tally(
     tally, first = Tally(), 0
     if journal and journal.last:
         tally, first = Tally.from_state(*journal.last["tally"]), journal.last["blocks"]
-    if first < simulation.blocks:
-        _ = simulation.weights  # computed here, for all machines
     group = min(max(STEPS_OF_A_GROUP // (BLOCK * simulation.steps), 1), BLOCKS_OF_A_GROUP)
     simulate = partial(_tallies, simulation, group, parameters)
     if client is None:

@@ -55,10 +55,9 @@ from robsmooth.homodyne.montecarlo.noise import (
 )
 
 CHUNK = 8  # steps for which noise is drawn ahead
-OUTPUTS = 7  # of a path: time averages of the loop and of its control, cycle slips, turns away
-FILTERED, SMOOTHED, CONTROL_FILTERED, CONTROL_SMOOTHED, CONTROL_FOURTH, SLIPS, TURNS = range(
-    OUTPUTS
-)
+# Of a path: time averages of the loop and of its control, cycle slips, turns away.
+FILTERED, SMOOTHED, CONTROL_FILTERED, CONTROL_SMOOTHED, CONTROL_FOURTH, SLIPS, TURNS = range(7)
+OUTPUTS = TURNS + 1
 ERRORS, CONTROLS = slice(FILTERED, CONTROL_FILTERED), slice(CONTROL_FILTERED, SLIPS)
 
 
@@ -235,13 +234,13 @@ def collect(pair, copy, order, coefficients, readout, state, result):
 @njit
 def simulate_block(pair, copy, order, coefficients, readout, schedule, seed, first_path, result):
     """Simulate paths `first_path` to `first_path + BLOCK - 1`, from a stationary start."""
-    start, stride, lag, samples = schedule
+    warm_up, delay, steps = schedule
     n, m = len(order), len(pair)
     row, at = rows_of(n), indices(n, m)
     generator = np.empty(WORDS * BLOCK, np.uint32)
     gaussians = np.empty(CHUNK * m * BLOCK, np.float32)
     state = np.zeros(row.end, coefficients.dtype)
-    history = np.zeros((lag + 1, BLOCK), state.dtype)  # the phase at the last samples, a ring
+    history = np.zeros((delay + 1, BLOCK), state.dtype)  # the phase at the last steps, a ring
 
     result[:] = 0
     seed_paths(seed, first_path, generator)
@@ -253,37 +252,34 @@ def simulate_block(pair, copy, order, coefficients, readout, schedule, seed, fir
                 root = coefficients[at.start + i * (1 + n) + j]
                 state[k] = fma(root, gaussians[j * BLOCK + path], state[k])
 
-    sample, left = 0, start
-    last = start + (lag + samples - 1) * stride
+    last = warm_up + steps
     for chunk in range(1 + last // CHUNK):
         fill_gaussians(generator, CHUNK * (m // DRAWS), gaussians)
         # The last sample is taken at the start of a step, which is then made for nothing.
         for step in range(min(CHUNK, 1 + last - chunk * CHUNK)):
             find_kick(pair, copy, order, coefficients, state)
-            if left == 0:
-                record, delayed = history[sample % (lag + 1)], history[(sample + 1) % (lag + 1)]
-                for path in range(BLOCK):
-                    record[path] = state[row.phase + path]
-                    state[row.delayed + path] = delayed[path]
-                if sample >= lag:
-                    collect(pair, copy, order, coefficients, readout, state, result)
-                sample += 1
-                left = stride
-            left -= 1
+            now = chunk * CHUNK + step
+            record, delayed = history[now % (delay + 1)], history[(now + 1) % (delay + 1)]
+            for path in range(BLOCK):
+                record[path] = state[row.phase + path]
+                state[row.delayed + path] = delayed[path]
+            if now >= warm_up:
+                collect(pair, copy, order, coefficients, readout, state, result)
             draws_of_step = gaussians[step * m * BLOCK :]
             split_step(pair, copy, order, coefficients, draws_of_step, state)
     for i in range(SLIPS * BLOCK):
-        result[i] /= samples
+        result[i] /= steps + 1
 
 
 @kept(parallel=True, nogil=True)
 def simulate_blocks(
     pair, copy, order, coefficients, readout, schedule, seed, first, results, code=SOURCES
 ):
-    """Simulate consecutive blocks, as `euler.simulate_blocks` does, with a `Schedule`.
+    """Simulate consecutive blocks, as `euler.simulate_blocks` does.
 
-    Of `pair` and `copy`, only the lengths count: the Gaussians of a step, and the sines besides the
-    first, one or none.
+    The schedule has the steps of the warm-up, of the delay, which is no longer, and those that are
+    sampled, at both ends. Of `pair` and `copy`, only the lengths count: the Gaussians of a step,
+    and the sines besides the first, one or none.
     """
     for block in prange(results.shape[0]):
         path = np.uint64(first + block) * np.uint64(BLOCK)

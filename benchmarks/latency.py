@@ -1,0 +1,234 @@
+"""How long an estimator takes for one sample: in Python, and as the C that `to_c` writes.
+
+The smoother is that of `benchmarks.throughput`, with its delay model, of three states. Calls from
+Python are timed one by one, those of C as a loop. All that run it without a copy of the sine give
+the same estimates. Run as ``python -m benchmarks.latency``, in a process of its own that is kept on
+one core, as `benchmarks.race`; it prints JSON.
+"""
+
+import argparse
+import ctypes
+import json
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.race import middle, pin, say
+from benchmarks.throughput import AGREEMENT, DT
+
+OURS, COPIED = "robsmooth, step", "robsmooth, step, compiled copy"
+GENERATED, COPIES, BY_HAND = "C, to_c", "C, to_c, a copy", "C, loop over matrices"
+PERCENTILES = (50.0, 99.0, 99.9)
+FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-lm")
+DRIVER = """
+#include "linear.h"
+#include "copied.h"
+
+void run_linear(long rows, const double *y, double *estimates)
+{
+    linear_state s;
+    double filtered;
+    linear_init(&s);
+    for (long k = 0; k < rows; k++)
+        linear_step(&s, y + k, estimates + k, &filtered);
+}
+
+void run_copied(long rows, const double *y, double *estimates)
+{
+    copied_state s;
+    double filtered, reference = 0;
+    copied_init(&s);
+    for (long k = 0; k < rows; k++)
+        copied_step(&s, y + k, &reference, estimates + k, &filtered);
+}
+
+void run_matrices(long rows, const double *y, double *estimates, int n, const double *A,
+    const double *B, const double *C)
+{
+    double x[2][32] = {{0}};
+    for (long k = 0; k < rows; k++) {
+        const double *now = x[k % 2];
+        double *next = x[(k + 1) % 2];
+        estimates[k] = 0;
+        for (int i = 0; i < n; i++) {
+            next[i] = B[i] * y[k];
+            for (int j = 0; j < n; j++)
+                next[i] += A[i * n + j] * now[j];
+            estimates[k] += C[i] * next[i];
+        }
+    }
+}
+"""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much to measure.
+
+    Attributes
+    ----------
+    rounds : int
+    calls : int
+        From Python, of a contender in a round.
+    samples : int
+        In C, of a contender in a round.
+    """
+
+    rounds: int
+    calls: int
+    samples: int
+
+
+FULL = Effort(rounds=15, calls=4000, samples=1_000_000)
+QUICK = Effort(rounds=3, calls=300, samples=20_000)
+CHECKED = 2000  # samples
+
+
+def contenders() -> tuple[dict[str, Callable], dict[str, Callable]]:
+    """Return the ways to take one sample from Python, and those to run a record in C."""
+    import numba
+    import numpy as np
+
+    from robsmooth import homodyne
+    from robsmooth.estimators import baselines
+    from robsmooth.paper.published import DELAY
+
+    parameters = homodyne.PAPER
+    system = parameters.uncertain_system()
+    size, slope = 2 * parameters.alpha, parameters.beta
+    scale = size * parameters.gamma
+
+    @numba.njit
+    def psi(nu):
+        return size * (np.sin(nu / scale) - slope * nu / scale)
+
+    estimator = baselines.fixed_lag_smoother(system, DELAY, 2)
+    with_copy = baselines.fixed_lag_smoother(system, DELAY, 2, copies=True)
+    linear = estimator.discretize(DT, delay="model")
+    copied = with_copy.discretize(DT, functions=[psi], delay="model")
+    exact = estimator.discretize(DT)
+    named = ("transition", "measurement", "smoothed")
+    A, B, C = (np.ascontiguousarray(linear.matrices[name]) for name in named)
+
+    def multiplied():
+        x = np.zeros(len(A))
+
+        def step(y):
+            nonlocal x
+            x = A @ x + B @ y
+            return C @ x
+
+        return step
+
+    def fresh(discrete):
+        def begin():
+            discrete.reset()
+            return discrete.step
+
+        return begin
+
+    stepped = {
+        OURS: fresh(linear),
+        "robsmooth, step, exact delay": fresh(exact),
+        COPIED: fresh(copied),
+        "NumPy, matrix times vector": multiplied,
+    }
+    expression = f"{size!r} * (sin(x / {scale!r}) - {slope!r} * x / {scale!r})"
+    library = compiled({"linear": (linear, []), "copied": (copied, [expression])})
+    matrices = [len(A), *(each.ctypes.data_as(ctypes.c_void_p) for each in (A, B, C))]
+
+    def looped(function, *more):
+        def run(y):
+            estimates = np.empty_like(y)
+            pointers = (each.ctypes.data_as(ctypes.c_void_p) for each in (y, estimates))
+            function(ctypes.c_long(len(y)), *pointers, *more)
+            return estimates
+
+        return run
+
+    if library is None:
+        return stepped, {}
+    return stepped, {
+        GENERATED: looped(library.run_linear),
+        COPIES: looped(library.run_copied),
+        BY_HAND: looped(library.run_matrices, *matrices),
+    }
+
+
+def compiled(estimators: dict) -> ctypes.CDLL | None:
+    """Write and compile estimators; None where there is no compiler."""
+    if shutil.which("cc") is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        sources = [Path(folder) / "driver.c"]
+        sources[0].write_text(DRIVER)
+        for name, (discrete, expressions) in estimators.items():
+            sources.append(Path(folder) / f"{name}.c")
+            discrete.to_c(sources[-1], [*expressions] or None)
+        target = Path(folder) / "steps.so"
+        subprocess.run(["cc", *sources, *FLAGS, "-o", target], check=True)
+        return ctypes.CDLL(str(target))
+
+
+def latency(effort: Effort) -> dict:
+    """Measure all contenders, interleaved; a ratio is the median over the rounds."""
+    import numpy as np
+
+    y = np.random.default_rng(0).standard_normal((max(effort.samples, CHECKED), 1))
+    stepped, looped = contenders()
+    found, estimates = {}, {}
+    for name in [*stepped, *looped]:
+        say(f"checking {name}")
+        step = stepped[name]() if name in stepped else None
+        rows = y[:CHECKED]
+        estimates[name] = np.array([step(row) for row in rows]) if step else looped[name](rows)
+        expected = estimates[COPIED if name == COPIES else OURS]
+        off = float(np.abs(estimates[name] - expected).max() / np.abs(expected).max())
+        found[name] = {"off": off, "agrees": name.startswith(OURS) or off < AGREEMENT}
+    times = {name: [] for name in found}
+    for number in range(1, effort.rounds + 1):
+        say(f"round {number} of {effort.rounds}")
+        for name, begin in stepped.items():
+            times[name].append(timed(begin(), y[: effort.calls]))
+        for name, run in looped.items():
+            started = time.perf_counter_ns()
+            run(y[: effort.samples])
+            times[name].append(np.array([(time.perf_counter_ns() - started) / effort.samples]))
+    typical = {name: [np.median(each) for each in rounds] for name, rounds in times.items()}
+    for name, contender in found.items():
+        quantiles = np.percentile(np.concatenate(times[name]), PERCENTILES).tolist()
+        contender["nanoseconds"] = quantiles if name in stepped else quantiles[:1]
+        quotients = np.divide(typical[OURS], typical[name])
+        contender["ratio"], contender["ratio_quartiles"] = middle(quotients)
+    return {"rounds": effort.rounds, "contenders": found}
+
+
+def timed(step: Callable, y):
+    """Return the nanoseconds of each call."""
+    import numpy as np
+
+    clock, times = time.perf_counter_ns, np.empty(len(y))
+    for k, row in enumerate(y):
+        started = clock()
+        step(row)
+        times[k] = clock() - started
+    return times
+
+
+def main() -> None:
+    """Measure, and print what came out as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    options = parser.parse_args()
+    pinned = pin()
+    result = latency(QUICK if options.quick else FULL)
+    say("")
+    print(json.dumps({"pinned": pinned, **result}))
+
+
+if __name__ == "__main__":
+    main()
