@@ -6,9 +6,7 @@ the same estimates. Run as ``python -m benchmarks.latency``, in a process of its
 one core, as `benchmarks.race`; it prints JSON.
 """
 
-import argparse
 import ctypes
-import json
 import shutil
 import subprocess
 import tempfile
@@ -17,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.race import middle, pin, say
+from benchmarks.race import measure_alone, middle, say
 from benchmarks.throughput import AGREEMENT, DT
 
 OURS, COPIED = "robsmooth, step", "robsmooth, step, compiled copy"
@@ -219,16 +217,5 @@ def timed(step: Callable, y):
     return times
 
 
-def main() -> None:
-    """Measure, and print what came out as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    options = parser.parse_args()
-    pinned = pin()
-    result = latency(QUICK if options.quick else FULL)
-    say("")
-    print(json.dumps({"pinned": pinned, **result}))
-
-
 if __name__ == "__main__":
-    main()
+    measure_alone(lambda quick: latency(QUICK if quick else FULL), __doc__)

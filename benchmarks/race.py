@@ -11,6 +11,7 @@ import math
 import os
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 OURS = ("robsmooth, single", "robsmooth, mixed")
@@ -157,6 +158,17 @@ def say(text: str) -> None:
     """Tell how far it is, on the terminal only."""
     if sys.stderr.isatty():
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
+
+
+def measure_alone(measure: Callable[[bool], dict], description: str | None) -> None:
+    """Measure, quickly or not, on one core, and print what came out as JSON."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--quick", action="store_true")
+    options = parser.parse_args()
+    pinned = pin()
+    result = measure(options.quick)
+    say("")
+    print(json.dumps({"pinned": pinned, **result}))
 
 
 def main() -> None:

@@ -5,13 +5,11 @@ copies of the sine give the same estimates. Run as ``python -m benchmarks.throug
 of its own that is kept on one core, as `benchmarks.race`; it prints JSON.
 """
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from benchmarks.race import middle, pin, say
+from benchmarks.race import measure_alone, middle, say
 
 OURS = "robsmooth"
 DT = 1e-7  # s
@@ -135,16 +133,5 @@ def measured(run: Callable, y) -> float:
     return len(y) / (time.perf_counter() - started)
 
 
-def main() -> None:
-    """Measure, and print what came out as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    options = parser.parse_args()
-    pinned = pin()
-    result = throughput(QUICK if options.quick else FULL)
-    say("")
-    print(json.dumps({"pinned": pinned, **result}))
-
-
 if __name__ == "__main__":
-    main()
+    measure_alone(lambda quick: throughput(QUICK if quick else FULL), __doc__)

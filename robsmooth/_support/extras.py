@@ -15,9 +15,12 @@ def extra(name: str, part: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        package = error.name.partition(".")[0]
+        package = (error.name or "").partition(".")[0]
+        if package in ("", "robsmooth"):
+            raise
         raise MissingExtraError(
-            f"{part} needs the package {package}: pip install 'robsmooth[{name}]'"
+            f"{part} needs the package {package}: pip install 'robsmooth[{name}]'",
+            name=error.name,
         ) from None
 
 

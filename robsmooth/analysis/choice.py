@@ -7,13 +7,15 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import CoarseDelayWarning, InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
 from robsmooth.analysis.constraints import analysis_bound
-from robsmooth.analysis.covariance import worst_case
+from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.conditions import COSTS
@@ -246,7 +248,8 @@ def _warn_of_coarse_delay(classical: Candidate) -> None:
     """Warn where waiting makes the nominal error larger: a smoother with an exact delay cannot."""
     estimator, smoothed = classical.estimator, classical.judgement.nominal
     assert estimator is not None
-    filtered = worst_case(estimator, "filtered", loop="real").nominal
+    Delta = estimator.plant.structured_delta()
+    filtered = float(np.trace(error_covariance(estimator, Delta, "filtered", "real")))
     if smoothed > _WORSE * filtered:
         warnings.warn(
             f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: the "

@@ -8,7 +8,6 @@ several starts, finds the worst of them.
 import math
 from collections.abc import Iterator
 from contextlib import suppress
-from operator import itemgetter
 
 import numpy as np
 from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
@@ -65,7 +64,12 @@ def slopes(loop: OpenLoop, Delta: Matrix) -> tuple[float, Slopes]:
 def worst_delta(loop: OpenLoop, starts: int) -> tuple[float, Matrix]:
     """Return the largest mean square error that a search finds, and the Delta that has it."""
     found = (_ascent(loop, blocks) for blocks in _starts(loop, starts))
-    largest, worst = max(found, key=itemgetter(0))
+    largest, worst = -math.inf, None
+    for value, blocks in found:
+        if value > largest:
+            largest, worst = value, blocks
+        if math.isinf(value):
+            break
     return largest, loop.assemble(worst)
 
 

@@ -22,8 +22,6 @@ from robsmooth.systems.system import covariance_root
 Floats = NDArray[np.float64]
 Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
-DELAYS = ("exact", "model")
-SAMPLES = ("means", "instants")
 _FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of samples that are as most are
 _SHORTEST = 1e-6  # times dt
 _ROWS = 4096  # of samples with lengths of their own, whose matrices are in memory at a time
@@ -56,9 +54,8 @@ class DiscreteSmoother(Exports):
         Whether the delay is exact, for the smoother is that of a nominal system in discrete time.
     l, m, g, p : int, numbers of measurements, outputs, nonlinearities and known inputs
     compiled : bool
-        Whether samples are taken by compiled code: where the estimator runs no copies, or numba
-        has compiled all functions for scalars, unless NUMBA_DISABLE_JIT is set. Others are slower
-        by a factor of a hundred and more.
+        Whether samples are taken by compiled code alone, unless NUMBA_DISABLE_JIT is set. A copy's
+        function that numba cannot compile is slower by a factor of a hundred and more.
     samples : int, taken since the start or the last `reset`
 
     See Also
@@ -91,7 +88,7 @@ class DiscreteSmoother(Exports):
         system = estimator.plant.system
         self.l, self.m, self.g, self.p = system.l, system.m, system.g, system.p
         if delay is not None:
-            validation.choice("delay", delay, DELAYS)
+            validation.choice("delay", delay, ("exact", "model"))
         if delay == "exact" and estimator.nominal is None:
             raise ValueError(
                 "delay 'exact' is for classical and tuned designs, which smooth the innovations of "
@@ -99,9 +96,8 @@ class DiscreteSmoother(Exports):
                 "runs as delay='model'"
             )
         self.exact: bool = estimator.nominal is not None and delay != "model"
-        self._mean = validation.matrix(
-            "mean", [0.0] * system.n if mean is None else mean, [system.n]
-        )
+        mean = np.zeros(system.n) if mean is None else mean
+        self._mean = validation.matrix("mean", mean, [system.n])
         offset = validation.matrix("offset", [0.0] * self.l if offset is None else offset, [self.l])
         self._offset = offset + system.C2 @ self._mean
         self._w = system.C0 @ self._mean
@@ -111,7 +107,7 @@ class DiscreteSmoother(Exports):
         run = Functions(running_functions(system.nonlinearities, functions, self._running))
         self.compiled: bool = run.compiled
         given = estimator, self.dt, self._running, run, self._shift
-        instants = validation.choice("samples", samples, SAMPLES) == "instants"
+        instants = validation.choice("samples", samples, ("means", "instants")) == "instants"
         self._engine: ExactFilter | HeldEstimator
         self._engine = ExactFilter(*given, instants) if self.exact else HeldEstimator(*given)
         if instants:
@@ -157,7 +153,7 @@ class DiscreteSmoother(Exports):
         (rows,) array, s from the start or the last `reset`
         """
         rows = validation.integer("rows", rows, low=0)
-        if not self._even:
+        if self._engine.memory.counts[3]:
             raise ValueError("rows had intervals of their own: their ends are np.cumsum(intervals)")
         if rows > self.samples:
             raise ValueError(f"rows must be at most the {self.samples} samples taken, got {rows}")
@@ -186,18 +182,16 @@ class DiscreteSmoother(Exports):
             well as it ever will.
         """
         samples = validation.integer("samples", samples, low=0)
+        n = self._engine.states
         if covariance is not None:
             self._exact("covariance")
-        n = self._engine.states
-        if state is not None:
-            state = validation.matrix("state", state, [n]) - (self._mean if self.exact else 0.0)
-        if covariance is not None:
             root = covariance_root("covariance", covariance, n)
             covariance = root @ root.T
+        if state is not None:
+            state = validation.matrix("state", state, [n]) - (self._mean if self.exact else 0.0)
         with self._lock:
             self._engine.start(state, covariance)
             self.samples: int = samples
-            self._even = True  # whether all samples had intervals of dt
 
     def step(
         self,
@@ -222,8 +216,7 @@ class DiscreteSmoother(Exports):
         row, known = _plain(y, self.l), _plain(reference, self.g)
         is_plain = row is not None and (reference is None or known is not None)
         if is_plain and interval is None and not self.p:
-            if self._moved:
-                row = row - self._offset
+            row = row - self._offset if self._moved else row
             if known is not None:
                 known = known[self._running] - self._shift
             with self._lock:
@@ -231,22 +224,16 @@ class DiscreteSmoother(Exports):
                 if found is not None:
                     self.samples += 1
                     return found + self._w if self._moved else found
-        beside = y, reference, inputs, interval
-        rows = [None if each is None else np.atleast_1d(each)[None] for each in beside]
-        if rows[0].ndim != 2 or (np.ndim(y) == 0 and self.l > 1):
+        sample, *beside = (
+            None if each is None else np.atleast_1d(each)[None] for each in (y, reference, inputs)
+        )
+        if sample.ndim != 2 or (np.ndim(y) == 0 and self.l > 1):
             raise ValueError(f"y must have shape ({self.l},), got shape {np.shape(y)}")
-        rows[3] = None if interval is None else rows[3][0]
-        return self._take(self._given(*rows), "smoothed", None, False)[0][0, 0]
+        given = self._given(sample, *beside, None if interval is None else [interval])
+        return self._take(given, "smoothed", None, False)[0][0, 0]
 
     @overload
-    def run(
-        self,
-        y: ArrayLike,
-        *,
-        output: str = "smoothed",
-        return_std: Literal[False] = False,
-        **beside: Unpack[Beside],
-    ) -> Floats: ...
+    def run(self, y: ArrayLike, *, return_std: Literal[False] = False, **of: Any) -> Floats: ...
     @overload
     def run(self, y: ArrayLike, *, return_std: Literal[True], **of: Any) -> Pair: ...
     def run(
@@ -337,8 +324,7 @@ class DiscreteSmoother(Exports):
         (N, m) array, estimates of w at the ends of the intervals
         (N, m) array, the standard deviations of their errors
         """
-        engine = self._exact("two_sided")
-        found, spread = engine.two_sided(self._given(y, **beside))
+        found, spread = self._exact("two_sided").two_sided(self._given(y, **beside))
         return found + self._w, spread
 
     def innovations(self, y: ArrayLike, **beside: Unpack[Beside]) -> Floats:
@@ -359,8 +345,7 @@ class DiscreteSmoother(Exports):
         --------
         robsmooth.check_record : tells whether they are what the model says.
         """
-        engine = self._exact("innovations")
-        return engine.innovations(self._given(y, **beside))
+        return self._exact("innovations").innovations(self._given(y, **beside))
 
     def _exact(self, name: str) -> ExactFilter:
         if isinstance(self._engine, ExactFilter):
@@ -378,16 +363,16 @@ class DiscreteSmoother(Exports):
             before = self._engine.memory
             try:
                 found = [
-                    self._engine.take(_rows(given, slice(i, i + rows)), output, lags, spread)
+                    self._engine.take(given.rows(slice(i, i + rows)), output, lags, spread)
                     for i in range(0, len(given.y) or 1, rows or 1)
                 ]
             except BaseException:
                 self._engine.memory = before
                 raise
             self.samples += len(given.y)
-            self._even = self._even and given.intervals is None
         estimates, deviations = map(np.concatenate, zip(*found, strict=True))
-        return estimates + self._w, deviations
+        estimates += self._w
+        return estimates, deviations
 
     def _given(
         self, y: Any, reference: Any = None, inputs: Any = None, intervals: Any = None
@@ -403,12 +388,13 @@ class DiscreteSmoother(Exports):
         if intervals is not None and len(y):
             intervals = validation.array("intervals", intervals, ndim=1) / self.dt
             if len(intervals) != len(y) or not (intervals > _SHORTEST).all():
-                rule = f"the lengths of {len(y)} intervals, positive and not below {_SHORTEST:g} dt"
                 raise ValueError(
-                    f"intervals must be {rule}: rows in order of their times have such"
+                    f"intervals must be the lengths of {len(y)} intervals, positive and not below "
+                    f"{_SHORTEST:g} dt: rows in order of their times have such"
                 )
             intervals = np.round(intervals, 9) * self.dt
-        return Samples(y - self._offset, reference, inputs, intervals if len(y) else None)
+        y = y - self._offset if self._moved else y
+        return Samples(y, reference, inputs, intervals if len(y) else None)
 
     def _beside(self, name: str, given: ArrayLike | None, columns: int, rows: int) -> Floats:
         """Return what stands beside y, zero by default."""
@@ -440,10 +426,6 @@ def _plain(given: Any, size: int) -> Floats | None:
     row = np.asarray(given) if type(given) in _PLAIN else None
     usual = row is not None and row.dtype is _FLOAT and row.size == size and row.ndim < 2
     return row.reshape(-1) if usual else None
-
-
-def _rows(given: Samples, rows: slice) -> Samples:
-    return Samples(*(None if each is None else each[rows] for each in given))
 
 
 def checked(name: str, given: ArrayLike, columns: int) -> Floats:

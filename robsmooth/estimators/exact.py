@@ -80,7 +80,6 @@ class ExactFilter(Engine):
     def start(self, state: Floats | None, covariance: Floats | None) -> None:
         """Begin a record: with what is known of the state, or with nothing but its model."""
         self._begin = state, covariance
-        self._uneven = False  # whether samples had lengths of their own
         self.memory = self._fresh(self.samples_back)
         if self._stationary and state is None and covariance is None:
             # times before the record are estimated, too
@@ -109,14 +108,14 @@ class ExactFilter(Engine):
         result = np.empty((len(given.y), count, len(self._C0)))
         deviations = np.empty_like(result) if spread else result[:0]
         memory, reading = self.copied(), self._reading if lags is None else self._at(lags)
-        uneven = self._uneven or given.intervals is not None
-        if uneven:
+        memory.counts[3] |= given.intervals is not None
+        if memory.counts[3]:
             if given.intervals is None:
                 given = given._replace(intervals=np.full(len(given.y), self._dt))
-            if lags is None:
-                memory, reading = self._delayed(memory, given.intervals)
+            memory, delayed = self._delayed(memory, given.intervals)
+            reading = delayed if lags is None else reading
         self._run(memory, reading, given, (result, deviations, given.y[:0]))
-        self.memory, self._uneven = memory, uneven
+        self.memory = memory
         return result, deviations
 
     def two_sided(self, given: Samples) -> tuple[Floats, Floats]:
@@ -135,10 +134,6 @@ class ExactFilter(Engine):
         result, none = np.empty_like(given.y), np.empty((len(given.y), 0, len(self._C0)))
         self._run(self._fresh(0), self._at([]), given, (none, none[:0], result))
         return result
-
-    def step(self, y: Floats, reference: Floats | None) -> Floats | None:
-        """Take a sample as most are; return None where it is not taken, and `take` has to."""
-        return None if self._uneven else super().step(y, reference)
 
     def _run(
         self, memory: Memory, reading: Reading, given: Samples, results: tuple[Floats, ...]
@@ -171,7 +166,7 @@ class ExactFilter(Engine):
     def estimate(self, output: str) -> Floats:
         """Return an estimate now, as the last sample left it."""
         memory, reading = self.memory, self._reading if output == "smoothed" else self._at([0])
-        if self._uneven and output == "smoothed":
+        if memory.counts[3] and output == "smoothed":
             memory, reading = self._delayed(memory, np.empty(0))
         result = np.empty((1, len(self._C0)))
         read(memory, reading, 0, result)

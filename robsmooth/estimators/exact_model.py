@@ -43,12 +43,8 @@ class SampledModel:
     def _readout(self, system: Any, length: float) -> Floats:
         """Return what the state is, and a sample below it, of the state and the integral."""
         over = math.sqrt(length * self.dt) if self._instants else length
-        return np.block(
-            [
-                [np.eye(self.n), np.zeros((self.n, self.l))],
-                [self._instants * system.C2, np.eye(self.l) / over],
-            ]
-        )
+        sample = np.hstack([self._instants * system.C2, np.eye(self.l) / over])
+        return np.vstack([np.eye(self.n, self.n + self.l), sample])
 
     def nothing(self, rows: int) -> Samples:
         """Return samples that are missing, and zeros beside them."""
@@ -59,7 +55,7 @@ class SampledModel:
     def sampled(self, lengths: Iterable[float]) -> Sampled:
         """Return the system in samples of these lengths, s."""
         found = [self._sampled(length) for length in lengths]
-        return Sampled(*(np.ascontiguousarray(np.stack(each)) for each in zip(*found, strict=True)))
+        return Sampled(*map(np.array, zip(*found, strict=True)))
 
     def _sampled(self, length: float) -> tuple[Any, ...]:
         model, gain = self._whole
@@ -84,7 +80,7 @@ class SampledModel:
         n, d = self.n, self.g + self._into.shape[1]
         if not found:
             return Within(*(np.empty((0, n, size)) for size in (n + d, n, 2 * n + self.l)))
-        return Within(*(np.ascontiguousarray(np.stack(each)) for each in zip(*found, strict=True)))
+        return Within(*map(np.array, zip(*found, strict=True)))
 
     def _within(self, length: float, time: float) -> tuple[Floats, ...]:
         n, gain = self.n, self._whole[1]

@@ -84,6 +84,7 @@ class HeldEstimator(Engine):
     ) -> tuple[Floats, Floats]:
         """Take samples; return the estimates, (rows, 1, m), and no deviations."""
         missing, lengths, memory = np.isnan(given.y), given.intervals, self.copied()
+        memory.counts[3] |= lengths is not None
         reading, kinds = self._readings[output], np.empty(0, dtype=np.int64)
         result, sampled = np.empty((len(missing), 1, len(reading.readout))), self._even
         if missing.any() or lengths is not None:

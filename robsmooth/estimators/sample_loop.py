@@ -72,6 +72,10 @@ class Samples(NamedTuple):
     inputs: Floats  # (N, p)
     intervals: Floats | None  # (N,) their lengths, s, where these are not dt
 
+    def rows(self, some: slice) -> "Samples":
+        """Return some of the samples."""
+        return Samples(*(None if each is None else each[some] for each in self))
+
 
 class Sampled(NamedTuple):
     """The system in samples of some lengths: the state at the end and the measurement, below it.
@@ -105,7 +109,8 @@ class Memory(NamedTuple):
     intervals: Floats  # (ring + 1,) s
     lost: NDArray[np.bool_]  # (ring + 1,) whether too little is known to smooth
     pattern: NDArray[np.bool_]  # (l,) which measurements of the sample before were there
-    # samples taken, how many of the last had one covariance, from which on the state is known or -1
+    # samples taken, how many of the last had one covariance, from which on the state is known or
+    # -1, and whether some had lengths of their own
     counts: NDArray[np.int64]
     unknown: Floats  # (n, u) V, of what is not known until then
     information: Floats  # (u, u) the inverse of delta's covariance
@@ -124,7 +129,7 @@ def empty_memory(n: int, l: int, d: int, ring: int, unknown: Floats) -> Memory: 
         intervals=np.zeros(rows),
         lost=np.zeros(rows, dtype=bool),
         pattern=np.zeros(l, dtype=bool),
-        counts=np.array([0, 0, -1 if u else 0]),
+        counts=np.array([0, 0, -1 if u else 0, 0]),
         unknown=unknown.copy(),
         information=np.zeros((u, u)),
         score=np.zeros(u),
@@ -213,8 +218,9 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
     now, l, n = len(states) - 1, y.shape[1], arguments.shape[1]  # noqa: E741
     error, z, following = np.zeros(l), np.zeros(l), np.zeros(n + l)
     present, state, P = np.zeros(l, dtype=np.bool_), states[now], memory.covariances[now]
-    closed, seen, after, lost, kind = memory.closed[now], memory.seen[now], P, False, 0
-    model, only_now = sampled.model[0], now == 0 and l == 0 and reading.lags.shape[1] == 1
+    closed, seen, after, lost = memory.closed[now], memory.seen[now], P, memory.lost[now]
+    kind, model = 0, sampled.model[0]
+    only_now = reading.lags.shape == (1, 1) and reading.lags[0, 0] == 0 and counts[2] == 0
     for k in range(len(y)):
         if len(kinds):
             kind = kinds[k]
@@ -247,8 +253,7 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
             if not known_in_ring:
                 memory.covariances[slot] = P
             if changed or not known_in_ring:
-                memory.closed[slot], memory.seen[slot] = closed, seen
-                memory.lost[slot] = lost if changed else memory.lost[now]
+                memory.closed[slot], memory.seen[slot], memory.lost[slot] = closed, seen, lost
                 memory.intervals[slot] = sampled.interval[kind]
         if changed:
             memory.closed[now], memory.seen[now], memory.lost[now] = closed, seen, lost
@@ -318,7 +323,7 @@ def step(
 
     Each array is an argument of its own, because numba takes long to look into a tuple.
     """
-    usual = counts[1] > 0 and counts[2] >= 0 and interval[0] == intervals[-1]
+    usual = counts[1] > 0 and counts[2] >= 0 and not counts[3] and interval[0] == intervals[-1]
     for i in range(len(pattern)):
         usual = usual and pattern[i] and np.isfinite(y[0, i])
     if not usual:
@@ -359,10 +364,6 @@ def read(memory, reading, row, result):
     """Write the estimates at the lags of a row, which ascend."""
     samples, ring, n = memory.counts[0], len(memory.states) - 1, reading.readout.shape[1]
     row, l = min(row, len(reading.lags) - 1), memory.innovations.shape[1]  # noqa: E741
-    if reading.lags.shape[1] == 1 and reading.lags[row, 0] == 0 and memory.counts[2] == 0:
-        result[0] = 0.0
-        _add(result[0], reading.readout, memory.states[ring][:n])
-        return
     known, done, slot = _known(memory), 0, samples % max(ring, 1)
     r, later, part, x = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     closed, seen, innovations = memory.closed, memory.seen, memory.innovations

@@ -89,13 +89,20 @@ def scaled_nonlinearity() -> Finding:
     gamma = homodyne.PAPER.gamma
     error = np.linspace(0.0, homodyne.PAPER.sector_range(), 501)[1:]
     ratio = np.abs(homodyne.PAPER.remainder(error) / error).max()
-    scale = gamma ** float(published.stated("scaled nonlinearity", "power_of_gamma"))
-    recovered, reach = gamma * scale, ratio * scale
+
+    def fits(power: float) -> bool:
+        scale = gamma**power
+        return abs(gamma * scale - 1.0) <= _EQUAL and ratio * scale <= 1.0 + _EQUAL
+
+    power = float(published.stated("scaled nonlinearity", "power_of_gamma"))
+    recovered, reach = gamma * gamma**power, ratio * gamma**power
     value = f"gamma f~ = {recovered:.3g} f, and |f~| <= {reach:.3g} |mu_1|"
-    if abs(recovered - 1.0) <= _EQUAL and reach <= 1.0 + _EQUAL:
+    if fits(power):
         return True, value, ""
+    readings = {-1.0: "f/gamma", 0.0: "f", 1.0: "f gamma"}
+    right = " and ".join(text for power, text in readings.items() if fits(power)) or "none"
     needed = "alone has gamma f~/beta = f/beta, as the measurement needs, and is in the unit sector"
-    return False, value, f"of f/gamma, f, f gamma as f~, f/gamma {needed}"
+    return False, value, f"of {', '.join(readings.values())} as f~, {right} {needed}"
 
 
 def inverse_of_M(plant: AugmentedSystem) -> Finding:
@@ -197,8 +204,9 @@ def percent(smoothed: float, filtered: float) -> Finding:
     value += f"ours: {larger:.0f}% larger"
     if published.agrees(text, larger, larger):
         return True, value, ""
+    is_it = "is" if published.agrees(text, smaller, smaller) else "is not even"
     both = f"printed {100 * (1 - theirs / ngcf):.1f}%, ours {smaller:.1f}%"
-    return False, value, f"{text}% is by how much the smoother's is smaller: {both}"
+    return False, value, f"{text}% {is_it} by how much the smoother's is smaller: {both}"
 
 
 def significant(smoothed: float, filtered: float) -> Finding:

@@ -189,8 +189,11 @@ def control_weights(values: Floats, controls: Floats) -> Floats:
     """Return weights, (values, controls), of controls that leave least of values: (., paths)."""
     values = values - values.mean(axis=1, keepdims=True)
     controls = controls - controls.mean(axis=1, keepdims=True)
+    scale = np.sqrt((controls**2).sum(axis=1))
+    scale[scale == 0.0] = 1.0
     # Where two controls are the same, as without a delay, the weights of least norm.
-    return np.linalg.lstsq(controls.T, values.T, rcond=1e-10)[0].T
+    weights = np.linalg.lstsq((controls / scale[:, None]).T, values.T, rcond=1e-10)[0]
+    return (weights / scale[:, None]).T
 
 
 class Tally(NamedTuple):

@@ -245,6 +245,27 @@ def test_a_bank_has_the_estimates_of_every_delay():
         assert_allclose(bank[:, i], exact(PAIR, lag * DT).run(y), atol=1e-13)
 
 
+def test_what_the_delay_needs_is_kept_while_filtered_estimates_are_read():
+    y = np.random.default_rng(24).standard_normal((60, 2))
+    lengths = np.full(60, DT / 5)  # more samples are in the delay than of dt
+    whole = exact(PAIR, 0.3).run(y, intervals=lengths)
+    discrete = exact(PAIR, 0.3)
+    discrete.run(y[:40], intervals=lengths[:40], output="filtered")
+    assert_allclose(discrete.smoothed, whole[39], atol=1e-13)
+    assert_allclose(discrete.run(y[40:], intervals=lengths[40:]), whole[40:], atol=1e-13)
+
+
+def test_a_call_with_lengths_that_fails_leaves_no_trace():
+    rows = np.random.default_rng(25).standard_normal((20, 1))
+    plain, tried = (exact(WALK, 0.25) for _ in range(2))
+    with pytest.raises(ArithmeticError, match="left the range"):
+        y = np.zeros((5000, 1))
+        y[-2:] = [[1.7e308], [-1.7e308]]  # in the second piece of those that are taken at a time
+        tried.run(y, intervals=np.full(5000, DT))
+    assert_array_equal(tried.run(rows), plain.run(rows))
+    assert_allclose(tried.times(2), plain.times(2))
+
+
 @pytest.mark.parametrize("delay", [0.3, 0.25])
 def test_lengths_of_dt_change_nothing(delay):
     y = with_gaps(np.random.default_rng(22).standard_normal((40, 2)), np.random.default_rng(4))

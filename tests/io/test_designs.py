@@ -404,7 +404,8 @@ def written(folder, content):
         (("nonlinearities", 0, "reference"), 3, r"\[0\]: .* reference must be one of .*, got 3"),
         (("nonlinearities", 0, "lipshitz"), 1, r"\[0\]\.lipshitz is not a field: .* lipschitz, "),
         (("format",), 2, "format must be one of 1, got 2"),
-        (("format",), "1", "format must be one of 1, got '1'"),
+        (("format",), "1", "format must be an integer, got '1'"),
+        (("format",), True, "format must be an integer, got True"),
         (
             ("kind",),
             "sistem",
@@ -544,7 +545,7 @@ def test_a_certificate_that_does_not_hold_is_refused(folder, minimax_smoothers, 
             b"format = 1\nkind = ['system']\nunits = 'SI'",
             r"one of .*, got \['system'\]",
         ),
-        ("file.toml", b"format = 2026-01-01\nkind = 'system'\nunits = 'SI'", "one of 1, got dat"),
+        ("file.toml", b"format = 2026-01-01\nkind = 'system'\nunits = 'SI'", "an integer, got dat"),
     ],
 )
 def test_what_is_no_toml_or_json_is_one_error_with_its_place(folder, name, data, words):

@@ -59,7 +59,7 @@ def indices(n):
 def coefficients_of(loop: Loop, step: float) -> Coefficients:
     """Return the coefficients of a step, in s."""
     root = np.sqrt(step)
-    return Coefficients(
+    coefficients = Coefficients(
         step * loop.drift[1:, 1:],  # (n, n), F
         -loop.arguments[0, 1:],  # (n,), r
         loop.arguments[1, 1:],  # (n,), c
@@ -68,6 +68,9 @@ def coefficients_of(loop: Loop, step: float) -> Coefficients:
         decay=step * loop.drift[0, 0],  # a
         diffusion=root * loop.noise[0, 0],  # q
     )
+    # Rounding noise, some of it denormal in single precision: processors are slow with those.
+    tiny = np.finfo(np.float32).tiny
+    return Coefficients(*(np.where(np.abs(part) < tiny, 0.0, part) for part in coefficients))
 
 
 def longest_stable_step(loop: Loop) -> float:
