@@ -2,30 +2,36 @@
 
 import math
 import numbers
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 INF = math.inf
 Matrix = NDArray[np.float64]
+T = TypeVar("T", bound=np.generic)
 
 
 def array(name: str, value: ArrayLike, ndim: int) -> Matrix:
     """Return `value` as a read-only float array of `ndim` dimensions, finite and real."""
+    parts = list(_parts(value))
+    _check_plain(name, parts)
+    if any(map(np.ma.is_masked, parts)):
+        raise ValueError(f"{name} must have no masked entries; .filled(...) gives them a value")
     try:
         given = np.asarray(value)
     except ValueError:
         raise ValueError(f"{name} must be a rectangular array of numbers, got {value!r}") from None
     if given.dtype.kind == "c":
         raise ValueError(f"{name} must be real, got complex entries")
-    if given.dtype.kind not in "biuf" and given.size:
-        raise TypeError(f"{name} must be an array of numbers, got entries of type {given.dtype}")
+    if given.dtype.kind not in "iuf" and given.size:
+        kind = f"got entries of type {given.dtype}; np.array(..., dtype=float) makes numbers"
+        raise TypeError(f"{name} must be an array of numbers, {kind}")
     if given.ndim != ndim:
         raise ValueError(f"{name} must have {ndim} dimension(s), got shape {given.shape}")
-    if np.ma.is_masked(value):
-        raise ValueError(f"{name} must have no masked entries")
-    result = np.array(given, dtype=float)
+    with np.errstate(over="ignore"):  # a long double beyond the floats is not finite
+        result = np.array(given, dtype=float)
     if not np.isfinite(result).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
         raise ValueError(f"{name} must be finite, got {result[where]} at index {where}")
@@ -46,6 +52,7 @@ def real(
     name: str, value: float, *, low: float = -INF, high: float = INF, without: Sequence[float] = ()
 ) -> float:
     """Return `value` as a finite float within an interval, `without` some of its ends."""
+    _check_plain(name, [value])
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
@@ -63,9 +70,48 @@ def real(
     return result
 
 
-def frozen(value: Matrix) -> Matrix:
-    """Return the array, read-only from now on."""
-    value.flags.writeable = False
+def _check_plain(name: str, values: Iterable[object]) -> None:
+    """Refuse quantities of pint, astropy and others, whose units NumPy would strip."""
+    if any(hasattr(value, "units") or hasattr(value, "unit") for value in values):
+        remedy = "give the value in SI units, of pint .to_base_units().magnitude"
+        raise TypeError(f"{name} must be numbers without a unit, got a quantity; {remedy}")
+
+
+def _parts(value: object) -> Iterator[object]:
+    """Yield a value and, where it is a list or a tuple, all that is in it."""
+    yield value
+    if isinstance(value, list | tuple):
+        for part in value:
+            yield from _parts(part)
+
+
+def frozen(value: NDArray[T]) -> NDArray[T]:
+    """Return the array read-only for good: as a view of one that is, it stays so."""
+    if value.flags.writeable:
+        owner = value if value.base is None else value.copy("K")
+        owner.flags.writeable = False
+        value = owner.view()
+    return value
+
+
+class Frozen:
+    """A dataclass whose arrays are read-only, those of its copies and pickles, too."""
+
+    def __post_init__(self) -> None:
+        self.__setstate__(vars(self))
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        vars(self).update(_all_frozen(state))
+
+
+def _all_frozen(value: Any) -> Any:
+    """Return a value with the arrays in it read-only; one that may be changed is copied."""
+    if isinstance(value, np.ndarray):
+        return frozen(value.copy("K") if value.flags.writeable else value)
+    if type(value) is tuple:
+        return tuple(map(_all_frozen, value))
+    if type(value) is dict:
+        return {name: _all_frozen(part) for name, part in value.items()}
     return value
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from robsmooth._support import notation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import Table
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.estimators.certificate import (
     ConstraintProblem,
     largest_fraction,
@@ -35,7 +35,7 @@ _DELAY_ORDER = 10
 
 
 @dataclass(frozen=True, eq=False)
-class AnalysisBound:
+class AnalysisBound(Frozen):
     """The least bound on an estimator's error, and what attains it: see `analysis_bound`.
 
     Attributes
@@ -139,8 +139,8 @@ def analysis_bound(
         gap=problem.gap(theta),
         fraction=1.0,
         guarantee=proven,
-        multipliers=frozen(problem.all_multipliers(theta)),
-        feedback=frozen(point.feedback @ problem.states / x),
+        multipliers=problem.all_multipliers(theta),
+        feedback=point.feedback @ problem.states / x,
     )
 
 

@@ -35,7 +35,7 @@ from robsmooth._numerics.modes import hardly_decays
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.estimators.constant import mean_square, worst_delta
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import (
@@ -220,7 +220,7 @@ def delta_sweep(
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCase:
+class WorstCase(Frozen):
     """The worst constant uncertainty, as `worst_case` finds it.
 
     Attributes
@@ -286,4 +286,4 @@ def worst_case(
         return float(np.trace(error_covariance(smoother, Delta, output, loop)))
 
     worst, nominal = error(Delta), error(np.zeros_like(Delta))
-    return WorstCase(frozen(Delta), worst, nominal, guarantee(smoother, output, loop))
+    return WorstCase(Delta, worst, nominal, guarantee(smoother, output, loop))

@@ -19,7 +19,7 @@ from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.estimator import Estimator
@@ -35,7 +35,7 @@ _LAG_TOLERANCE = 1e-4  # of the best lag; the error's is of the order of its squ
 
 
 @dataclass(frozen=True, eq=False)
-class LagSweep:
+class LagSweep(Frozen):
     """What `lag_sweep` finds: smoothed mean square errors, in the squared unit of w.
 
     Attributes
@@ -122,7 +122,7 @@ def lag_sweep(
     errors = np.array([(case.nominal, case.mean_square) for case in cases]).T
     errors = errors.reshape(2, len(orders), len(lags))
     optimal = np.array([_optimal_error(system, lag) for lag in lags])
-    return LagSweep(*map(frozen, (lags, orders, *errors, optimal)))
+    return LagSweep(lags, orders, *errors, optimal)
 
 
 @one_thread

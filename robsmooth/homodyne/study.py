@@ -22,6 +22,7 @@ from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.tables import Table
+from robsmooth._support.validation import Frozen
 from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
@@ -41,7 +42,7 @@ QUANTITIES += ("filtered", "filtered_error", "smoothed", "smoothed_error", "slip
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(Frozen):
     """What `parameter_study` found, an array for each quantity.
 
     Attributes

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from robsmooth._support import notation
 from robsmooth._support.tables import Table
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Frozen, Matrix
 
 Floats = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class InadmissibleWarning(RuntimeWarning):
 
 
 @dataclass(frozen=True, eq=False)
-class SimulationResult:
+class SimulationResult(Frozen):
     """Errors of an estimator in the nonlinear loop, as `simulate` measures them.
 
     Attributes
@@ -129,7 +129,7 @@ class SimulationResult:
 
 
 @dataclass(frozen=True, eq=False)
-class SamplePaths:
+class SamplePaths(Frozen):
     """A few paths of the loop, of `sample_paths`, to look at and to try estimators on.
 
     Attributes

@@ -29,11 +29,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix
 
 
 @dataclass(frozen=True, eq=False)
-class DelayModel:
+class DelayModel(Frozen):
     r"""A linear model of the delay of `channels` signals by `delay` seconds.
 
     Attributes
@@ -57,10 +57,6 @@ class DelayModel:
         channels, states = self.H.shape
         sizes = f"{states} states, {channels} channels"
         return f"DelayModel(delay={self.delay:g} s, order={self.order}, {sizes})"
-
-    def __post_init__(self) -> None:
-        for value in (self.F, self.G, self.H, self.J):
-            frozen(value)
 
     def response(self, omega: ArrayLike) -> NDArray[np.complex128]:
         """Return the transfer matrix at the angular frequencies `omega` (rad/s): (..., m, m)."""

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
 from robsmooth._support.extras import extra
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix, frozen
 from robsmooth.systems.channels import (
     Channel,
     Nonlinearity,
@@ -47,7 +47,7 @@ _ASYMMETRY = 1e-12  # of a correlation matrix, and how far below zero its eigenv
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class UncertainSystem:
+class UncertainSystem(Frozen):
     r"""The uncertain nonlinear system of Section II.
 
     Parameters
