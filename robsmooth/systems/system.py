@@ -20,7 +20,7 @@ A nonlinearity whose slopes lie in a sector around another slope than zero, :mat
 :math:`C_2`, and :math:`\psi_i(\nu) - c_i\nu` is kept, whose constant is half the sector's width.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.extras import extra
 from robsmooth._support.validation import Frozen, Matrix, frozen
 from robsmooth.systems.channels import (
     Channel,
@@ -38,9 +37,11 @@ from robsmooth.systems.channels import (
     fitting,
     with_feedback,
 )
+from robsmooth.systems.conversions import state_space, state_space_matrices
 
-if TYPE_CHECKING:  # it takes half a second to import, and few functions need it
+if TYPE_CHECKING:  # they take half a second to import, and few functions need them
     import control
+    from scipy import signal
 
 _SHOWN = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
 _ASYMMETRY = 1e-12  # of a correlation matrix, and how far below zero its eigenvalues may be
@@ -146,44 +147,54 @@ class UncertainSystem(Frozen):
     @classmethod
     def from_plant(
         cls,
-        plant: "control.StateSpace",
+        plant: "control.StateSpace | control.TransferFunction | signal.lti",
         process_noise: ArrayLike,
         measurement_noise: ArrayLike,
         *,
         outputs: ArrayLike | None = None,
         process_uncertainty: ArrayLike | None = None,
         measurement_uncertainty: ArrayLike | None = None,
+        gain_uncertainty: ArrayLike | None = None,
     ) -> "UncertainSystem":
-        r"""Make the system of a python-control plant and its noises, as ``control.lqe`` has them.
+        r"""Make the system of another library's plant and its noises, as ``control.lqe`` has them.
 
         With the plant's matrices and noises of intensity Q at its inputs and R at its outputs,
 
         .. math::
 
             dx &= Ax\,dt + BQ^{1/2}(\xi_0\,dt + dW_0), \\
-            dy &= Cx\,dt + DQ^{1/2}(\xi_0\,dt + dW_0) + R^{1/2}(\xi_1\,dt + dW_1).
+            dy &= (1 + \delta)Cx\,dt + DQ^{1/2}(\xi_0\,dt + dW_0) + R^{1/2}(\xi_1\,dt + dW_1).
 
         Parameters
         ----------
-        plant : control.StateSpace
-            In continuous time: p inputs are noises, l outputs are measurements.
+        plant : system of python-control or scipy.signal, in continuous time
+            As ``control.ss``, ``tf`` or ``zpk``, or ``scipy.signal.StateSpace``,
+            ``TransferFunction`` or ``ZerosPolesGain`` make one. Its p inputs are noises, its l
+            outputs are measurements.
         process_noise, measurement_noise : float, or (p, p) and (l, l) arrays
             Q and R, intensities (two-sided spectral densities); a float is that of each signal.
         outputs : (m, n) array, optional
             :math:`C_0`, what to estimate of the state. Default: C, the measurements without noise.
         process_uncertainty, measurement_uncertainty : (h, n) arrays, optional
             :math:`C_{1,0}` and :math:`C_{1,1}`: :math:`\xi_0` and :math:`\xi_1` are no larger than
-            these times x. Default: zero, no uncertainty.
+            these times x, in units of :math:`Q^{1/2}` and :math:`R^{1/2}`. Default: zero, no
+            uncertainty.
+        gain_uncertainty : float or (l,) array, optional
+            The largest size of :math:`\delta`, for all measurements or for each: 0.2 where a
+            sensor's gain is known to 20%. Those of several measurements need not be the same; each
+            has a channel after the two others. Default: no such channels.
 
         Returns
         -------
         UncertainSystem
-            `dataclasses.replace` puts further channels in.
+            `dataclasses.replace` puts further channels in. The states of a transfer function are
+            the library's choice: what is in coordinates of x wants a state-space plant.
 
         Raises
         ------
         ValueError, TypeError
-            For another kind of plant, an intensity that is no covariance, and as the class.
+            For another kind of plant, or one in discrete time, which is not converted; for an
+            intensity that is no covariance, and as the class.
 
         Examples
         --------
@@ -192,22 +203,38 @@ class UncertainSystem(Frozen):
         >>> plant = control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
         >>> rs.UncertainSystem.from_plant(plant, process_noise=1.0, measurement_noise=0.01).D21
         array([[0. , 0.1]])
+
+        A transfer function, and a sensor whose gain is known to 20%:
+
+        >>> plant = control.tf([1.0], [1.0, 0.2, 1.0])
+        >>> rs.UncertainSystem.from_plant(plant, 1.0, 0.01, gain_uncertainty=0.2).k
+        3
         """
-        check_continuous("plant", plant)
-        n, l = plant.nstates, plant.noutputs  # noqa: E741 - the paper's letter
-        process = covariance_root("process_noise", process_noise, plant.ninputs)
+        A, B, C, D, own_states = state_space_matrices(plant)
+        if not (own_states or outputs is process_uncertainty is measurement_uncertainty is None):
+            raise TypeError(
+                "plant must be a state-space system where outputs, process_uncertainty or "
+                f"measurement_uncertainty is given, for a {type(plant).__name__} has no states"
+            )
+        n, l = len(A), len(C)  # noqa: E741 - the paper's letter
+        process = covariance_root("process_noise", process_noise, B.shape[1])
         measurement = covariance_root("measurement_noise", measurement_noise, l)
-        B, D = plant.B @ process, plant.D @ process
+        B, D = B @ process, D @ process
         no_B, none = np.zeros((n, l)), np.zeros((1, n))
         C_0 = none if process_uncertainty is None else process_uncertainty
         C_1 = none if measurement_uncertainty is None else measurement_uncertainty
+        channels = [Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement)]
+        if gain_uncertainty is not None:
+            sizes = relative_sizes("gain_uncertainty", gain_uncertainty, l)
+            gains = zip(sizes[:, None] * C, np.eye(l), strict=True)
+            channels += [Uncertainty(no_B[:, :1], c[None], d[:, None]) for c, d in gains]
         return cls(
-            A=plant.A,
+            A=A,
             B1=np.hstack([B, no_B]),
-            C0=plant.C if outputs is None else outputs,
-            C2=plant.C,
+            C0=C if outputs is None else outputs,
+            C2=C,
             D21=np.hstack([D, measurement]),
-            uncertainties=[Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement)],
+            uncertainties=channels,
         )
 
     def to_statespace(self) -> "control.StateSpace":
@@ -339,45 +366,11 @@ def covariance_root(name: str, intensity: ArrayLike, size: int) -> Matrix:
     return unit[:, None] * (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T)
 
 
-def state_space(
-    A: Matrix,
-    inputs: Mapping[str, Matrix],
-    outputs: Mapping[str, Matrix],
-    feedthrough: Mapping[tuple[str, str], Matrix],
-) -> "control.StateSpace":
-    """Return a python-control object with signals by name: inputs (n, .) and outputs (., n).
-
-    Component i of a signal is called ``name[i]`` there: python-control connects by name. The
-    feedthrough is by (output, input), zero if left out.
-    """
-    with extra("control", "to_statespace"):
-        import control
-
-    D = [
-        [feedthrough.get((y, u), np.zeros((len(C), B.shape[1]))) for u, B in inputs.items()]
-        for y, C in outputs.items()
-    ]
-    return control.StateSpace(
-        A.copy(),
-        np.hstack(list(inputs.values())),
-        np.vstack(list(outputs.values())),
-        np.block(D),
-        0,
-        inputs=[f"{u}[{i}]" for u, B in inputs.items() for i in range(B.shape[1])],
-        outputs=[f"{y}[{i}]" for y, C in outputs.items() for i in range(len(C))],
-        remove_useless_states=False,
-    )
-
-
-def check_continuous(name: str, sys: "control.StateSpace") -> None:
-    """Check that `sys` is a state-space system in continuous time, with a state."""
-    with extra("control", "a python-control system"):
-        import control
-
-    if not isinstance(sys, control.StateSpace):
-        hint = "; control.ss(...) makes it one" if isinstance(sys, control.TransferFunction) else ""
-        raise TypeError(f"{name} must be a control.StateSpace, got {type(sys).__name__}{hint}")
-    if sys.isdtime(strict=True):
-        raise ValueError(f"{name} must be in continuous time, got one in steps of dt={sys.dt!r}")
-    if sys.nstates == 0:
-        raise ValueError(f"{name} must have a state, got a static gain")
+def relative_sizes(name: str, value: ArrayLike, count: int) -> Matrix:
+    """Return sizes that are not negative, of which a float is that of each."""
+    if np.ndim(value) == 0:
+        return np.full(count, validation.real(name, value, low=0.0))
+    sizes = validation.array(name, value, ndim=1)
+    if len(sizes) != count or sizes.min() < 0.0:
+        raise ValueError(f"{name} must be {count} sizes that are not negative, got {sizes}")
+    return sizes
