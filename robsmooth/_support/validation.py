@@ -2,7 +2,7 @@
 
 import math
 import numbers
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,7 +15,7 @@ T = TypeVar("T", bound=np.generic)
 
 def array(name: str, value: ArrayLike, ndim: int) -> Matrix:
     """Return `value` as a read-only float array of `ndim` dimensions, finite and real."""
-    parts = list(_parts(value))
+    parts = [value, *value] if isinstance(value, list | tuple) else [value]
     _check_plain(name, parts)
     if any(map(np.ma.is_masked, parts)):
         raise ValueError(f"{name} must have no masked entries; .filled(...) gives them a value")
@@ -77,21 +77,12 @@ def _check_plain(name: str, values: Iterable[object]) -> None:
         raise TypeError(f"{name} must be numbers without a unit, got a quantity; {remedy}")
 
 
-def _parts(value: object) -> Iterator[object]:
-    """Yield a value and, where it is a list or a tuple, all that is in it."""
-    yield value
-    if isinstance(value, list | tuple):
-        for part in value:
-            yield from _parts(part)
-
-
 def frozen(value: NDArray[T]) -> NDArray[T]:
-    """Return the array read-only for good: as a view of one that is, it stays so."""
+    """Return the array read-only for good, as a view of a copy that is."""
     if value.flags.writeable:
-        owner = value if value.base is None else value.copy("K")
-        owner.flags.writeable = False
-        value = owner.view()
-    return value
+        value = value.copy("K")
+        value.flags.writeable = False
+    return value.view()
 
 
 class Frozen:
@@ -105,9 +96,9 @@ class Frozen:
 
 
 def _all_frozen(value: Any) -> Any:
-    """Return a value with the arrays in it read-only; one that may be changed is copied."""
+    """Return a value with the arrays in it read-only."""
     if isinstance(value, np.ndarray):
-        return frozen(value.copy("K") if value.flags.writeable else value)
+        return frozen(value)
     if type(value) is tuple:
         return tuple(map(_all_frozen, value))
     if type(value) is dict:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from robsmooth._support import validation
+from robsmooth._support import plots, tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
@@ -62,6 +62,19 @@ class LagSweep(Frozen):
     def __repr__(self) -> str:
         sizes = f"{len(self.orders)} orders x {len(self.lags)} lags"
         return f"LagSweep({sizes}, least nominal error {self.nominal.min():.5g})"
+
+    def to_frame(self) -> "tables.DataFrame":
+        """Return the errors as a pandas data frame, with a row for each order and lag."""
+        errors = {name: getattr(self, name) for name in ("nominal", "worst", "optimal")}
+        return tables.data_frame({"order": self.orders, "lag": self.lags}, errors)
+
+    def plot(self, ax: "plots.Axes | None" = None, error: str = "nominal") -> "plots.Axes":
+        """Draw the nominal or the worst errors over the lag; matplotlib is needed."""
+        validation.choice("error", error, ("nominal", "worst"))
+        curves = {"exact optimum": self.optimal}
+        curves |= zip(self.orders.tolist(), getattr(self, error), strict=True)
+        labels = {"xlabel": "lag (s)", "ylabel": f"{error} {plots.MEAN_SQUARE}"}
+        return plots.draw_curves(ax, self.lags, curves, **labels)
 
 
 _classical = partial(baselines.fixed_lag_smoother, copies=True)

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from robsmooth._support import validation
 from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.conversions import state_space
-from robsmooth.systems.system import UncertainSystem
+from robsmooth.systems.system import UncertainSystem, state_space
 
 if TYPE_CHECKING:
     import control

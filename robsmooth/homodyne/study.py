@@ -16,12 +16,11 @@ from warnings import catch_warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._support import cluster, validation
+from robsmooth._support import cluster, plots, tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.tables import Table
 from robsmooth._support.validation import Frozen
 from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.estimators import baselines
@@ -90,6 +89,24 @@ class Study(Frozen):
         sizes = " x ".join(f"{len(getattr(self, name))} {name}" for name in AXES)
         return f"Study({sizes}: {self.designs} designs, {len(self.failures)} columns without)"
 
+    def to_frame(self) -> "tables.DataFrame":
+        """Return the quantities as a pandas data frame, with a row for each point of the grid."""
+        return tables.data_frame({name[:-1]: getattr(self, name) for name in AXES}, self.quantities)
+
+    def plot(
+        self, ax: "plots.Axes | None" = None, gamma: float | None = None, noise: float | None = None
+    ) -> "plots.Axes":
+        """Draw `ratio` over the lag, by default in the middle of the grid; matplotlib is needed."""
+        at = [("gamma", gamma, self.gammas), ("noise", noise, self.noises)]
+        i, j = (
+            len(axis) // 2 if value is None else axis.index(validation.choice(name, value, axis))
+            for name, value, axis in at
+        )
+        curves = {"both optimal, linear loop": self.optimal_ratio[i, j, -1]}
+        curves |= zip(self.orders, self.ratio[i, j], strict=True)
+        labels = {"xlabel": "lag (s)", "ylabel": "smoothed / filtered error"}
+        return plots.draw_curves(ax, self.lags, curves, **labels)
+
     def _repr_html_(self) -> str:
         names = (r"half width $\gamma$", "power of the shot noise", "order", "lag (s)")
         ranges = dict(zip(names, (self.gammas, self.noises, self.orders, self.lags), strict=True))
@@ -97,7 +114,7 @@ class Study(Frozen):
             ranges["smoothed / filtered"] = found
         rows = [(name, len(r), float(min(r)), float(max(r))) for name, r in ranges.items()]
         caption = f"{self.designs} designs; {len(self.failures)} sectors and noises have none."
-        return Table(("over", "values", "from", "to"), rows, caption).html()
+        return tables.Table(("over", "values", "from", "to"), rows, caption).html()
 
 
 def parameter_study(

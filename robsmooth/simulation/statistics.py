@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._support import notation
-from robsmooth._support.tables import Table
+from robsmooth._support import notation, plots, tables
 from robsmooth._support.validation import Frozen, Matrix
 
 Floats = NDArray[np.float64]
@@ -116,7 +115,7 @@ class SimulationResult(Frozen):
         rows = [(name, getattr(self, name)._repr_latex_()) for name in ("smoothed", "filtered")]
         columns = ("estimate", "mean square error")
         caption = f"The nonlinear loop, in the squared unit of $w$; {self._setting}."
-        return Table(columns, rows, caption).html()
+        return tables.Table(columns, rows, caption).html()
 
     @property
     def _setting(self) -> str:
@@ -166,6 +165,21 @@ class SamplePaths(Frozen):
         return (
             f"SamplePaths({paths} paths of {steps} steps of {self.step:.4g} s, "
             f"lag={self.delay:g} s, {measurements} measurements, {self.w.shape[2]} outputs)"
+        )
+
+    def to_frame(self) -> "tables.DataFrame":
+        """Return the paths as a pandas data frame, with a row for each path and time."""
+        series = [(name, each) for name, each in vars(self).items() if np.ndim(each) == 3]
+        columns = {f"{name}[{i}]": x[..., i] for name, x in series for i in range(x.shape[2])}
+        return tables.data_frame({"path": range(len(self.y)), "time": self.time}, columns)
+
+    def plot(self, ax: "plots.Axes | None" = None, path: int = 0, output: int = 0) -> "plots.Axes":
+        """Draw w and its estimates, each at the time that it is for; matplotlib is needed."""
+        times = self.time - [[0.0], [0.0], [self.delay]]
+        found = {"true": self.w, "filtered": self.filtered, "smoothed": self.smoothed}
+        curves = {name: each[path, :, output] for name, each in found.items()}
+        return plots.draw_curves(
+            ax, times, curves, xlabel="time (s)", ylabel=f"w[{output}] (unit of $w$)"
         )
 
 

@@ -20,14 +20,15 @@ A nonlinearity whose slopes lie in a sector around another slope than zero, :mat
 :math:`C_2`, and :math:`\psi_i(\nu) - c_i\nu` is kept, whose constant is half the sector's width.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
+from robsmooth._support.extras import extra
 from robsmooth._support.validation import Frozen, Matrix, frozen
 from robsmooth.systems.channels import (
     Channel,
@@ -37,7 +38,6 @@ from robsmooth.systems.channels import (
     fitting,
     with_feedback,
 )
-from robsmooth.systems.conversions import state_space, state_space_matrices
 
 if TYPE_CHECKING:  # they take half a second to import, and few functions need them
     import control
@@ -167,34 +167,29 @@ class UncertainSystem(Frozen):
 
         Parameters
         ----------
-        plant : system of python-control or scipy.signal, in continuous time
-            As ``control.ss``, ``tf`` or ``zpk``, or ``scipy.signal.StateSpace``,
-            ``TransferFunction`` or ``ZerosPolesGain`` make one. Its p inputs are noises, its l
-            outputs are measurements.
+        plant : control.StateSpace or TransferFunction, scipy.signal.lti
+            In continuous time: p inputs are noises, l outputs are measurements.
         process_noise, measurement_noise : float, or (p, p) and (l, l) arrays
             Q and R, intensities (two-sided spectral densities); a float is that of each signal.
         outputs : (m, n) array, optional
             :math:`C_0`, what to estimate of the state. Default: C, the measurements without noise.
         process_uncertainty, measurement_uncertainty : (h, n) arrays, optional
             :math:`C_{1,0}` and :math:`C_{1,1}`: :math:`\xi_0` and :math:`\xi_1` are no larger than
-            these times x, in units of :math:`Q^{1/2}` and :math:`R^{1/2}`. Default: zero, no
-            uncertainty.
+            these times x. Default: zero, no uncertainty.
         gain_uncertainty : float or (l,) array, optional
-            The largest size of :math:`\delta`, for all measurements or for each: 0.2 where a
-            sensor's gain is known to 20%. Those of several measurements need not be the same; each
-            has a channel after the two others. Default: no such channels.
+            The largest size of :math:`\delta`, of each measurement its own: 0.2 where gains are
+            known to 20%. Each has a channel after the two others. Default: no such channels.
 
         Returns
         -------
         UncertainSystem
-            `dataclasses.replace` puts further channels in. The states of a transfer function are
-            the library's choice: what is in coordinates of x wants a state-space plant.
+            `dataclasses.replace` puts further channels in. A transfer function has no states:
+            what is for x, as `outputs`, wants a state-space plant.
 
         Raises
         ------
         ValueError, TypeError
-            For another kind of plant, or one in discrete time, which is not converted; for an
-            intensity that is no covariance, and as the class.
+            For another kind of plant, an intensity that is no covariance, and as the class.
 
         Examples
         --------
@@ -210,11 +205,11 @@ class UncertainSystem(Frozen):
         >>> rs.UncertainSystem.from_plant(plant, 1.0, 0.01, gain_uncertainty=0.2).k
         3
         """
-        A, B, C, D, own_states = state_space_matrices(plant)
-        if not (own_states or outputs is process_uncertainty is measurement_uncertainty is None):
+        A, B, C, D, own = in_state_space(plant)
+        if not (own or outputs is process_uncertainty is measurement_uncertainty is None):
             raise TypeError(
-                "plant must be a state-space system where outputs, process_uncertainty or "
-                f"measurement_uncertainty is given, for a {type(plant).__name__} has no states"
+                f"plant must have states, a {type(plant).__name__} has none, where outputs, "
+                "process_uncertainty or measurement_uncertainty is given: control.ss(...)"
             )
         n, l = len(A), len(C)  # noqa: E741 - the paper's letter
         process = covariance_root("process_noise", process_noise, B.shape[1])
@@ -225,7 +220,8 @@ class UncertainSystem(Frozen):
         C_1 = none if measurement_uncertainty is None else measurement_uncertainty
         channels = [Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement)]
         if gain_uncertainty is not None:
-            sizes = relative_sizes("gain_uncertainty", gain_uncertainty, l)
+            each = [gain_uncertainty] * l if np.ndim(gain_uncertainty) == 0 else gain_uncertainty
+            (sizes,) = validation.matrix("gain_uncertainty", [each], (1, l))
             gains = zip(sizes[:, None] * C, np.eye(l), strict=True)
             channels += [Uncertainty(no_B[:, :1], c[None], d[:, None]) for c, d in gains]
         return cls(
@@ -366,11 +362,78 @@ def covariance_root(name: str, intensity: ArrayLike, size: int) -> Matrix:
     return unit[:, None] * (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)) @ vectors.T)
 
 
-def relative_sizes(name: str, value: ArrayLike, count: int) -> Matrix:
-    """Return sizes that are not negative, of which a float is that of each."""
-    if np.ndim(value) == 0:
-        return np.full(count, validation.real(name, value, low=0.0))
-    sizes = validation.array(name, value, ndim=1)
-    if len(sizes) != count or sizes.min() < 0.0:
-        raise ValueError(f"{name} must be {count} sizes that are not negative, got {sizes}")
-    return sizes
+def state_space(
+    A: Matrix,
+    inputs: Mapping[str, Matrix],
+    outputs: Mapping[str, Matrix],
+    feedthrough: Mapping[tuple[str, str], Matrix],
+) -> "control.StateSpace":
+    """Return a python-control object with signals by name: inputs (n, .) and outputs (., n).
+
+    Component i of a signal is called ``name[i]`` there: python-control connects by name. The
+    feedthrough is by (output, input), zero if left out.
+    """
+    with extra("control", "to_statespace"):
+        import control
+
+    D = [
+        [feedthrough.get((y, u), np.zeros((len(C), B.shape[1]))) for u, B in inputs.items()]
+        for y, C in outputs.items()
+    ]
+    return control.StateSpace(
+        A.copy(),
+        np.hstack(list(inputs.values())),
+        np.vstack(list(outputs.values())),
+        np.block(D),
+        0,
+        inputs=[f"{u}[{i}]" for u, B in inputs.items() for i in range(B.shape[1])],
+        outputs=[f"{y}[{i}]" for y, C in outputs.items() for i in range(len(C))],
+        remove_useless_states=False,
+    )
+
+
+def in_state_space(plant: Any) -> tuple[Matrix, Matrix, Matrix, Matrix, bool]:
+    """Return A, B, C and D of a plant in continuous time, and whether it has states of its own."""
+    from scipy import signal
+
+    if isinstance(plant, signal.lti | signal.dlti):
+        own, discrete = isinstance(plant, signal.StateSpace), isinstance(plant, signal.dlti)
+    else:
+        with extra("control", "a python-control system"):
+            import control as library
+        if not isinstance(plant, library.StateSpace | library.TransferFunction):
+            kinds = "a state-space system or transfer function of python-control or scipy.signal"
+            raise TypeError(f"plant must be {kinds}, got {type(plant).__name__}")
+        own, discrete = isinstance(plant, library.StateSpace), plant.isdtime(strict=True)
+    if discrete:
+        raise ValueError(
+            f"plant must be in continuous time, got one in steps of dt={plant.dt!r}: d2c of MATLAB "
+            "converts it, and so does scipy.linalg.logm([[A, B], [0, I]]) / dt = [[., .], [0, 0]]"
+        )
+    if own:
+        matrices = plant.A, plant.B, plant.C, plant.D
+    elif isinstance(plant, signal.ZerosPolesGain):
+        matrices = companion_form(*signal.zpk2tf(plant.zeros, plant.poles, plant.gain))
+    elif isinstance(plant, signal.lti):
+        matrices = companion_form(plant.num, plant.den)
+    elif plant.issiso():
+        matrices = companion_form(plant.num[0][0], plant.den[0][0])
+    else:
+        raise TypeError("plant must be control.ss(...) where it has several inputs or outputs")
+    if len(matrices[0]) == 0:
+        raise ValueError("plant must have a state, got a static gain")
+    return *matrices, own
+
+
+def companion_form(numerator: ArrayLike, denominator: ArrayLike) -> tuple[Matrix, ...]:
+    """Return A, B, C and D of proper transfer functions with one denominator, in any units.
+
+    The conversions of the libraries take numerators below 1e-14 for zero.
+    """
+    b, a = np.atleast_2d(numerator), np.asarray(denominator, dtype=float)
+    n, missing = len(a) - 1, len(a) - b.shape[1]
+    if missing < 0:
+        raise ValueError("plant must be proper, got a numerator of higher order than the other")
+    b, a = np.pad(b, ((0, 0), (missing, 0))) / a[0], a / a[0]
+    A = np.vstack([-a[1:], np.eye(n)[:-1]])
+    return A[:n], np.eye(n, 1), b[:, 1:] - b[:, :1] * a[1:], b[:, :1]

@@ -20,7 +20,6 @@ TYPES = r"A must be an array of numbers, got entries of type {}; np\.array\(\.\.
         (np.ma.array([[-1.0]], mask=[[True]]), ValueError, MASKED),
         ([HIDDEN], ValueError, MASKED),  # NumPy takes what is under the mask
         ((HIDDEN,), ValueError, MASKED),
-        ([[np.ma.masked]], ValueError, MASKED),
         ([[True]], TypeError, TYPES.format("bool")),
         (np.array([[False]]), TypeError, TYPES.format("bool")),
         ([[10**30]], TypeError, TYPES.format("object")),  # beyond int64
@@ -52,7 +51,7 @@ def test_a_quantity_is_refused_before_its_unit_is_lost():
     units = pytest.importorskip("pint").UnitRegistry()
     words = r"must be numbers without a unit, got a quantity; .*\.to_base_units\(\)\.magnitude$"
     rate = np.array([[-1.0]]) / units.ms
-    for A in (rate, [[-1.0 / units.ms]], [rate[0]]):
+    for A in (rate, [rate[0]]):
         with pytest.raises(TypeError, match=f"^A {words}"):
             rs.UncertainSystem(A, [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]])
     system = rs.UncertainSystem(
