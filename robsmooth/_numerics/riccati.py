@@ -21,7 +21,7 @@ from scipy.linalg import LinAlgError, schur, solve_continuous_are
 from scipy.linalg.lapack import dgebal, dtrsyl
 
 from robsmooth._support.blas import one_thread
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Frozen, Matrix
 
 RESIDUAL_TOLERANCE = 1e-8
 ERROR_TOLERANCE = 1e-6
@@ -36,7 +36,7 @@ class RiccatiError(ArithmeticError):
 
 
 @dataclass(frozen=True, eq=False)
-class RiccatiSolution:
+class RiccatiSolution(Frozen):
     r"""A stabilising solution X (n, n) with its certificate.
 
     The residual is relative to :math:`2|A||X| + |Q| + |S||X|^2`, smallest eigenvalue and estimated

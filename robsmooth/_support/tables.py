@@ -7,8 +7,16 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from robsmooth._support import files, notation
+from robsmooth._support.extras import extra
+
+if TYPE_CHECKING:
+    from pandas import DataFrame as DataFrame
 
 Cell = str | int | float | None
 
@@ -92,6 +100,16 @@ class Table:
         if cell is None:
             return ""
         return f"{cell:.{self.digits}g}" if isinstance(cell, float) else str(cell)
+
+
+def data_frame(axes: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> "DataFrame":
+    """Return a data frame of axes and arrays over them, with a row for each point of the grid."""
+    with extra("frames", "a data frame"):
+        import pandas
+    index = pandas.MultiIndex.from_product(axes.values(), names=axes)
+    shape = [len(axis) for axis in axes.values()]
+    columns = {name: np.broadcast_to(each, shape).ravel() for name, each in values.items()}
+    return pandas.DataFrame(columns, index).reset_index()
 
 
 def _numeric(column: Sequence[str]) -> bool:

@@ -3,24 +3,26 @@
 import math
 import numbers
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 INF = math.inf
 Matrix = NDArray[np.float64]
+T = TypeVar("T", bound=np.generic)
 
 
 def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
     """Return `value` as an array of real numbers, of any of their types, with NaN where masked."""
-    if hasattr(value, "magnitude") or hasattr(value, "to_value"):  # of pint, astropy or unyt
-        remedy = ".to(...).magnitude or .to_value(...) has them"
-        kind = type(value).__name__
-        raise TypeError(f"{name} must be numbers without a unit, got a {kind}: its {remedy}")
+    for each in _parts(value):
+        if hasattr(each, "magnitude") or hasattr(each, "to_value"):  # of pint, astropy or unyt
+            remedy = ".to(...).magnitude or .to_value(...) has them"
+            kind = type(each).__name__
+            raise TypeError(f"{name} must be numbers without a unit, got a {kind}: its {remedy}")
     try:
         result = np.asarray(value)
-    except (ValueError, TypeError):  # the latter for a list of quantities
+    except ValueError:
         rule = f"{name} must be a rectangular array of numbers"
         raise ValueError(f"{rule}, got {repr(value)[:60]}") from None
     if result.dtype.kind == "c":
@@ -30,19 +32,25 @@ def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
             f"{name} must be an array of numbers, got entries of type {result.dtype}: "
             "np.array(..., dtype=float) makes numbers of them where that is meant"
         )
-    if np.ma.is_masked(value):
-        result = np.where(np.ma.getmaskarray(value), np.nan, result)
-    return result
+    if not any(map(np.ma.is_masked, _parts(value))):
+        return result
+    return np.where(np.ma.getmaskarray(np.ma.array(value)), np.nan, result)
+
+
+def _parts(value: ArrayLike) -> list[Any]:
+    """Return a value and, of a list, its members, which may have a mask or a unit of their own."""
+    return [value, *value] if isinstance(value, list | tuple) else [value]
 
 
 def array(name: str, value: ArrayLike, ndim: int) -> Matrix:
     """Return `value` as a read-only float array of `ndim` dimensions, finite and real."""
+    if any(map(np.ma.is_masked, _parts(value))):
+        raise ValueError(f"{name} must have no masked entries; .filled(...) gives them a value")
     given = numbers_of(name, value)
     if given.ndim != ndim:
         raise ValueError(f"{name} must have {ndim} dimension(s), got shape {given.shape}")
-    if np.ma.is_masked(value):
-        raise ValueError(f"{name} must have no masked entries")
-    result = np.array(given, dtype=float)
+    with np.errstate(over="ignore"):  # a long double beyond the floats is not finite
+        result = np.array(given, dtype=float)
     if not np.isfinite(result).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
         raise ValueError(f"{name} must be finite, got {result[where]} at index {where}")
@@ -80,9 +88,33 @@ def real(
     return result
 
 
-def frozen(value: Matrix) -> Matrix:
-    """Return the array, read-only from now on."""
-    value.flags.writeable = False
+def frozen(value: NDArray[T]) -> NDArray[T]:
+    """Return the array read-only for good, as a view of a copy that is."""
+    if value.flags.writeable:
+        value = value.copy("K")
+        value.flags.writeable = False
+    return value.view()
+
+
+class Frozen:
+    """A dataclass whose arrays are read-only, those of its copies and pickles, too."""
+
+    def __post_init__(self) -> None:
+        self.__setstate__(vars(self))
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        vars(self).update(_all_frozen(state))
+
+
+def _all_frozen(value: Any) -> Any:
+    """Return a value with the arrays in it read-only."""
+    if isinstance(value, np.ndarray):
+        return frozen(value)
+    if isinstance(value, tuple):
+        parts = map(_all_frozen, value)
+        return tuple(parts) if type(value) is tuple else type(value)(*parts)
+    if type(value) is dict:
+        return {name: _all_frozen(part) for name, part in value.items()}
     return value
 
 

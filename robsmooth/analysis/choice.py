@@ -9,11 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from robsmooth._support import validation
+from robsmooth._support import tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import CoarseDelayWarning, InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.tables import Table
 from robsmooth.analysis.constraints import analysis_bound
 from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
@@ -131,7 +130,7 @@ class Choice:
     output: str
 
     @property
-    def table(self) -> Table:
+    def table(self) -> tables.Table:
         """Every candidate with its nominal, worst constant and certified worst error."""
         rows = []
         for name, each in self.candidates.items():
@@ -141,7 +140,13 @@ class Choice:
             rows.append((name, *errors, refused or ("best" if name == self.name else "")))
         columns = ("smoother", "nominal", "worst constant", "certified worst", "")
         caption = f"Mean square errors of the {self.output} estimate, in the squared unit of $w$."
-        return Table(columns, rows, f"{caption} {self.sentence}")
+        return tables.Table(columns, rows, f"{caption} {self.sentence}")
+
+    def to_frame(self) -> "tables.DataFrame":
+        """Return the candidates, their errors and why some were refused as a pandas data frame."""
+        judged = [vars(c.judgement) | {"refused": c.refused} for c in self.candidates.values()]
+        columns = {name: [each[name] for each in judged] for name in judged[0]}
+        return tables.data_frame({"smoother": self.candidates}, columns)
 
     @property
     def sentence(self) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robsmooth._support.blas import one_thread
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.estimators.certificate import (
     ConstraintProblem,
     largest_fraction,
@@ -33,7 +33,7 @@ _DELAY_ORDER = 10
 
 
 @dataclass(frozen=True, eq=False)
-class AnalysisBound:
+class AnalysisBound(Frozen):
     """The least bound on an estimator's error, and what attains it: see `analysis_bound`.
 
     Attributes
@@ -126,6 +126,6 @@ def analysis_bound(
         mean_square=point.mean_square,
         gap=problem.gap(theta),
         fraction=1.0,
-        multipliers=frozen(problem.all_multipliers(theta)),
-        feedback=frozen(point.feedback @ problem.states / x),
+        multipliers=problem.all_multipliers(theta),
+        feedback=point.feedback @ problem.states / x,
     )

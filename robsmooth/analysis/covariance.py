@@ -15,16 +15,18 @@ what the state one lag back contributes, and the noise since then. The state is
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._numerics.lyapunov import check_certainty, covariances
 from robsmooth._numerics.modes import hardly_decays
-from robsmooth._support import validation
+from robsmooth._support import plots, tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.estimators.constant import mean_square, worst_delta
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import (
@@ -164,13 +166,54 @@ def error_covariance(
     return _stationary_error(A, B, smoother, output)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class DeltaSweep(Frozen, NDArrayOperatorsMixin):
+    """The (N, m, m) covariances that `delta_sweep` finds at (N,) slopes: used as an array."""
+
+    nonlinearities: NDArray[np.float64]
+    covariances: NDArray[np.float64]
+    output: str
+
+    @property
+    def mean_square(self) -> NDArray[np.float64]:
+        """(N,) array, the mean square errors: the traces of the covariances."""
+        return np.trace(self.covariances, axis1=1, axis2=2)
+
+    def to_frame(self) -> "tables.DataFrame":
+        """Return the mean square errors as a pandas data frame."""
+        return tables.data_frame({"slope": self.nonlinearities}, {"mean_square": self.mean_square})
+
+    def plot(self, ax: "plots.Axes | None" = None, label: str | None = None) -> "plots.Axes":
+        """Draw the mean square errors over the slopes; matplotlib is needed."""
+        labels = {"xlabel": r"slope $\Delta_2$", "ylabel": plots.MEAN_SQUARE}
+        curve = {label or self.output: self.mean_square}
+        return plots.draw_curves(ax, self.nonlinearities, curve, **labels)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[np.float64]:
+        return np.array(self.covariances, dtype=dtype, copy=copy)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        return getattr(ufunc, method)(*(getattr(x, "covariances", x) for x in inputs), **options)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.covariances[index]
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # of pickle and NumPy
+            raise AttributeError(name)
+        return getattr(self.covariances, name)
+
+    def __repr__(self) -> str:
+        return repr(self.covariances)
+
+
 @one_thread
 def delta_sweep(
     smoother: Estimator,
     nonlinearities: Iterable[float],
     output: str = "smoothed",
     loop: str = "theory",
-) -> NDArray[np.float64]:
+) -> DeltaSweep:
     """Return the error covariance for each slope of the nonlinearities, as in Fig. 4.
 
     Parameters
@@ -184,7 +227,7 @@ def delta_sweep(
 
     Returns
     -------
-    (N, m, m) array
+    DeltaSweep, of (N, m, m) covariances
 
     Examples
     --------
@@ -204,11 +247,12 @@ def delta_sweep(
     size = slopes.size * (plant.n + len(smoother.A_c)) ** 2
     parts = np.array_split(slopes[:, None, None], 1 + size // _BATCH)
     loops = (closed_loop(smoother, part * pattern, loop) for part in parts)
-    return np.concatenate([_stationary_error(*each, smoother, output) for each in loops])
+    covariances = np.concatenate([_stationary_error(*each, smoother, output) for each in loops])
+    return DeltaSweep(slopes, covariances, output)
 
 
 @dataclass(frozen=True, eq=False)
-class WorstCase:
+class WorstCase(Frozen):
     """The worst constant uncertainty, as `worst_case` finds it.
 
     Attributes
@@ -235,6 +279,16 @@ class WorstCase:
 
     def __repr__(self) -> str:
         return f"WorstCase(mean_square={self.mean_square:.5g}, nominal={self.nominal:.5g})"
+
+    def plot(self, ax: "plots.Axes | None" = None) -> "plots.Axes":
+        """Draw the entries of Delta, whose blocks are the channels; matplotlib is needed."""
+        ax, most = ax or plots.new_axes(), np.abs(self.Delta).max(initial=0.0) or 1.0
+        entries = ax.imshow(self.Delta, cmap="PuOr", vmin=-most, vmax=most)
+        ax.figure.colorbar(entries, ax=ax, label=r"entry of $\Delta$")
+        ax.set(xlabel=r"row of $\tilde\zeta$", ylabel=r"row of $\tilde\xi$")
+        ax.locator_params(integer=True)
+        ax.set_title(f"mean square error {self.mean_square:.4g} (nominal: {self.nominal:.4g})")
+        return ax
 
 
 @one_thread
@@ -266,4 +320,4 @@ def worst_case(smoother: Estimator, output: str = "smoothed", loop: str = "theor
             return np.inf
         return float(np.trace(error_covariance(smoother, Delta, output, loop)))
 
-    return WorstCase(frozen(Delta), error(Delta), error(np.zeros_like(Delta)))
+    return WorstCase(Delta, error(Delta), error(np.zeros_like(Delta)))

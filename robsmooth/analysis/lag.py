@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from robsmooth._support import validation
+from robsmooth._support import plots, tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.estimator import Estimator
@@ -35,7 +35,7 @@ _LAG_TOLERANCE = 1e-4  # of the best lag; the error's is of the order of its squ
 
 
 @dataclass(frozen=True, eq=False)
-class LagSweep:
+class LagSweep(Frozen):
     """What `lag_sweep` finds: smoothed mean square errors, in the squared unit of w.
 
     Attributes
@@ -62,6 +62,19 @@ class LagSweep:
     def __repr__(self) -> str:
         sizes = f"{len(self.orders)} orders x {len(self.lags)} lags"
         return f"LagSweep({sizes}, least nominal error {self.nominal.min():.5g})"
+
+    def to_frame(self) -> "tables.DataFrame":
+        """Return the errors as a pandas data frame, with a row for each order and lag."""
+        errors = {name: getattr(self, name) for name in ("nominal", "worst", "optimal")}
+        return tables.data_frame({"order": self.orders, "lag": self.lags}, errors)
+
+    def plot(self, ax: "plots.Axes | None" = None, error: str = "nominal") -> "plots.Axes":
+        """Draw the nominal or the worst errors over the lag; matplotlib is needed."""
+        validation.choice("error", error, ("nominal", "worst"))
+        curves = {"exact optimum": self.optimal}
+        curves |= zip(self.orders.tolist(), getattr(self, error), strict=True)
+        labels = {"xlabel": "lag (s)", "ylabel": f"{error} {plots.MEAN_SQUARE}"}
+        return plots.draw_curves(ax, self.lags, curves, **labels)
 
 
 _classical = partial(baselines.fixed_lag_smoother, copies=True)
@@ -113,7 +126,7 @@ def lag_sweep(
     errors = np.array([(case.nominal, case.mean_square) for case in cases]).T
     errors = errors.reshape(2, len(orders), len(lags))
     optimal = np.array([_optimal_error(system, lag) for lag in lags])
-    return LagSweep(*map(frozen, (lags, orders, *errors, optimal)))
+    return LagSweep(lags, orders, *errors, optimal)
 
 
 @one_thread

@@ -10,6 +10,7 @@ from scipy.stats import chi2, norm
 
 from robsmooth._support import validation
 from robsmooth._support.extras import extra
+from robsmooth._support.validation import Frozen
 from robsmooth.estimators.discrete import DiscreteSmoother
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class RecordCheck:
+class RecordCheck(Frozen):
     r"""What the normalised innovations of a record say of its model: see `check_record`.
 
     Attributes

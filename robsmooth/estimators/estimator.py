@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.system import UncertainSystem, state_space
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Estimator:
+class Estimator(Frozen):
     """An estimator of a plant's output, filtered and one delay back.
 
     Attributes
@@ -60,11 +60,6 @@ class Estimator:
     cost: str | None = None
     # Not an argument: an estimator with other matrices is not that of the nominal system any more.
     nominal: tuple[UncertainSystem, UncertainSystem] | None = field(default=None, init=False)
-
-    def __post_init__(self) -> None:
-        for value in vars(self).values():  # also of those with more to them
-            if isinstance(value, np.ndarray):
-                frozen(value)
 
     @property
     def mean_square_bound(self) -> float | None:

@@ -16,7 +16,7 @@ from scipy.linalg import null_space, orth
 
 from robsmooth._numerics.lyapunov import covariances, deviations
 from robsmooth._support import validation
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Matrix
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.estimators.drift import Drift
 from robsmooth.estimators.estimator import Estimator
@@ -80,9 +80,9 @@ class Units:
         """Return a plant in these units."""
         old, x, y, root = plant.system, self.x[:, None], self.y[:, None], np.sqrt(self.time)
         system, model = self.system(old), pade_delay(plant.delay / self.time, plant.order, old.m)
-        growth = frozen(plant.growth * self.x / self.w)
+        growth = plant.growth * self.x / self.w
         taken_off = np.vstack([plant.taken_off[: old.n] * root / x, plant.taken_off[old.n :] / y])
-        return AugmentedSystem(system, model, plant.J_21, growth, frozen(taken_off))
+        return AugmentedSystem(system, model, plant.J_21, growth, taken_off)
 
     def restored(self, estimator: Estimator, plant: AugmentedSystem) -> dict[str, Any]:
         """Return the fields of an estimator of `plant`, made for the plant in these units.

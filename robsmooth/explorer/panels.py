@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import robsmooth as rs
+from robsmooth._support.plots import draw_curves
 from robsmooth.explorer.snapshot import SHOWN, SLOPES, STEP, Snapshot
 from robsmooth.paper.figures import use_style
-from robsmooth.paper.figures.style import TRUTH, label_ticks, plot_curves
+from robsmooth.paper.figures.style import label_ticks
 
 _ERROR = "mean square error\n(Kalman filter's = 1)"
 # A layout engine would find the same places at each drawing, and take as long as the drawing.
@@ -59,7 +60,7 @@ def _sector(axes: Axes, found: Snapshot) -> None:
 def _sweep(axes: Axes, found: Snapshot) -> None:
     errors = {"filtered": found.own.filtered, "smoothed": found.own.smoothed}
     errors["classical smoother"] = found.classical.smoothed
-    plot_curves(axes, SLOPES, {name: each / found.filtering for name, each in errors.items()})
+    draw_curves(axes, SLOPES, {name: each / found.filtering for name, each in errors.items()})
     star = {"markersize": 6, "clip_on": False, "label": "optimum at this lag"}
     axes.plot(0.0, found.optimum / found.filtering, "k*", **star)
     axes.set(title="error against uncertainty", ylabel=_ERROR, ylim=(0.0, 3.0))
@@ -87,10 +88,9 @@ def _errors(axes: Axes, found: Snapshot) -> None:
 
 def _path(axes: Axes, found: Snapshot) -> None:
     time = 1e6 * STEP * np.arange(1, SHOWN + 1)
-    phase, filtered, smoothed = found.path
-    axes.plot(time, phase, label="true", **TRUTH)
-    plot_curves(axes, time, {"filtered": filtered})
-    plot_curves(axes, time - 1e6 * found.settings.lag, {"smoothed": smoothed})
+    times = time - 1e6 * found.settings.lag * np.array([[0.0], [0.0], [1.0]])
+    curves = zip(("true", "filtered", "smoothed"), found.path, strict=True)
+    draw_curves(axes, times, dict(curves))
     axes.set(title="a path and its estimates", xlabel="time (µs)", ylabel="phase (rad)")
     axes.set(xlim=(0.0, time[-1]), ylim=(-3.0, 3.0))
     axes.legend(loc="upper left", ncols=2)

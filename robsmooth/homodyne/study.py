@@ -16,11 +16,12 @@ from warnings import catch_warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._support import cluster, validation
+from robsmooth._support import cluster, plots, tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
+from robsmooth._support.validation import Frozen
 from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
@@ -40,7 +41,7 @@ QUANTITIES += ("filtered", "filtered_error", "smoothed", "smoothed_error", "slip
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(Frozen):
     """What `parameter_study` found, an array for each quantity.
 
     Attributes
@@ -83,6 +84,24 @@ class Study:
         sizes = " x ".join(f"{len(getattr(self, name))} {name}" for name in AXES)
         designs = np.isfinite(self.quantities["bound"]).sum()
         return f"Study({sizes}: {designs} designs, {len(self.failures)} columns without)"
+
+    def to_frame(self) -> "tables.DataFrame":
+        """Return the quantities as a pandas data frame, with a row for each point of the grid."""
+        return tables.data_frame({name[:-1]: getattr(self, name) for name in AXES}, self.quantities)
+
+    def plot(
+        self, ax: "plots.Axes | None" = None, gamma: float | None = None, noise: float | None = None
+    ) -> "plots.Axes":
+        """Draw `ratio` over the lag, by default in the middle of the grid; matplotlib is needed."""
+        at = [("gamma", gamma, self.gammas), ("noise", noise, self.noises)]
+        i, j = (
+            len(axis) // 2 if value is None else axis.index(validation.choice(name, value, axis))
+            for name, value, axis in at
+        )
+        curves = {"both optimal, linear loop": self.optimal_ratio[i, j, -1]}
+        curves |= zip(self.orders, self.ratio[i, j], strict=True)
+        labels = {"xlabel": "lag (s)", "ylabel": "smoothed / filtered error"}
+        return plots.draw_curves(ax, self.lags, curves, **labels)
 
 
 def parameter_study(

@@ -11,7 +11,7 @@ from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.simulation.loop import (
     ExponentialIntegrator,
@@ -116,9 +116,9 @@ def simulate(
     result = SimulationResult(
         smoothed=errors.mean_square(1),
         filtered=errors.mean_square(0),
-        constraints=frozen(constraints),
-        violated=frozen(violated),
-        equivalent_delta=frozen(joined.delta.copy()),
+        constraints=constraints,
+        violated=violated,
+        equivalent_delta=joined.delta,
         runs=run.runs,
         path_steps=path_steps,
         duration=run.steps * run.step,
@@ -159,7 +159,7 @@ def sample_paths(
     parts = list(run.records(range(run.runs)))
     names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
     times, *series = (np.concatenate([part[name] for part in parts]) for name in ("time", *names))
-    by_path = (frozen(np.moveaxis(values, 2, 0)) for values in series)
+    by_path = (np.moveaxis(values, 2, 0) for values in series)
     return SamplePaths(times, *by_path, run.step, smoother.plant.delay)
 
 

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._support.validation import Matrix
+from robsmooth._support import plots, tables
+from robsmooth._support.validation import Frozen, Matrix
 
 Floats = NDArray[np.float64]
 
@@ -60,7 +61,7 @@ class InadmissibleWarning(RuntimeWarning):
 
 
 @dataclass(frozen=True, eq=False)
-class SimulationResult:
+class SimulationResult(Frozen):
     """Errors of an estimator in the nonlinear loop, as `simulate` measures them.
 
     Attributes
@@ -113,7 +114,7 @@ class SimulationResult:
 
 
 @dataclass(frozen=True, eq=False)
-class SamplePaths:
+class SamplePaths(Frozen):
     """A few paths of the loop, of `sample_paths`, to look at and to try estimators on.
 
     Attributes
@@ -150,6 +151,21 @@ class SamplePaths:
         return (
             f"SamplePaths({paths} paths of {steps} steps of {self.step:.4g} s, "
             f"lag={self.delay:g} s, {measurements} measurements, {self.w.shape[2]} outputs)"
+        )
+
+    def to_frame(self) -> "tables.DataFrame":
+        """Return the paths as a pandas data frame, with a row for each path and time."""
+        series = [(name, each) for name, each in vars(self).items() if np.ndim(each) == 3]
+        columns = {f"{name}[{i}]": x[..., i] for name, x in series for i in range(x.shape[2])}
+        return tables.data_frame({"path": range(len(self.y)), "time": self.time}, columns)
+
+    def plot(self, ax: "plots.Axes | None" = None, path: int = 0, output: int = 0) -> "plots.Axes":
+        """Draw w and its estimates, each at the time that it is for; matplotlib is needed."""
+        times = self.time - [[0.0], [0.0], [self.delay]]
+        found = {"true": self.w, "filtered": self.filtered, "smoothed": self.smoothed}
+        curves = {name: each[path, :, output] for name, each in found.items()}
+        return plots.draw_curves(
+            ax, times, curves, xlabel="time (s)", ylabel=f"w[{output}] (unit of $w$)"
         )
 
 

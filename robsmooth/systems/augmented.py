@@ -15,7 +15,7 @@ from scipy.linalg import LinAlgError, block_diag, expm, solve_sylvester
 from robsmooth._numerics.modes import modes, natural_units, rates
 from robsmooth._support import validation
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix, frozen
 from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.system import UncertainSystem
 
@@ -26,7 +26,7 @@ _CORRELATED = 1e-12  # smallest eigenvalue of a noise's correlation matrix that 
 
 
 @dataclass(frozen=True, eq=False)
-class AugmentedSystem:
+class AugmentedSystem(Frozen):
     r"""The system with its delay model, in the paper's compact form.
 
     Attributes
@@ -85,19 +85,20 @@ class AugmentedSystem:
         A_p = block_diag(system.A, model.F)
         A_p[system.n :, : system.n] = model.G @ system.C0
         vars(self).update(
-            A_p=frozen(A_p),
+            A_p=A_p,
             B_p1=_padded(system.B1, n, system.q + g),
             C_p0=_padded(system.C0, system.m, n),
-            C_a=frozen(np.hstack([model.J @ system.C0 + self.growth, model.H])),
+            C_a=np.hstack([model.J @ system.C0 + self.growth, model.H]),
             B1_tilde=_padded(B, n, B.shape[1]),
             C1_tilde=_padded(C, h, n),
-            D12_tilde=frozen(block_diag(np.zeros((h - g, system.m)), np.eye(g))),
+            D12_tilde=block_diag(np.zeros((h - g, system.m)), np.eye(g)),
             C2_tilde=_padded(system.C2, system.l + g, n),
-            D21_tilde=frozen(D21_tilde),
-            D21_bar=frozen(block_diag(system.D21, self.J_21)),
+            D21_tilde=D21_tilde,
+            D21_bar=block_diag(system.D21, self.J_21),
             M_i=_constraints(self.input_sizes, [1.0] * g),
             N_i=_constraints(self.output_sizes, [c.lipschitz for c in system.nonlinearities]),
         )
+        super().__post_init__()
 
     @property
     def delay(self) -> float:
@@ -163,7 +164,7 @@ class AugmentedSystem:
         l, g = self.system.l, self.system.g  # noqa: E741 - the paper's letter
         r = self.B1_tilde.shape[1]
         both = np.eye(r)[:, r - 2 * g : r - g] + np.eye(r)[:, r - g :]
-        return self.B1_tilde @ both, self.D21_tilde[:l] @ both
+        return frozen(self.B1_tilde @ both), frozen(self.D21_tilde[:l] @ both)
 
     def structured_delta(
         self,
@@ -232,7 +233,7 @@ def augment(
     if system.g and not np.linalg.eigvalsh((J_21 + J_21.T) / 2).min() > 0.0:
         raise ValueError("J_21 must be positive definite")
     model = pade_delay(delay, order, system.m)
-    none = frozen(np.zeros((system.n + system.l, system.g)))
+    none = np.zeros((system.n + system.l, system.g))
     return AugmentedSystem(system, model, J_21, _growth(system, model), none)
 
 
@@ -245,17 +246,17 @@ def _growth(system: UncertainSystem, model: DelayModel) -> Matrix:
     """
     slowest, fastest = rates(system.A)
     if slowest > _STANDING * fastest:  # all modes decay
-        return frozen(np.zeros_like(system.C0))
+        return np.zeros_like(system.C0)
     try:
         found = modes(system.A, natural_units(system.A, system.B1), _STANDING * fastest)
     except LinAlgError:  # integrators that rounding has put apart: the model delays them exactly
-        return frozen(np.zeros_like(system.C0))
+        return np.zeros_like(system.C0)
     w = system.C0 @ found.V
     lacking = w @ expm(-model.delay * found.A) - model.J @ w
     if len(model.F):
         lacking -= model.H @ solve_sylvester(model.F, -found.A, -model.G @ w)
     lacking[np.abs(lacking) <= _ROUNDING * np.abs(w).max(initial=0.0)] = 0.0
-    return frozen(lacking @ found.W)
+    return lacking @ found.W
 
 
 def check_is_plant(plant: AugmentedSystem) -> None:
@@ -266,7 +267,7 @@ def check_is_plant(plant: AugmentedSystem) -> None:
 
 def undelayed(plant: AugmentedSystem) -> AugmentedSystem:
     """Return the plant without its delay model, which the filtered error does not see."""
-    none = frozen(np.zeros_like(plant.growth))
+    none = np.zeros_like(plant.growth)
     return replace(plant, delay_model=pade_delay(0.0, 0, plant.system.m), growth=none)
 
 
@@ -286,7 +287,7 @@ def check_noise(condition: str, D: Matrix) -> None:
 
 def _padded(matrix: Matrix, rows: int, columns: int) -> Matrix:
     """Return a matrix with zeros below and to its right: nothing drives the delay model but w."""
-    return frozen(np.pad(matrix, ((0, rows - len(matrix)), (0, columns - matrix.shape[1]))))
+    return np.pad(matrix, ((0, rows - len(matrix)), (0, columns - matrix.shape[1])))
 
 
 def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix, ...]:
@@ -296,7 +297,7 @@ def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix,
     own = [bound * row for bound, row in zip(bounds, rows[k : k + g], strict=True)]
     copies = [bound * row for bound, row in zip(bounds, rows[k + g :], strict=True)]
     differences = [row - copy for row, copy in zip(own, copies, strict=True)]
-    return tuple(frozen(F.T @ F) for F in (*rows[:k], *differences, *own, *copies))
+    return tuple(F.T @ F for F in (*rows[:k], *differences, *own, *copies))
 
 
 def _blocks(name: str, given: Sequence, sizes: Sequence[tuple[int, int]]) -> list[Matrix]:

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.systems.functions import Combination, Function, check_function, compiled, name_of
 
 REFERENCES = ("filtered", "smoothed")
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class Uncertainty:
+class Uncertainty(Frozen):
     r"""One uncertainty channel: :math:`\xi_s` is no larger than :math:`\zeta_s` in the mean square.
 
     Every noise must enter where an uncertainty enters (Assumption 1): where there is none, C is
@@ -49,7 +49,7 @@ class Uncertainty:
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class Nonlinearity:
+class Nonlinearity(Frozen):
     r"""One scalar nonlinearity :math:`\mu_i = \psi_i(\nu_i)`, of which the estimator runs a copy.
 
     Parameters

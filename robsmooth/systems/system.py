@@ -7,14 +7,14 @@ been added to the linear part of the measurement again, as in Section IV-A.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
 from robsmooth._support.extras import extra
-from robsmooth._support.validation import Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix, frozen
 from robsmooth.systems.channels import (
     Channel,
     Nonlinearity,
@@ -24,15 +24,16 @@ from robsmooth.systems.channels import (
     with_feedback,
 )
 
-if TYPE_CHECKING:  # it takes half a second to import, and few functions need it
+if TYPE_CHECKING:  # they take half a second to import, and few functions need them
     import control
+    from scipy import signal
 
 _SHOWN = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
 _ASYMMETRY = 1e-12  # of a correlation matrix, and how far below zero its eigenvalues may be
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class UncertainSystem:
+class UncertainSystem(Frozen):
     r"""The uncertain nonlinear system of Section II.
 
     Parameters
@@ -120,26 +121,27 @@ class UncertainSystem:
     @classmethod
     def from_plant(
         cls,
-        plant: "control.StateSpace",
+        plant: "control.StateSpace | control.TransferFunction | signal.lti",
         process_noise: ArrayLike,
         measurement_noise: ArrayLike,
         *,
         outputs: ArrayLike | None = None,
         process_uncertainty: ArrayLike | None = None,
         measurement_uncertainty: ArrayLike | None = None,
+        gain_uncertainty: ArrayLike | None = None,
     ) -> "UncertainSystem":
-        r"""Make the system of a python-control plant and its noises, as ``control.lqe`` has them.
+        r"""Make the system of another library's plant and its noises, as ``control.lqe`` has them.
 
         With the plant's matrices and noises of intensity Q at its inputs and R at its outputs,
 
         .. math::
 
             dx &= Ax\,dt + BQ^{1/2}(\xi_0\,dt + dW_0), \\
-            dy &= Cx\,dt + DQ^{1/2}(\xi_0\,dt + dW_0) + R^{1/2}(\xi_1\,dt + dW_1).
+            dy &= (1 + \delta)Cx\,dt + DQ^{1/2}(\xi_0\,dt + dW_0) + R^{1/2}(\xi_1\,dt + dW_1).
 
         Parameters
         ----------
-        plant : control.StateSpace
+        plant : control.StateSpace or TransferFunction, scipy.signal.lti
             In continuous time: p inputs are noises, l outputs are measurements.
         process_noise, measurement_noise : float, or (p, p) and (l, l) arrays
             Q and R, intensities (two-sided spectral densities); a float is that of each signal.
@@ -148,11 +150,15 @@ class UncertainSystem:
         process_uncertainty, measurement_uncertainty : (h, n) arrays, optional
             :math:`C_{1,0}` and :math:`C_{1,1}`: :math:`\xi_0` and :math:`\xi_1` are no larger than
             these times x. Default: zero, no uncertainty.
+        gain_uncertainty : float or (l,) array, optional
+            The largest size of :math:`\delta`, of each measurement its own: 0.2 where gains are
+            known to 20%. Each has a channel after the two others. Default: no such channels.
 
         Returns
         -------
         UncertainSystem
-            `dataclasses.replace` puts further channels in.
+            `dataclasses.replace` puts further channels in. A transfer function has no states:
+            what is for x, as `outputs`, wants a state-space plant.
 
         Raises
         ------
@@ -166,27 +172,39 @@ class UncertainSystem:
         >>> plant = control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
         >>> rs.UncertainSystem.from_plant(plant, process_noise=1.0, measurement_noise=0.01).D21
         array([[0. , 0.1]])
-        """
-        with extra("control", "a python-control system"):
-            import control
 
-        validation.instance("plant", plant, control.StateSpace, "; control.ss(...) makes one")
-        if plant.isdtime(strict=True):
-            raise ValueError(f"plant must be in continuous time, got steps of dt={plant.dt!r}")
-        n, l = plant.nstates, plant.noutputs  # noqa: E741 - the paper's letter
-        process = covariance_root("process_noise", process_noise, plant.ninputs)
+        A transfer function, and a sensor whose gain is known to 20%:
+
+        >>> plant = control.tf([1.0], [1.0, 0.2, 1.0])
+        >>> rs.UncertainSystem.from_plant(plant, 1.0, 0.01, gain_uncertainty=0.2).k
+        3
+        """
+        A, B, C, D, own = in_state_space(plant)
+        if not (own or outputs is process_uncertainty is measurement_uncertainty is None):
+            raise TypeError(
+                f"plant must have states, a {type(plant).__name__} has none, where outputs, "
+                "process_uncertainty or measurement_uncertainty is given: control.ss(...)"
+            )
+        n, l = len(A), len(C)  # noqa: E741 - the paper's letter
+        process = covariance_root("process_noise", process_noise, B.shape[1])
         measurement = covariance_root("measurement_noise", measurement_noise, l)
-        B, D = plant.B @ process, plant.D @ process
+        B, D = B @ process, D @ process
         no_B, none = np.zeros((n, l)), np.zeros((1, n))
         C_0 = none if process_uncertainty is None else process_uncertainty
         C_1 = none if measurement_uncertainty is None else measurement_uncertainty
+        channels = [Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement)]
+        if gain_uncertainty is not None:
+            each = [gain_uncertainty] * l if np.ndim(gain_uncertainty) == 0 else gain_uncertainty
+            (sizes,) = validation.matrix("gain_uncertainty", [each], (1, l))
+            gains = zip(sizes[:, None] * C, np.eye(l), strict=True)
+            channels += [Uncertainty(no_B[:, :1], c[None], d[:, None]) for c, d in gains]
         return cls(
-            A=plant.A,
+            A=A,
             B1=np.hstack([B, no_B]),
-            C0=plant.C if outputs is None else outputs,
-            C2=plant.C,
+            C0=C if outputs is None else outputs,
+            C2=C,
             D21=np.hstack([D, measurement]),
-            uncertainties=[Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement)],
+            uncertainties=channels,
         )
 
     def to_statespace(self) -> "control.StateSpace":
@@ -347,3 +365,50 @@ def state_space(
         outputs=[f"{y}[{i}]" for y, C in outputs.items() for i in range(len(C))],
         remove_useless_states=False,
     )
+
+
+def in_state_space(plant: Any) -> tuple[Matrix, Matrix, Matrix, Matrix, bool]:
+    """Return A, B, C and D of a plant in continuous time, and whether it has states of its own."""
+    from scipy import signal
+
+    if isinstance(plant, signal.lti | signal.dlti):
+        own, discrete = isinstance(plant, signal.StateSpace), isinstance(plant, signal.dlti)
+    else:
+        with extra("control", "a python-control system"):
+            import control as library
+        if not isinstance(plant, library.StateSpace | library.TransferFunction):
+            kinds = "a state-space system or transfer function of python-control or scipy.signal"
+            raise TypeError(f"plant must be {kinds}, got {type(plant).__name__}")
+        own, discrete = isinstance(plant, library.StateSpace), plant.isdtime(strict=True)
+    if discrete:
+        raise ValueError(
+            f"plant must be in continuous time, got one in steps of dt={plant.dt!r}: d2c of MATLAB "
+            "converts it, and so does scipy.linalg.logm([[A, B], [0, I]]) / dt = [[., .], [0, 0]]"
+        )
+    if own:
+        matrices = plant.A, plant.B, plant.C, plant.D
+    elif isinstance(plant, signal.ZerosPolesGain):
+        matrices = companion_form(*signal.zpk2tf(plant.zeros, plant.poles, plant.gain))
+    elif isinstance(plant, signal.lti):
+        matrices = companion_form(plant.num, plant.den)
+    elif plant.issiso():
+        matrices = companion_form(plant.num[0][0], plant.den[0][0])
+    else:
+        raise TypeError("plant must be control.ss(...) where it has several inputs or outputs")
+    if len(matrices[0]) == 0:
+        raise ValueError("plant must have a state, got a static gain")
+    return *matrices, own
+
+
+def companion_form(numerator: ArrayLike, denominator: ArrayLike) -> tuple[Matrix, ...]:
+    """Return A, B, C and D of proper transfer functions with one denominator, in any units.
+
+    The conversions of the libraries take numerators below 1e-14 for zero.
+    """
+    b, a = np.atleast_2d(numerator), np.asarray(denominator, dtype=float)
+    n, missing = len(a) - 1, len(a) - b.shape[1]
+    if missing < 0:
+        raise ValueError("plant must be proper, got a numerator of higher order than the other")
+    b, a = np.pad(b, ((0, 0), (missing, 0))) / a[0], a / a[0]
+    A = np.vstack([-a[1:], np.eye(n)[:-1]])
+    return A[:n], np.eye(n, 1), b[:, 1:] - b[:, :1] * a[1:], b[:, :1]

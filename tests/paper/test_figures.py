@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from robsmooth import homodyne, sample_paths
+from robsmooth import homodyne, lag_sweep, sample_paths, worst_case
+from robsmooth.analysis.covariance import DeltaSweep
 from robsmooth.estimators import baselines
 from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.study import QUANTITIES, Study
@@ -52,11 +53,22 @@ SIZES = np.array([0.01, 0.1, 0.5])
 RATIOS = np.array([[1.0, 3.0, 2000.0], [1.0, 1.05, 50.0], [0.99, 1.0, np.nan]])
 FAMILY = SIZES, np.array([0.01, 0.1, 1.0]), RATIOS
 PATHS = sample_paths(CLASSICAL, runs=1, duration=3.1e-5, step=3.1e-7)
+SWEPT = lag_sweep(SYSTEM, [1e-6, 2e-6, 4e-6], [1, 2, 3])
+
+
+def swept(curves):
+    figure, axes = plt.subplots()
+    for name, values in curves.items():
+        DeltaSweep(SLOPES, values[:, None, None], "smoothed").plot(axes, name)
+    axes.legend()
+    return figure
+
+
 MAKERS = {
     "fig1": diagrams.smoother_loop,
     "fig2": diagrams.homodyne_loop,
     "fig3": lambda: figures.plots.sector(homodyne.PAPER, 0.088),
-    "fig4": lambda: figures.plots.delta_sweep(SLOPES, CURVES),
+    "fig4": lambda: swept(CURVES),
     "delay": lambda: figures.plots.delay_error(3.1e-6, (1, 2), 4.6e5),
     "monte_carlo": lambda: figures.plots.mean_squares(
         CASES, RESULTS, {"smoother": 0.06, "NGCF": 0.1}
@@ -68,14 +80,11 @@ MAKERS = {
     "candidates": lambda: figures.plots.candidates(
         JUDGED, {"optimum": 0.045}, "rad$^2$", (0.04, 0.1)
     ),
-    "sample_path": lambda: figures.plots.sample_path(
-        1e6 * PATHS.time,
-        PATHS.w[0, :, 0],
-        {"filtered": PATHS.filtered[0, :, 0], "smoothed": PATHS.smoothed[0, :, 0]},
-        1e6 * PATHS.delay,
-        ("time (µs)", "phase (rad)"),
-        gap=(10.0, 15.0),
-    ),
+    "sample_path": lambda: PATHS.plot().figure,
+    "lag_sweep": lambda: SWEPT.plot().figure,
+    "worst_lag_sweep": lambda: SWEPT.plot(error="worst").figure,
+    "worst_case": lambda: worst_case(baselines.ngcf(SYSTEM), "filtered").plot().figure,
+    "study": lambda: STUDY.plot().figure,
 }
 
 
@@ -177,7 +186,7 @@ def test_the_sweep_plots_what_it_is_given():
         assert np.array_equal(lines[label].get_ydata(), values)
     assert lines["NGCF"].get_linestyle() == "-"  # solid and dashed, as the paper says
     assert lines["robust smoother"].get_linestyle() == "--"
-    assert "rad" in axes.get_ylabel() and r"\Delta_2" in axes.get_xlabel()
+    assert "squared unit" in axes.get_ylabel() and r"\Delta_2" in axes.get_xlabel()
 
 
 def test_an_error_beyond_the_limits_is_a_number_at_the_edge():
@@ -195,7 +204,7 @@ def test_the_smoothed_path_is_drawn_at_the_time_that_it_is_for():
     (axes,) = MAKERS["sample_path"]().axes
     lines = {line.get_label(): line for line in axes.lines}
     shift = lines["true"].get_xdata() - lines["smoothed"].get_xdata()
-    assert np.allclose(shift, 3.1)  # µs
+    assert np.allclose(shift, 3.1e-6)
 
 
 def hatched(axes, label):
@@ -245,7 +254,7 @@ def test_no_gain_and_no_design_are_told_apart():
     figure = figures.plots.where_smoothing_pays(replace(STUDY, quantities=errors), 0.4, 3.1e-6)
     no_design = hatched(figure.axes[0], "no design or lock")
     ratio = (smoothed / ERRORS["filtered"])[0, :, -1]
-    points = [(1e6 * lag, noise) for noise in NOISES for lag in LAGS]
+    points = [(lag, noise) for noise in NOISES for lag in LAGS]
     assert [no_design(*point) for point in points] == list(np.isnan(ratio).ravel())
     no_gain = hatched(figure.axes[0], "no gain")
     assert [no_gain(*point) for point in points] == list((ratio > 1).ravel())
@@ -282,9 +291,9 @@ def test_what_is_in_several_figures_looks_the_same_in_all():
         raise AssertionError(label)
 
     for name in ("NGCF", "smoother"):
-        swept = figures.plots.delta_sweep(SLOPES, {"other": SLOPES, name: SLOPES})
+        compared = swept({"other": SLOPES, name: SLOPES})
         simulated = MAKERS["monte_carlo"]()
-        assert line(swept, name).get_color() == line(simulated, name).get_color()
+        assert line(compared, name).get_color() == line(simulated, name).get_color()
     errors = figures.plots.delay_error(3.1e-6, (2, 1), 4.6e5)
     assert line(errors, "order 2").get_color() == line(MAKERS["delay"](), "order 2").get_color()
 

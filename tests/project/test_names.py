@@ -23,12 +23,13 @@ OF_EXTRAS = {
     "jupyterlab",
     "matplotlib",
     "nbformat",
+    "pandas",
     "papermill",
     "psutil",
     "pyarrow",
     "schemdraw",
 }
-SIDE_BY_SIDE = {"IPython", "PIL", "cloudpickle", "dask", "jupyter_client", "pandas", "traitlets"}
+SIDE_BY_SIDE = {"IPython", "PIL", "cloudpickle", "dask", "jupyter_client", "traitlets"}
 
 
 def in_a_new_process(program):

@@ -135,6 +135,16 @@ def test_in_a_checkout_the_command_says_what_is_not_installed(run):
         ),
         (
             "import robsmooth as rs; system = rs.homodyne.PAPER.uncertain_system(); "
+            "rs.delta_sweep(rs.baselines.kalman_bucy(system), [0.0]).plot()",
+            "a plot needs the package matplotlib: [plot]",
+        ),
+        (
+            "import robsmooth as rs; system = rs.homodyne.PAPER.uncertain_system(); "
+            "rs.delta_sweep(rs.baselines.kalman_bucy(system), [0.0]).to_frame()",
+            "a data frame needs the package pandas: [frames]",
+        ),
+        (
+            "import robsmooth as rs; system = rs.homodyne.PAPER.uncertain_system(); "
             "smoother = rs.baselines.kalman_bucy(system).discretize(1e-7); "
             "rs.smooth_record(smoother, 'y.csv', 'w.npy')",
             "a data frame, CSV or Parquet needs the package pyarrow: [records]",
@@ -144,7 +154,16 @@ def test_in_a_checkout_the_command_says_what_is_not_installed(run):
             "a cluster needs the package distributed: [cluster]",
         ),
     ],
-    ids=["explorer", "figures", "from control", "to control", "records", "cluster"],
+    ids=[
+        "explorer",
+        "figures",
+        "from control",
+        "to control",
+        "plot",
+        "frames",
+        "records",
+        "cluster",
+    ],
 )
 def test_what_needs_an_extra_says_which(run, program, said):
     last = run("python", "-c", program).stderr.splitlines()[-1]

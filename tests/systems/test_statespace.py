@@ -9,13 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.linalg import expm
+from scipy import signal
+from scipy.linalg import expm, logm, solve_continuous_lyapunov
 
 from robsmooth import (
     UncertainSystem,
     augment,
     error_covariance,
     homodyne,
+    judge,
 )
 from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
@@ -94,11 +96,8 @@ def test_what_goes_out_is_in_continuous_time_a_copy_and_keeps_all_states(monkeyp
 @pytest.mark.parametrize(
     "sys, words",
     [
-        (
-            control.tf([1.0], [1.0, 1.0]),
-            r"got TransferFunction; control\.ss\(\.\.\.\) makes one",
-        ),
-        (np.eye(2), "plant must be a StateSpace, got ndarray"),
+        (control.frd([1.0, 2.0], [1.0, 2.0]), "got FrequencyResponseData$"),
+        (np.eye(2), "must be a state-space system or transfer function of .*, got ndarray$"),
         (None, "got NoneType"),
     ],
 )
@@ -209,14 +208,152 @@ PLANT = control.ss(-1.0, [[1.0, 2.0]], 1.0, [[0.0, 0.0]])
         (dict(outputs=[[1.0, 0.0]]), ValueError, r"C0 must have shape \(any, 1\)"),
         (dict(process_uncertainty=[[1, 2]]), ValueError, r"uncertainties\[0\]\.C must have shape"),
         (dict(measurement_uncertainty=[[1, 2]]), ValueError, r"uncertainties\[1\]\.C must have"),
-        (dict(plant=control.ss(-1, 1, 1, 0, True)), ValueError, "plant must be in continuous"),
-        (dict(plant=control.ss([], [], [], [[1.0]])), ValueError, "A must be square and not empty"),
+        (dict(plant=control.ss(-1, 1, 1, 0, True)), ValueError, "plant must be in continuous.*d2c"),
+        (dict(plant=control.tf(1, [1, -0.5], 0.1)), ValueError, "plant .* steps of dt=0.1: d2c of"),
+        (dict(plant=signal.dlti(1, [1, -0.5], dt=0.1)), ValueError, "plant .* dt=0.1: d2c of"),
+        (dict(plant=signal.lti([2.0], [1.0])), ValueError, "plant must have a state"),
+        (dict(plant=control.tf(2, 1)), ValueError, "plant must have a state"),
+        (dict(plant=signal.lti([1, 0, 0], [1, 2])), ValueError, "plant must be proper"),
+        (dict(plant=control.tf([1, 0, 0], [1, 2])), ValueError, "plant must be proper"),
+        (
+            dict(plant=control.tf(1, [1, 2]), outputs=[[1]]),
+            TypeError,
+            "plant must have states, a TransferFunction has none",
+        ),
+        (
+            dict(plant=signal.lti(1, [1, 2]), process_uncertainty=[[0.1]]),
+            TypeError,
+            "plant must have states, .*process_uncertainty",
+        ),
+        (
+            dict(plant=control.tf([[[1], [2]]], [[[1, 1], [1, 2]]])),
+            TypeError,
+            r"plant must be control\.ss\(\.\.\.\) where it has several",
+        ),
+        (dict(gain_uncertainty=np.inf), ValueError, "gain_uncertainty must be finite"),
+        (
+            dict(gain_uncertainty=[0.1, 0.1]),
+            ValueError,
+            r"gain_uncertainty must have shape \(1, 1\)",
+        ),
+        (dict(gain_uncertainty=True), TypeError, "gain_uncertainty must be .*type bool"),
+        (dict(plant=control.ss([], [], [], [[1.0]])), ValueError, "plant must have a state"),
     ],
 )
 def test_what_makes_no_system_of_a_plant_is_one_clear_error(change, error, words):
     arguments = {"plant": PLANT, "process_noise": 1.0, "measurement_noise": 1.0, **change}
     with pytest.raises(error, match=f"^(?!.*\n).*{words}"):
         UncertainSystem.from_plant(**arguments)
+
+
+# --- plants of other kinds ------------------------------------------------------------------------
+
+NUMERATOR, DENOMINATOR = [0.5, 2.0], [1.0, 0.8, 4.0, 1.0]
+ZEROS, POLES = np.roots(NUMERATOR), np.roots(DENOMINATOR)
+KINDS = {
+    "control.tf": control.tf(NUMERATOR, DENOMINATOR),
+    "control.zpk": control.zpk(ZEROS, POLES, 0.5),
+    "control.ss": control.tf2ss(NUMERATOR, DENOMINATOR),
+    "scipy.signal.TransferFunction": signal.TransferFunction(NUMERATOR, DENOMINATOR),
+    "scipy.signal.ZerosPolesGain": signal.ZerosPolesGain(ZEROS, POLES, 0.5),
+    "scipy.signal.StateSpace": signal.StateSpace(*signal.tf2ss(NUMERATOR, DENOMINATOR)),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_of_plant_has_its_response_and_the_same_errors(kind):
+    system = UncertainSystem.from_plant(KINDS[kind], 1.0, 0.01)
+    s = 0.7j
+    expected = np.polyval(NUMERATOR, s) / np.polyval(DENOMINATOR, s)
+    assert transfer(system.A, system.B1[:, :1], system.C2, s)[0, 0] == pytest.approx(expected)
+    # the filter's error by the spectral factorisation (N Q N* + R D D*) = R F F*, of scalars
+    n, d = np.polymul(NUMERATOR, [-0.5, 2.0]), np.polymul(DENOMINATOR, [-1.0, 0.8, -4.0, 1.0])
+    roots = np.roots(np.polyadd(n, 0.01 * d))
+    closed = np.poly(roots[roots.real < 0.0]).real
+    error = 0.01 * (closed[1] - DENOMINATOR[1])  # Yovits and Jackson's formula
+    kalman = kalman_bucy(system)
+    assert error_covariance(kalman, kalman.plant.structured_delta(), "filtered") == pytest.approx(
+        error, rel=1e-9
+    )
+
+
+def test_a_small_numerator_is_not_taken_for_zero():
+    """Both libraries' conversions drop what is below 1e-14."""
+    plant = control.tf([1e-16, 2e-16], [1.0, 2.0, 3.0])
+    system = UncertainSystem.from_plant(plant, 1.0, 1e-34)
+    expected = 1e-16 * (1.0j + 2.0) / (1.0j**2 + 2.0 * 1.0j + 3.0)
+    found = transfer(system.A, system.B1[:, :1], system.C2, 1.0j)
+    assert found[0, 0] == pytest.approx(expected, rel=1e-12, abs=0.0)
+
+
+def test_several_outputs_of_one_denominator_are_several_measurements():
+    plant = signal.TransferFunction([[1.0, 3.0], [1.0, 0.0]], [1.0, 0.4, 2.0])
+    system = UncertainSystem.from_plant(plant, 1.0, 0.01)
+    s = 0.3j
+    found = transfer(system.A, system.B1[:, :1], system.C2, s)[:, 0]
+    assert_allclose(found, np.array([s + 3.0, s]) / (s**2 + 0.4 * s + 2.0), rtol=1e-12)
+
+
+def test_units_of_time_change_no_error_of_a_transfer_function():
+    def error(unit):
+        zeros, poles, gain = signal.butter(6, 1.0 / unit, analog=True, output="zpk")
+        plant = signal.ZerosPolesGain(zeros, poles, gain)
+        system = UncertainSystem.from_plant(plant, unit, 0.01 * unit)
+        smoother = fixed_lag_smoother(system, 0.5 * unit, 3)
+        return error_covariance(smoother, smoother.plant.structured_delta()).item()
+
+    assert error(1e-6) == pytest.approx(error(1.0), rel=1e-9)
+    assert error(1e5) == pytest.approx(error(1.0), rel=1e-9)
+
+
+def test_a_discrete_plant_is_converted_as_the_message_says():
+    B, C, dt = np.array([[1.0], [0.5]]), np.array([[1.0, 0.0]]), 0.3
+    A = np.array([[0.0, 1.0], [-2.0, -0.4]])
+    Ad, Bd, *_ = signal.cont2discrete((A, B, C, np.zeros((1, 1))), dt)
+    found = logm(np.block([[Ad, Bd], [np.zeros((1, 2)), np.eye(1)]])) / dt
+    assert_allclose(found, np.vstack([np.hstack([A, B]), np.zeros((1, 3))]), atol=1e-12)
+
+
+def test_a_gain_uncertainty_is_relative_whatever_the_unit_of_the_measurement():
+    plant = control.ss([[-1.0]], [[1.0]], [[1.0], [2.0]], [[0.0], [0.0]])
+    volts = control.ss([[-1.0]], [[1.0]], [[1e3], [2e-3]], [[0.0], [0.0]])
+    in_volts = np.diag([0.01 * 1e6, 0.04 * 1e-6])
+    systems_ = [
+        UncertainSystem.from_plant(plant, 1.0, np.diag([0.01, 0.04]), gain_uncertainty=[0.2, 0.1]),
+        UncertainSystem.from_plant(
+            volts, 1.0, in_volts, outputs=[[1.0], [2.0]], gain_uncertainty=[0.2, 0.1]
+        ),
+    ]
+    one, other = (judge(fixed_lag_smoother(system, 0.2, 2)) for system in systems_)
+    for name in ("nominal", "worst_constant", "certified"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-6)
+    assert one.worst_constant > 1.1 * one.nominal
+
+
+@given(seeds)
+@few
+def test_a_gain_uncertainty_is_a_gain_that_is_off(seed):
+    """The error of a filter whose sensors have other gains, by the equation of the whole loop."""
+    rng = np.random.default_rng(seed)
+    plant, R = random_plant(rng, n=2), np.diag(rng.uniform(0.1, 1.0, 2))
+    sizes, values = rng.uniform(0.0, 0.5, 2), rng.uniform(-1.0, 1.0, 2)
+    for size in (sizes, float(sizes[0])):
+        system = UncertainSystem.from_plant(plant, np.eye(2), R, gain_uncertainty=size)
+        kalman = kalman_bucy(system)
+        Delta = kalman.plant.structured_delta([0.0, 0.0, *values])
+        gain = np.diag(1.0 + values * size) @ plant.C  # y = (1 + delta) C x
+        A = np.block([[plant.A, np.zeros((2, 2))], [kalman.B_c @ gain, kalman.A_c]])
+        noise = np.block([[plant.B, np.zeros((2, 2))], [np.zeros((2, 2)), kalman.B_c @ np.sqrt(R)]])
+        P = solve_continuous_lyapunov(A, -noise @ noise.T)
+        off = np.hstack([plant.C, -plant.C])
+        expected = off @ P @ off.T
+        assert_allclose(
+            error_covariance(kalman, Delta, "filtered"),
+            expected,
+            rtol=0,
+            atol=1e-9 * np.trace(expected),
+        )
+    assert [c.C.any() for c in system.uncertainties] == [False, False, True, True]
 
 
 # --- estimators out -------------------------------------------------------------------------------

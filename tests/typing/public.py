@@ -50,7 +50,9 @@ assert_type(plant.order, int)
 Delta = plant.structured_delta((0.5, [[-1.0]]))
 assert_type(Delta, Floats)
 
-controlled = rs.UncertainSystem.from_plant(system.to_statespace(), np.eye(4), 1.0)
+controlled = rs.UncertainSystem.from_plant(
+    system.to_statespace(), np.eye(4), 1.0, gain_uncertainty=0.1
+)
 assert_type(controlled, rs.UncertainSystem)
 
 # --- estimators -----------------------------------------------------------------------------------
@@ -124,7 +126,11 @@ assert_type(loaded, rs.UncertainSystem | rs.AugmentedSystem | rs.Estimator)
 # --- errors of an estimator -----------------------------------------------------------------------
 
 assert_type(rs.error_covariance(smoother, Delta), Floats)
-assert_type(rs.delta_sweep(rs.baselines.ngcf(loop), [-1.0, 0.0], "filtered"), Floats)
+swept = rs.delta_sweep(rs.baselines.ngcf(loop), [-1.0, 0.0], "filtered")
+assert_type(swept.covariances, Floats)
+assert_type(swept.mean_square, Floats)
+half = np.asarray(swept) / 2
+swept.to_frame()
 worst = rs.worst_case(smoother)
 assert_type(worst, rs.WorstCase)
 assert_type(worst.Delta, Floats)

@@ -3,7 +3,8 @@
 from robsmooth._support.extras import extra
 
 with extra("plot", "a figure"):
+    from robsmooth._support.plots import styles
     from robsmooth.paper.figures import plots
-    from robsmooth.paper.figures.style import TRUTH, save_figure, styles, use_style
+    from robsmooth.paper.figures.style import save_figure, use_style
 
-__all__ = ["TRUTH", "plots", "save_figure", "styles", "use_style"]
+__all__ = ["plots", "save_figure", "styles", "use_style"]

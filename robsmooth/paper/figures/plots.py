@@ -14,6 +14,7 @@ from matplotlib.patches import PathPatch
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from robsmooth._support.plots import draw_curves, styles
 from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.homodyne.study import Study
@@ -49,17 +50,6 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
     return style.with_legend(figure)
 
 
-def delta_sweep(slopes: Array, curves: Mapping[str, Array]) -> Figure:
-    """Draw error covariances (rad^2) at the slopes Delta_2, as Fig. 4."""
-    figure, axes = plt.subplots()
-    style.plot_curves(axes, slopes, curves)
-    axes.set(xlabel=r"measurement uncertainty $\Delta_2$", xlim=(min(slopes), max(slopes)))
-    axes.set(ylabel=r"error covariance (rad$^2$)", ylim=(0, None))
-    axes.locator_params(nbins=5)
-    axes.legend()
-    return figure
-
-
 def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure:
     """Draw how far Pade models of a delay (s) are off, and mark the filter's bandwidth (rad/s)."""
     omega = np.geomspace(bandwidth / 10, bandwidth * 100, 400)
@@ -67,7 +57,7 @@ def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure
     models = {order: pade_delay(delay, order).response(omega)[:, 0, 0] for order in orders}
     figure, axes = plt.subplots()
     axes.set(xscale="log", yscale="log", ylabel=r"$|H(i\omega) - e^{-i\omega\delta}|$")
-    style.plot_curves(axes, omega, {order: np.abs(of - exact) for order, of in models.items()})
+    draw_curves(axes, omega, {order: np.abs(of - exact) for order, of in models.items()})
     axes.axvline(bandwidth, label="bandwidth", **style.DOTTED)
     axes.set(xlabel=r"angular frequency $\omega$ (rad/s)", ylim=(1e-12, 4.0))
     axes.set(xlim=(omega[0], 20 * bandwidth))  # beyond, all are as wrong as can be
@@ -81,7 +71,7 @@ def mean_squares(
     """Draw each quantity's simulated errors, a row for each case, and the printed as lines."""
     figure, axes = plt.subplots(figsize=(3.4, 0.9 + 0.36 * len(cases)))
     heights = style.label_rows(axes, cases, width=18)
-    looks = style.styles(label.split(",")[0] for label in results)
+    looks = styles(label.split(",")[0] for label in results)
     above = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "bottom"}
     for marker, look, (label, values) in zip("os", looks, results.items(), strict=False):
         means, color = [value.mean_square for value in values], look["color"]
@@ -142,9 +132,8 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
 
     Both errors of a ratio are of one loop: with its sine for designs, linear for the optimum.
     """
-    i = study.gammas.index(gamma)
-    ratio = study.ratio[i]
-    lags, noises = 1e6 * np.array(study.lags), np.array(study.noises)
+    ratio = study.ratio[study.gammas.index(gamma)]
+    lags, noises = np.array(study.lags), np.array(study.noises)
     middle = int(np.argmin(np.abs(np.log(noises))))
     figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(3.4, 5.4))
 
@@ -156,43 +145,19 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
     points = style.LOOSE | {"markeredgecolor": "k"}
     top.plot(best, noises[there], "o", color="w", label="best lag", **points)
     star = points | {"color": "C1", "markersize": 9, "label": "the paper's"}
-    top.plot(1e6 * lag, noises[middle], "*", **star)
+    top.plot(lag, noises[middle], "*", **star)
     top.set(xscale="log", yscale="log", ylabel="shot noise / the paper's")
     style.label_ticks(top.yaxis, (0.1, 0.3, 1, 3, 10))
     figure.colorbar(shading, ax=top, label="saved by smoothing (%)", pad=0.02)
 
-    optimal = study.optimal_ratio[i, middle, -1]
-    bottom.plot(lags, optimal, label="both optimal, linear loop", **style.TRUTH)
-    style.plot_curves(bottom, lags, dict(zip(study.orders, ratio[middle], strict=True)))
+    study.plot(bottom, gamma, study.noises[middle])
     bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
-    bottom.axvline(1e6 * lag, color="0.6", linestyle="-", linewidth=0.8)
-    bottom.set(xlabel="lag (µs)", ylabel="smoothed / filtered error")
-    bottom.set(ylim=(0.4, 1.6), xlim=lags[[0, -1]])
-    style.label_ticks(bottom.xaxis, (0.3, 1, 3, 10, 30))
+    bottom.axvline(lag, color="0.6", linestyle="-", linewidth=0.8)
+    bottom.set(xlabel="lag (µs)", ylim=(0.4, 1.6), xlim=lags[[0, -1]])
+    style.label_ticks(bottom.xaxis, (0.3e-6, 1e-6, 3e-6, 10e-6, 30e-6))
+    bottom.xaxis.set_major_formatter(lambda ticked, _: f"{1e6 * ticked:g}")
     handles = [*top.patches, *top.lines, *bottom.get_legend_handles_labels()[0]]
     return style.with_legend(figure, handles=handles)
-
-
-def sample_path(
-    time: Array,
-    truth: Array,
-    estimates: Mapping[str, Array],
-    delay: float,
-    labels: tuple[str, str],
-    gap: Sequence[float] = (),
-) -> Figure:
-    """Draw a signal and its estimates over time, the smoothed one a delay before it was made.
-
-    A gap is hatched from its first to its last time.
-    """
-    figure, axes = plt.subplots(figsize=(3.4, 2.4))
-    if len(gap):
-        axes.axvspan(*gap, label="no measurement", **style.NOWHERE)
-    axes.plot(time, truth, label="true", **style.TRUTH)
-    for name, estimate in estimates.items():
-        style.plot_curves(axes, time - delay * (name == "smoothed"), {name: estimate})
-    axes.set(xlabel=labels[0], ylabel=labels[1], xlim=time[[0, -1]])
-    return style.with_legend(figure, 3)
 
 
 def shade(

@@ -1,8 +1,7 @@
 """The style of the figures, what several of them draw alike, and the one way to save one."""
 
-import itertools
 import textwrap
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from robsmooth._support import files
+from robsmooth._support.plots import STYLE
 
 # The formats of a file. Nothing in it says when, or by which release, it was made: equal figures
 # are equal bytes.
@@ -25,17 +25,6 @@ FORMATS = {
     "png": {"Software": None},
 }
 
-# What is drawn in several figures looks the same in all of them: its place in the style's cycle.
-_PLACES: dict[str | int, int] = {  # a number is the order of a delay's model
-    # solid blue, and broken red, as the paper has them
-    **dict.fromkeys(("filtered", "NGCF", 1), 0),
-    **dict.fromkeys(("smoothed", "smoother", "robust smoother", 2), 1),
-    **dict.fromkeys(("classical smoother", 4), 2),
-    3: 4,
-}
-
-# The truth under its estimates, or an ideal: a band, pale enough not to be taken for one of them.
-TRUTH = {"color": "0.78", "linestyle": "-", "linewidth": 2.5}
 DOTTED = {"color": "0.4", "linestyle": ":", "linewidth": 0.9}  # a line to compare with
 LOOSE = {"linestyle": "none", "clip_on": False}  # points, whole even at the edge of the axes
 # Where a map has no value. A shade of grey would be that of one of its colours in print.
@@ -44,18 +33,7 @@ NOWHERE = {"facecolor": "w", "edgecolor": "0.55", "hatch": "/////", "linewidth":
 
 def use_style() -> None:
     """Set matplotlib to the style of all figures."""
-    plt.style.use("robsmooth.paper.figures.robsmooth")
-
-
-def styles(names: Iterable[str | int]) -> list[dict[str, Any]]:
-    """Return the colour and dashes of each estimate or order.
-
-    Names without a place in the cycle get what is left of it in turn.
-    """
-    properties = mpl.rcParams["axes.prop_cycle"]
-    cycle = [look | {"color": mpl.colors.to_hex(look["color"])} for look in properties]
-    others = itertools.cycle(set(range(len(cycle))) - set(_PLACES.values()))
-    return [cycle[_PLACES[name] if name in _PLACES else next(others)] for name in names]
+    plt.style.use(STYLE)
 
 
 def label_ticks(axis: Axis, ticks: Sequence[float]) -> None:
@@ -72,13 +50,6 @@ def label_rows(axes: Axes, labels: Collection[str], width: int = 20) -> NDArray[
     axes.set(yticks=heights, yticklabels=texts, ylim=(-0.6, len(labels) - 0.4))
     axes.grid(axis="y", visible=False)
     return heights
-
-
-def plot_curves(axes: Axes, x: ArrayLike, curves: Mapping[str | int, ArrayLike]) -> None:
-    """Plot curves in the styles of their names; a number is the order of a delay's model."""
-    for name, style in zip(curves, styles(curves), strict=True):
-        label = name if isinstance(name, str) else f"order {name}"
-        axes.plot(x, curves[name], label=label, **style)
 
 
 def with_legend(figure: Figure, columns: int = 2, **of: Any) -> Figure:

@@ -1,0 +1,70 @@
+"""Curves that are told apart in grey and by the colour-blind, in axes of any style."""
+
+import itertools
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robsmooth._support.extras import extra
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Axes
+
+MEAN_SQUARE = "mean square error\n(squared unit of $w$)"
+STYLE = Path(__file__).with_name("robsmooth.mplstyle")
+
+# What is drawn in several figures looks the same in all of them: its place in the style's cycle.
+_PLACES: dict[str | int, int] = {  # a number is the order of a delay's model
+    # solid blue, and broken red, as the paper has them
+    **dict.fromkeys(("filtered", "NGCF", 1), 0),
+    **dict.fromkeys(("smoothed", "smoother", "robust smoother", 2), 1),
+    **dict.fromkeys(("classical smoother", 4), 2),
+    3: 4,
+}
+# The truth under its estimates, or an ideal: a band, pale enough not to be taken for one of them.
+_BAND = {"color": "0.78", "linestyle": "-", "linewidth": 2.5}
+_BANDS = ("true", "exact optimum", "both optimal, linear loop")
+
+
+def styles(names: Iterable[str | int]) -> list[dict[str, Any]]:
+    """Return the colour and dashes of each estimate or order.
+
+    Names without a place in the cycle get what is left of it in turn.
+    """
+    import matplotlib as mpl
+
+    properties = mpl.rc_params_from_file(STYLE, use_default_template=False)["axes.prop_cycle"]
+    cycle = [look | {"color": mpl.colors.to_hex(look["color"])} for look in properties]
+    bands = dict.fromkeys(_BANDS, _BAND)
+    others = itertools.cycle(set(range(len(cycle))) - set(_PLACES.values()))
+    return [
+        bands.get(name) or cycle[_PLACES[name] if name in _PLACES else next(others)]
+        for name in names
+    ]
+
+
+def new_axes() -> "Axes":
+    """Return axes of pyplot, which a notebook and ``plt.show()`` show."""
+    with extra("plot", "a plot"):
+        from matplotlib import pyplot as plt
+    return plt.subplots(layout="constrained")[1]
+
+
+def draw_curves(
+    axes: "Axes | None", x: ArrayLike, curves: Mapping[str | int, ArrayLike], **labels: str
+) -> "Axes":
+    """Draw curves by name, over one x or each over its own, into axes or into new ones.
+
+    A number in place of a name is the order of a delay's model. New axes have a legend.
+    """
+    drawn = axes or new_axes()
+    x = np.broadcast_to(x, (len(curves), np.shape(x)[-1]))
+    for each, (name, y), look in zip(x, curves.items(), styles(curves), strict=True):
+        drawn.plot(each, y, label=name if isinstance(name, str) else f"order {name}", **look)
+    drawn.set(**labels)
+    if axes is None:
+        drawn.figure.legend(loc="outside lower center", ncols=2)
+    return drawn
