@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
 _FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of samples that are as most are
-_SHORTEST = 1e-6  # times dt
+SHORTEST = 1e-6  # times dt
 _ROWS = 4096  # of samples with lengths of their own, whose matrices are in memory at a time
 
 
@@ -52,6 +52,7 @@ class DiscreteSmoother(Exports):
         Length of a sample's interval, and the delay of the smoothed estimate (also ``lag``), s.
     exact : bool
         Whether the delay is exact, for the smoother is that of a nominal system in discrete time.
+    instants : bool, whether a sample is taken at its interval's end, and is no mean
     l, m, g, p : int, numbers of measurements, outputs, nonlinearities and known inputs
     compiled : bool
         Whether samples are taken by compiled code alone, unless NUMBA_DISABLE_JIT is set. A copy's
@@ -107,10 +108,11 @@ class DiscreteSmoother(Exports):
         run = Functions(running_functions(system.nonlinearities, functions, self._running))
         self.compiled: bool = run.compiled
         given = estimator, self.dt, self._running, run, self._shift
-        instants = validation.choice("samples", samples, ("means", "instants")) == "instants"
+        validation.choice("samples", samples, ("means", "instants"))
+        self.instants: bool = samples == "instants"
         self._engine: ExactFilter | HeldEstimator
-        self._engine = ExactFilter(*given, instants) if self.exact else HeldEstimator(*given)
-        if instants:
+        self._engine = ExactFilter(*given, self.instants) if self.exact else HeldEstimator(*given)
+        if self.instants:
             self._exact("samples='instants'")
         self._moved = bool(self._mean.any() or self._offset.any())
         self._lock = RLock()
@@ -387,10 +389,10 @@ class DiscreteSmoother(Exports):
         reference = np.ascontiguousarray(reference[:, self._running] - self._shift)
         if intervals is not None and len(y):
             intervals = validation.array("intervals", intervals, ndim=1) / self.dt
-            if len(intervals) != len(y) or not (intervals > _SHORTEST).all():
+            if len(intervals) != len(y) or not (intervals > SHORTEST).all():
                 raise ValueError(
                     f"intervals must be the lengths of {len(y)} intervals, positive and not below "
-                    f"{_SHORTEST:g} dt: rows in order of their times have such"
+                    f"{SHORTEST:g} dt: rows in order of their times have such"
                 )
             intervals = np.round(intervals, 9) * self.dt
         y = y - self._offset if self._moved else y

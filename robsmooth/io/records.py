@@ -16,7 +16,7 @@ import numpy as np
 from robsmooth._support import validation
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix
-from robsmooth.estimators.discrete import OUTPUTS, DiscreteSmoother
+from robsmooth.estimators.discrete import OUTPUTS, SHORTEST, DiscreteSmoother
 from robsmooth.io import formats, targets
 from robsmooth.io.formats import Record
 
@@ -37,6 +37,7 @@ def smooth_record(
     columns: Columns = None,
     reference: Columns = None,
     time: Column | Literal[False] | None = None,
+    regular: bool = True,
     output: str = "smoothed",
     delimiter: str | None = None,
     decimal: str = ".",
@@ -66,11 +67,15 @@ def smooth_record(
         The l columns that are measurements, by default all others, and the g ones of the reference
         of the nonlinearities, as in `DiscreteSmoother.run`: indices, or names.
     time : int, str or False, optional
-        A column with the begins of the rows' intervals, s or dates; by default a frame's index that
-        does more than count. A row that is missing, or a wrong dt, is refused. Estimates have times
-        of this clock: a row's plus dt, less the `delay` where they are smoothed; else those of
+        A column with the times of the rows, s or dates; by default a frame's index that does more
+        than count. A row's time is the begin of its interval, or that of its sample where
+        `discretize` was told ``samples="instants"``. Estimates have times of this clock: the end of
+        the interval, less the `delay` where they are smoothed; else those of
         `DiscreteSmoother.times`. A column that looks like times is refused as a measurement, and
         checked where ``columns`` leaves it out; with False neither is done.
+    regular : bool
+        Whether a row that is missing, or a wrong dt, is refused. With False the rows' intervals
+        have the lengths between their times, and dt the one that no other row ends or begins.
     output : {"smoothed", "filtered"}, which estimates are wanted
     delimiter, decimal, header, skip_rows, missing : optional
         How a CSV file is written: both marks; whether it begins with names, where its first line
@@ -103,19 +108,29 @@ def smooth_record(
     output = validation.choice("output", output, OUTPUTS)
     validation.boolean("progress", progress)
     validation.boolean("resume", resume)
+    validation.boolean("regular", regular)
     chunk = validation.integer("chunk", chunk, low=1)
     record = formats.opened(source, delimiter, decimal, header, skip_rows, missing)
     path, mark = _target(record, target, delimiter, resume)
     chosen, clock = _choice(record, smoother, columns, reference, time)
     ends = [smoother.l, smoother.l + (0 if reference is None else smoother.g)]
-    shift = smoother.dt - (smoother.delay if output == "smoothed" else 0.0)
+    if clock is None and not regular:
+        raise ValueError("time must be given where regular=False")
+    delay = smoother.delay if output == "smoothed" else 0.0
 
     def smooth(values: Matrix) -> tuple[Matrix, Matrix]:
         y, known, own = np.split(values, ends, axis=1)
-        w = smoother.run(y, reference=known if known.size else None, output=output)
-        return smoother.times(len(y), output) if clock is None else own[:, 0] + shift, w
+        length = smoother.dt if regular else own[:, 1]
+        beside = {"reference": known if known.size else None}
+        w = smoother.run(y, **beside, output=output, intervals=None if regular else length)
+        if clock is None:
+            return smoother.times(len(y), output), w
+        return own[:, 0] + (0.0 if smoother.instants else length) - delay, w
 
-    pieces = _shown(record, _checked(record, chosen, ends, smoother.dt, chunk), progress)
+    pieces = _checked(record, chosen, ends, smoother.dt, regular, chunk)
+    if not regular:
+        pieces = _with_lengths(pieces, smoother.dt, smoother.instants)
+    pieces = _shown(record, pieces, progress)
     if target is None and isinstance(record, formats.Chunks):
         return (smooth(values)[1] for values in pieces)
     before = smoother._checkpoint()
@@ -218,7 +233,7 @@ def _rises_evenly(record: Record, column: int) -> bool:
 
 
 def _checked(
-    record: Record, chosen: list[int], ends: list[int], dt: float, chunk: int
+    record: Record, chosen: list[int], ends: list[int], dt: float, regular: bool, chunk: int
 ) -> Iterator[Matrix]:
     """Yield the rows of a record whose numbers and times are as they must be."""
     done, begin, last = 0, 0.0, 0.0
@@ -238,13 +253,35 @@ def _checked(
             begin, last = (begin, last) if done else (times[0], times[0] - dt)
             late, drift = np.diff(times, prepend=last) / dt, (times - begin) / dt - count
             wrong = (np.abs(late - 1) >= TIMING) | (np.abs(drift) >= TIMING + DRIFT * count)
+            wrong = wrong if regular else late < SHORTEST
             if wrong.any():
                 i = int(wrong.argmax())
                 raise ValueError(
                     f"{place(i, -1)}: {times[i]:.15g} s is {late[i]:.6g} samples after the row "
                     f"before and {drift[i]:+.6g} samples off the times of the record's begin with "
-                    f"dt = {dt:g} s; time=False takes all rows as regular"
+                    f"dt = {dt:g} s; time=False takes all rows as regular, regular=False takes "
+                    "intervals of any length"
                 )
             last = times[-1]
         yield values
         done += len(values)
+
+
+def _with_lengths(pieces: Iterator[Matrix], dt: float, instants: bool) -> Iterator[Matrix]:
+    """Yield rows with the lengths of their intervals behind their times.
+
+    An interval is that up to the time of the next row, or of instants from that of the row before.
+    """
+    before = np.empty((0, 0))
+    for values in pieces:
+        if instants:
+            times = values[:, -1]
+            lengths = np.diff(times, prepend=before[-1:, -1] if before.size else times[:1] - dt)
+            yield np.column_stack([values, lengths])
+            before = values
+            continue
+        values = np.vstack([before, values]) if before.size else values
+        yield np.column_stack([values[:-1], np.diff(values[:, -1])])
+        before = values[-1:]
+    if before.size and not instants:
+        yield np.column_stack([before, [dt]])

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 from pyarrow import parquet
 
 from robsmooth.estimators import baselines
@@ -22,12 +22,12 @@ from tests.helpers.strategies import random_system
 DT = 0.1
 
 
-def discrete(copies=False):
+def discrete(copies=False, **how):
     """A smoother of two measurements and two outputs, with a nonlinearity."""
     system = random_system(np.random.default_rng(3), m=2, measurements=2)
     channels = [replace(c, function=np.sin) for c in system.nonlinearities]
     system = replace(system, nonlinearities=channels)
-    return baselines.fixed_lag_smoother(system, 0.5, 2, copies=copies).discretize(DT)
+    return baselines.fixed_lag_smoother(system, 0.5, 2, copies=copies).discretize(DT, **how)
 
 
 def record(rows=50, columns=2, seed=0):
@@ -508,3 +508,42 @@ def test_progress_is_shown_where_asked_for(tmp_path, terminal):
     assert terminal.readouterr().err == ""
     smoothed(tmp_path, "y.csv", csv_text(record()), progress=True)
     assert "100%" in terminal.readouterr().err
+
+
+@pytest.mark.parametrize("samples", ["means", "instants"])
+@pytest.mark.parametrize("output", ["smoothed", "filtered"])
+@pytest.mark.parametrize("chunk", [1, 7, 10**6])
+def test_rows_at_any_times_have_intervals_of_their_own(tmp_path, samples, output, chunk):
+    lengths = DT * np.random.default_rng(3).uniform(0.3, 2.5, 60)
+    y = record(60)
+    expected, smoother = (discrete(samples=samples) for _ in range(2))
+    if samples == "means":  # a row's interval begins at its time, and the last is of dt
+        lengths[-1] = DT
+        times, ends = 5.0 + np.cumsum([0.0, *lengths[:-1]]), 5.0 + np.cumsum(lengths)
+    else:  # a row's interval ends at its time, and the first is of dt
+        lengths[0] = DT
+        times = ends = 5.0 + np.cumsum(lengths)
+    (tmp_path / "y.csv").write_text(csv_text(np.column_stack([times, y]), ["t", "a", "b"]))
+    how = {"time": "t", "regular": False, "output": output, "chunk": chunk}
+    assert smooth_record(smoother, tmp_path / "y.csv", tmp_path / "w.csv", **how) == 60
+    found = read_csv(tmp_path / "w.csv")
+    delay = expected.delay if output == "smoothed" else 0.0
+    assert_allclose(found[:, 0], ends - delay, rtol=1e-12)
+    w = expected.run(y, intervals=lengths, output=output)
+    assert_allclose(found[:, 1:], w, rtol=1e-9, atol=1e-12)
+
+
+def test_instants_are_at_the_times_of_their_rows():
+    times = DT * np.arange(9)
+    frame = pytest.importorskip("pandas").DataFrame({"t": times, "a": 0.0, "b": 0.0})
+    found = smooth_record(discrete(samples="instants"), frame, time="t")
+    assert_allclose(found.index, times - 0.5, atol=1e-12)
+
+
+def test_rows_out_of_order_are_refused_whatever_their_intervals(tmp_path):
+    times = [0.0, 0.1, 0.05, 0.2]
+    (tmp_path / "y.csv").write_text(csv_text(np.column_stack([times, record(4)]), ["t", "a", "b"]))
+    with pytest.raises(ValueError, match=r"line 4, column 0 \('t'\): 0.05 s is -0.5 samples after"):
+        smooth_record(discrete(), tmp_path / "y.csv", tmp_path / "w.csv", time="t", regular=False)
+    with pytest.raises(ValueError, match="time must be given where regular=False"):
+        smooth_record(discrete(), record(4), regular=False)
