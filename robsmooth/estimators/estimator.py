@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
 from robsmooth._support.validation import Frozen, Matrix
-from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.augmented import AugmentedSystem, check_is_plant
 from robsmooth.systems.system import UncertainSystem, state_space
 
 if TYPE_CHECKING:
@@ -60,6 +60,14 @@ class Estimator(Frozen):
     cost: str | None = None
     # Not an argument: an estimator with other matrices is not that of the nominal system any more.
     nominal: tuple[UncertainSystem, UncertainSystem] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        check_is_plant(self.plant)
+        system, n = self.plant.system, len(validation.array("A_c", self.A_c, ndim=2))
+        shapes = {"A_c": (n, n), "B_c": (n, system.l + system.g), "C_c": (system.m + system.g, n)}
+        for name, shape in (shapes | dict.fromkeys(("C_a", "C_f"), (system.m, n))).items():
+            vars(self)[name] = validation.matrix(name, getattr(self, name), shape)
+        super().__post_init__()
 
     @property
     def mean_square_bound(self) -> float | None:

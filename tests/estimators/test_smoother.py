@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import solve_continuous_are
 
 from robsmooth import (
+    Estimator,
     InfeasibleDesignError,
     Nonlinearity,
     UncertainSystem,
@@ -591,3 +592,39 @@ def test_a_design_survives_pickling_and_shows_what_it_is(example):
         assert part in repr(copy)
     assert np.all(np.diff(design.poles.real) <= 0)
     assert_allclose(np.sort_complex(design.poles), np.sort_complex(np.linalg.eigvals(design.A_c)))
+
+
+MATRICES = ("A_c", "B_c", "C_c", "C_a", "C_f")
+
+
+@pytest.mark.parametrize("name", MATRICES)
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        (lambda M: np.nan * M, ValueError, r"{} must be finite, got nan at index \(0, 0\)"),
+        (lambda M: M * (1 + 1j), ValueError, "{} must be real"),
+        (lambda M: np.hstack([M, M]), ValueError, r"{} must have shape \("),
+        (lambda M: M[0], ValueError, r"{} must have 2 dimension"),
+        (lambda M: M.astype(str), TypeError, "{} must be an array of numbers"),
+    ],
+)
+def test_an_estimator_with_wrong_matrices_is_refused(example, name, change, error, words):
+    matrices = {each: getattr(baselines.kalman_bucy(example.system), each) for each in MATRICES}
+    plant = augment(example.system, 0.0, 0)
+    with pytest.raises(error, match=words.format(name)):
+        Estimator(plant=plant, **matrices | {name: change(matrices[name])})
+    with pytest.raises(TypeError, match="plant must be an AugmentedSystem, got UncertainSystem"):
+        Estimator(plant=example.system, **matrices)
+
+
+def test_an_estimator_takes_lists_and_keeps_matrices_of_its_own(example):
+    kalman = baselines.kalman_bucy(example.system)
+    given = {name: getattr(kalman, name).copy() for name in MATRICES}
+    estimator = Estimator(plant=kalman.plant, **given)
+    as_lists = {name: value.tolist() for name, value in given.items()}
+    for value in given.values():
+        value += 1.0
+    for name in MATRICES:
+        for made in (estimator, Estimator(plant=kalman.plant, **as_lists)):
+            assert np.array_equal(getattr(made, name), getattr(kalman, name))
+            assert not getattr(made, name).flags.writeable

@@ -58,5 +58,5 @@ def test_a_quantity_is_refused_before_its_unit_is_lost():
         rate.to_base_units().magnitude, [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]]
     )
     assert system.A == -1000.0
-    with pytest.raises(TypeError, match="^delay must be a real number, got .*microsecond"):
+    with pytest.raises(TypeError, match=r"^delay must be a real number, got .*microsecond"):
         rs.augment(system, 3.0 * units.us, 2)
