@@ -1,4 +1,4 @@
-"""Whether the paper reproduces: every printed number recomputed, and judged as the report says."""
+"""Whether the paper reproduces: every printed number is recomputed and judged."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,8 +20,7 @@ NOT_CHECKABLE = "not checkable"
 OUTCOMES = (REPRODUCED, WITH_FLIPPED_SIGN, NOT_REPRODUCED, NOT_CHECKABLE)
 KINDS = ("input", "model", "optimum", "design", "sweep", "simulation")
 Values = dict[str, float | Matrix]  # recomputed, by the names of the quantities
-_INPUT = "an input of the paper, not a result"
-_ZERO = 1e-9  # relative to the largest entry of its matrix, a computed value below this is zero
+_ZERO = 1e-9  # a smaller computed value is zero, relative to the largest entry of its matrix
 
 
 @dataclass(frozen=True)
@@ -31,13 +30,13 @@ class Verdict:
     Attributes
     ----------
     name, place, printed : str
-        What it is, e.g. ``"A_c[0, 1]"`` (from zero), where it stands in the paper, and its digits.
+        Its name, e.g. ``"A_c[0, 1]"`` (from zero), its place in the paper, and its digits.
     value : float or str or None
         Recomputed, in the printed unit; words for a statement; None where nothing can be computed.
     relative_difference : float or None
-        Of value from printed, by the size of printed, where that makes sense.
+        (value - printed)/abs(printed) for a printed number that is not zero.
     verdict, reason : str
-        One of `OUTCOMES`, and why, as far as known, where it does not simply reproduce.
+        One of `OUTCOMES`, and why, if known, where it is not simply reproduced.
     """
 
     name: str
@@ -50,7 +49,7 @@ class Verdict:
 
 
 class Verdicts(list[Verdict]):
-    """A list of verdicts, which a notebook shows as a table."""
+    """A list of verdicts; a notebook shows it as a table."""
 
     def __repr__(self) -> str:
         return f"Verdicts({self._counts})"
@@ -61,8 +60,7 @@ class Verdicts(list[Verdict]):
     @property
     def _counts(self) -> str:
         counts = Counter(verdict.verdict for verdict in self)
-        found = [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
-        return ", ".join(found) or "none"
+        return ", ".join(f"{counts[each]} {each}" for each in OUTCOMES if counts[each]) or "none"
 
 
 @one_thread
@@ -72,19 +70,19 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     Parameters
     ----------
     data_dir : path, optional
-        Folder with monte_carlo.json; by default the project's own data/.
+        Folder with monte_carlo.json; by default the project's data/.
     kinds : sequence of str
-        Which quantities and statements to judge, as data/published.toml sorts them; all by default.
+        Kinds of quantities and statements to judge, of those in data/published.toml; default all.
 
     Returns
     -------
     list of Verdict
-        In the order of the paper, one for each entry of a matrix. A notebook shows a table.
+        In the paper's order, one for each entry of a matrix. A notebook shows a table.
 
     Raises
     ------
     ValueError
-        Where a data file is missing or corrupt.
+        For another kind, or where monte_carlo.json is missing or corrupt.
     """
     for kind in kinds:
         validation.choice("kinds", kind, KINDS)
@@ -110,8 +108,8 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
 
 
 def table(verdicts: Iterable[Verdict], caption: str = "", merge_zeros: bool = False) -> Table:
-    """Return the verdicts as a table, where asked with one row for a matrix's reproduced zeros."""
-    groups: dict[str | int, list[Verdict]] = {}  # by the name of the matrix of zeros, or a number
+    """Return the verdicts as a table; `merge_zeros` puts a matrix's reproduced zeros in one row."""
+    groups: dict[str | int, list[Verdict]] = {}  # by the name of a matrix of zeros, or by number
     for number, verdict in enumerate(verdicts):
         found = verdict.printed.split(" ")[0], verdict.value, verdict.verdict
         zero = merge_zeros and found == ("0", 0.0, REPRODUCED)
@@ -147,7 +145,7 @@ def _optimum() -> list[Values]:
 
 
 def _design() -> list[Values]:
-    """Return the values for the printed tau and lambda, then for others that print the same."""
+    """Return the values at the printed tau and lambda, then at corners that print the same."""
     found = []
     for tau, multipliers in published.rounding_box():
         estimator, bound = published.signed_design(tau, multipliers)
@@ -157,17 +155,18 @@ def _design() -> list[Values]:
 
 
 def _verdicts_on(entry: dict, values: Sequence[float | Matrix]) -> Iterator[Verdict]:
-    """Yield the verdict on each entry of a quantity: something between its values must agree."""
+    """Yield the verdict on each entry of a quantity; a number between its values must agree."""
     unit = f" {entry['unit']}" if "unit" in entry else ""
     for index, text in np.ndenumerate(np.array(entry["printed"], dtype=object)):
         name = entry["id"] + (str(list(index)) if index else "")
         quantity = name, entry["place"], text + unit
         if not values:
-            yield Verdict(*quantity, None, None, NOT_CHECKABLE, _INPUT)
+            reason = "an input of the paper, not a result"
+            yield Verdict(*quantity, None, None, NOT_CHECKABLE, reason)
             continue
         candidates = [float(np.asarray(value)[index]) for value in values]
         zero = _ZERO * float(np.abs(values[0]).max())
-        # rounding noise would differ by machine
+        # rounding differs by machine
         value = 0.0 if abs(candidates[0]) < zero else candidates[0]
         number = float(text)
         difference = (value - number) / abs(number) if number else None

@@ -1,7 +1,4 @@
-"""One notebook in its own process (several in one hang), judged by its executed copy.
-
-papermill's exit code is not enough: it is 0 after `sys.exit(0)` in a cell.
-"""
+"""One notebook in its own process (several in one hang), judged by its executed copy."""
 
 import os
 import re
@@ -76,6 +73,7 @@ class Execution:
 
     def failure(self) -> str:
         """Why the finished run failed: the cell, counted from 1, and its traceback; else ""."""
+        # papermill's exit code is not enough: it is 0 after sys.exit(0) in a cell
         log = self._log.read_text(errors="replace").strip()
         # papermill's own error repeats that of a cell
         found = None if "PapermillExecutionError" in log else _LAST_ERROR.match(log)

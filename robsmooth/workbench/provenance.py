@@ -1,7 +1,4 @@
-"""Where a result comes from: versions, seed, revision, lock, machine and run time.
-
-No user, host name or absolute path is in it.
-"""
+"""The source of a result: versions, seed, revision, lock, machine and time; no person or place."""
 
 import hashlib
 import os

@@ -1,7 +1,4 @@
-"""Run the notebooks that are not fresh, and publish the files of those that succeed.
-
-environment.md says when a notebook is fresh, and what happens to the files of one that fails.
-"""
+"""Run the notebooks that are not fresh, and publish what succeeds, as environment.md says."""
 
 import hashlib
 import json
