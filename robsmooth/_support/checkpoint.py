@@ -49,8 +49,7 @@ def open_journal(
             database = stack.enter_context(files.exclusive_lock(path))
             journal = Journal(path, database, dict(identity))
         except BlockingIOError:
-            advice = "wait until that ends, or give another path"
-            what = f"is in use by another run: {advice}"
+            what = "is in use by another run: wait until that ends, or give another path"
             raise CheckpointError(f"the checkpoint {path} {what}") from None
         except (OSError, sqlite3.Error, UnicodeDecodeError) as error:  # the last: of damaged SQL
             if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_NOTADB:
@@ -96,10 +95,9 @@ class Journal:
         try:
             self._insert(self._value("SELECT max(number) + 1 FROM record"), dict(record))
         except sqlite3.Error as error:
-            raise OSError(
-                f"the checkpoint {self.path} takes no more, as where the disk is full: {error}; "
-                "what it held before is kept: mend that, and the same run resumes from it"
-            ) from None
+            advice = "what it held before is kept: mend that, and the same run resumes from it"
+            what = f"takes no more, as where the disk is full: {error}; {advice}"
+            raise OSError(f"the checkpoint {self.path} {what}") from None
 
     def _check_identity(self, there: dict[str, str], here: dict[str, str]) -> None:
         differences = [
@@ -120,8 +118,8 @@ class Journal:
         query = "SELECT checksum, text FROM record WHERE number = ?"
         checksum, text = self._database.execute(query, (number,)).fetchone() or (None, None)
         if checksum != _checksum(number, text):
-            what = f"record {number} of the checkpoint {self.path}"
-            raise CheckpointError(f"{what} is damaged: {ANEW}")
+            what = f"record {number} of the checkpoint {self.path} is damaged"
+            raise CheckpointError(f"{what}: {ANEW}")
         return json.loads(text)
 
     def _value(self, query: str) -> object:

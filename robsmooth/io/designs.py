@@ -32,7 +32,6 @@ from typing import Any
 import numpy as np
 
 from robsmooth._support import files, validation
-from robsmooth._support.validation import Matrix
 from robsmooth.estimators.conditions import COSTS, weights
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.minimax import ROUTES, MinimaxSmoother, certified_error
@@ -220,7 +219,7 @@ def _within(place: str) -> Iterator[None]:
         raise ValueError(f"{place}: {error}" if place else str(error)) from None
 
 
-def _gains(plant: AugmentedSystem, **gains: Any) -> dict[str, Matrix]:
+def _gains(plant: AugmentedSystem, **gains: Any) -> dict[str, np.ndarray]:
     """Return an estimator's matrices, checked against its plant."""
     m, g = plant.system.m, plant.system.g
     n = len(validation.matrix("A_c", gains["A_c"], (None, None)))

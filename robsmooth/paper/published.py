@@ -1,4 +1,4 @@
-"""The numbers that the paper prints, the designs they make, and the results they are held to."""
+"""The numbers that the paper prints, the designs that follow, and the results in data/."""
 
 import itertools
 import json

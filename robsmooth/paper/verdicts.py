@@ -10,7 +10,6 @@ import numpy as np
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import Table
-from robsmooth._support.validation import Matrix
 from robsmooth.paper import published, statements
 
 REPRODUCED = "reproduced"
@@ -19,7 +18,7 @@ NOT_REPRODUCED = "not reproduced"
 NOT_CHECKABLE = "not checkable"
 OUTCOMES = (REPRODUCED, WITH_FLIPPED_SIGN, NOT_REPRODUCED, NOT_CHECKABLE)
 KINDS = ("input", "model", "optimum", "design", "sweep", "simulation")
-Values = dict[str, float | Matrix]  # recomputed, by the names of the quantities
+Values = dict[str, float | validation.Matrix]  # recomputed, by the names of the quantities
 _ZERO = 1e-9  # a smaller computed value is zero, relative to the largest entry of its matrix
 
 
@@ -88,8 +87,7 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
         validation.choice("kinds", kind, KINDS)
     simulation, recompute = None, {"model": _model, "optimum": _optimum, "design": _design}
     if "simulation" in kinds:
-        folder = Path(data_dir) if data_dir else published.data_folder()
-        simulation = published.read_simulation(folder)
+        simulation = published.read_simulation(Path(data_dir or published.data_folder()))
         names = "error covariance, smoother", "error covariance, NGCF"
         errors = statements.simulated_errors(simulation)
         recompute["simulation"] = lambda: [dict(zip(names, errors, strict=True))]
@@ -154,7 +152,7 @@ def _design() -> list[Values]:
     return found
 
 
-def _verdicts_on(entry: dict, values: Sequence[float | Matrix]) -> Iterator[Verdict]:
+def _verdicts_on(entry: dict, values: Sequence[float | validation.Matrix]) -> Iterator[Verdict]:
     """Yield the verdict on each entry of a quantity; a number between its values must agree."""
     unit = f" {entry['unit']}" if "unit" in entry else ""
     for index, text in np.ndenumerate(np.array(entry["printed"], dtype=object)):

@@ -8,10 +8,7 @@ import time
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:  # the extra [notebooks]
-    from nbformat import NotebookNode
+from typing import Any
 
 _ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 _LAST_ERROR = re.compile(r".*^([\w.]*(?:Error|Exception|Exit)\b.*)", re.DOTALL | re.MULTILINE)
@@ -85,13 +82,12 @@ class Execution:
             traceback = _ANSI.sub("", "\n".join(lines)).strip()
             # papermill marks a cell as completed even where the kernel died; the reply tells
             if traceback or "shell.execute_reply" not in cell.metadata.get("execution", {}):
-                reason = outside or traceback or "the cell was not run to its end"
-                return f"cell {number}\n{reason}"
+                return f"cell {number}\n{outside or traceback or 'it was not run to its end'}"
         if self._reached or self._process.returncode or not cells:
             return outside or "\n".join(log.splitlines()[-20:]) or "its process died"
         return ""
 
-    def _cells(self) -> "list[tuple[int, NotebookNode]]":
+    def _cells(self) -> list[tuple[int, Any]]:
         """Cells of the executed copy that hold code, with their numbers in the notebook."""
         import nbformat
 

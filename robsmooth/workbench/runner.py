@@ -43,8 +43,8 @@ class Request:
         if self.jobs < 1:
             raise PipelineError(f"jobs must be 1 or more, not {self.jobs}")
         if not self.time_limit > 0:
-            wanted = "time_limit must be a positive number of seconds"
-            raise PipelineError(f"{wanted}, not {self.time_limit}")
+            wanted = "a positive number of seconds"
+            raise PipelineError(f"time_limit must be {wanted}, not {self.time_limit}")
 
     @property
     def work(self) -> Path:
@@ -64,7 +64,7 @@ class Task:
 
     run: Request
     name: str
-    values: Mapping[str, object]  # of its parameters, where they are not the defaults
+    values: Mapping[str, object]  # given for its parameters, checked
     seed: object
     optional: tuple[str, ...]  # the parameters of `OPTIONAL` that it has
     key: str  # hash of all that its results depend on
