@@ -224,10 +224,8 @@ def _gains(plant: AugmentedSystem, **gains: Any) -> dict[str, np.ndarray]:
     m, g = plant.system.m, plant.system.g
     n = len(validation.matrix("A_c", gains["A_c"], (None, None)))
     shapes = [(n, n), (n, plant.system.l + g), (m + g, n), (m, n), (m, n)]
-    return {
-        name: validation.matrix(name, gains[name], shape)
-        for name, shape in zip(_GAINS.split(), shapes, strict=True)
-    }
+    pairs = zip(_GAINS.split(), shapes, strict=True)
+    return {name: validation.matrix(name, gains[name], shape) for name, shape in pairs}
 
 
 def _estimator(plant: AugmentedSystem, nominal: list | None = None, **gains: Any) -> Estimator:

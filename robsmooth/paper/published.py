@@ -86,9 +86,8 @@ def agrees(text: str, low: float, high: float, zero: float = 0.0) -> bool:
         return low <= zero and high >= -zero
     if number < 0.0:
         number, low, high = -number, -high, -low
-    unit = last_digit(text)
-    tiny = 1e-9 * number
-    return high >= number - unit / 2 - tiny and low < number + unit
+    unit, rounding = last_digit(text), 1e-9 * number
+    return high >= number - unit / 2 - rounding and low < number + unit
 
 
 def rounding_box() -> list[tuple[float, np.ndarray]]:

@@ -90,8 +90,7 @@ def scaled_nonlinearity() -> Finding:
     ratio = np.abs(homodyne.PAPER.remainder(error) / error).max()
 
     def fits(power: float) -> bool:
-        scale = gamma**power
-        return abs(gamma * scale - 1.0) <= _EQUAL and ratio * scale <= 1.0 + _EQUAL
+        return abs(gamma * gamma**power - 1.0) <= _EQUAL and ratio * gamma**power <= 1.0 + _EQUAL
 
     power = float(published.stated("scaled nonlinearity", "power_of_gamma"))
     recovered, reach = gamma * gamma**power, ratio * gamma**power

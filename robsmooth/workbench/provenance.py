@@ -7,6 +7,7 @@ import subprocess
 import time
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
@@ -51,11 +52,11 @@ def write(result: str | os.PathLike[str], **about: object) -> Path:
 
 def revision(root: Path = ROOT) -> dict | None:
     """Git revision of `root`, "dirty" where its sources differ; None where there is none."""
-    git = ("git", "-C", str(root))
+    run = partial(subprocess.check_output, cwd=root, stderr=subprocess.DEVNULL, text=True)
     with suppress(OSError, subprocess.CalledProcessError):
-        inside, commit = _output(*git, "rev-parse", "--show-prefix", "HEAD").split("\n")[:2]
+        inside, commit = run(["git", "rev-parse", "--show-prefix", "HEAD"]).split("\n")[:2]
         if not inside:  # else `root` is a folder of another project
-            changes = _output(*git, "status", "--porcelain", "--", *SOURCES)
+            changes = run(["git", "status", "--porcelain", "--", *SOURCES])
             return {"commit": commit, "dirty": bool(changes)}
     return None
 
@@ -64,10 +65,6 @@ def sha256(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _output(*command: str) -> str:
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
 def _processor() -> str:
