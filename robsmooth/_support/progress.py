@@ -1,7 +1,4 @@
-"""Progress bars: widgets in a notebook, text in a terminal, none where stderr is a file.
-
-There is none either where the environment sets ``CI`` or ``TQDM_DISABLE``.
-"""
+"""Progress bars in notebooks and terminals, unless ``CI`` or ``TQDM_DISABLE`` is set."""
 
 import os
 import sys

@@ -32,8 +32,7 @@ RESULTS = "monte_carlo.json"  # which notebook 04 writes
 # By Bayes' rule, in a loop that the filter steers; benchmarks/nonlinear_floor.py writes it.
 NONLINEAR_FLOOR = "nonlinear_floor.json"
 NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # designs with verdicts
-# From the name of a design to its "smoothed" and its "filtered" error.
-SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]
+SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]  # by design, "smoothed" or "filtered"
 LAMBDA = ("lambda_1", "lambda_2", "lambda_3", "lambda_4")
 
 
@@ -144,10 +143,8 @@ def designs() -> Mapping[str, Estimator]:
 
 
 def x_discriminant(tau: float, multipliers: np.ndarray) -> float:
-    """Return the discriminant of the X equation over (2 lambda)^2; below zero, X is not real.
-
-    The example's X equation is kappa/(tau lambda_1) X^2 - 2 lambda X + q = 0.
-    """
+    """Discriminant of kappa/(tau lambda_1) X^2 - 2 lambda X + q = 0 over (2 lambda)^2."""
+    # This is the example's X equation. It has no real solution where the discriminant is below 0.
     equations = design_equations(paper_plant(), tau, multipliers)
     linear = 2.0 * homodyne.PAPER.lam
     return float(1.0 - 4.0 * equations.worst_noise[0, 0] / tau * equations.Q_X[0, 0] / linear**2)

@@ -53,7 +53,7 @@ def swept_errors() -> list[np.ndarray]:
 
 
 def smoothing_improves(lag: float = published.DELAY) -> Finding:
-    """Compare the optimal errors without a lag and with one, s."""
+    """Compare the optimal errors without and with a lag, in seconds."""
     system = homodyne.PAPER.uncertain_system()
     filtered = baselines.optimal_fixed_lag_error(system, 0.0).item()
     smoothed = baselines.optimal_fixed_lag_error(system, lag).item()

@@ -27,10 +27,7 @@ ErrorsByMethod = dict[str, dict[str, MeanSquare]]  # by the name of an error, th
 
 
 def _table(digits: int = 4) -> Callable[[Callable[..., Records]], Callable[..., Table]]:
-    """Make a function return the table of the records that it yields.
-
-    The caption is its docstring, in which braces hold the name of an argument.
-    """
+    """Make a function return a table of its records; its docstring is the format of the caption."""
 
     def decorate(records: Callable[..., Records]) -> Callable[..., Table]:
         @wraps(records)

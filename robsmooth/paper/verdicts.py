@@ -71,7 +71,7 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     data_dir : path, optional
         Folder with monte_carlo.json; by default the project's data/.
     kinds : sequence of str
-        Kinds of quantities and statements to judge, of those in data/published.toml; default all.
+        Kinds of quantities and statements to judge; by default all in data/published.toml.
 
     Returns
     -------
@@ -164,8 +164,7 @@ def _verdicts_on(entry: dict, values: Sequence[float | validation.Matrix]) -> It
             continue
         candidates = [float(np.asarray(value)[index]) for value in values]
         zero = _ZERO * float(np.abs(values[0]).max())
-        # rounding differs by machine
-        value = 0.0 if abs(candidates[0]) < zero else candidates[0]
+        value = 0.0 if abs(candidates[0]) < zero else candidates[0]  # rounding differs by machine
         number = float(text)
         difference = (value - number) / abs(number) if number else None
         verdict, why = WITH_FLIPPED_SIGN if entry["kind"] == "design" else REPRODUCED, ""
