@@ -17,7 +17,7 @@ from robsmooth.workbench.runner import PROFILES, NotebookResult, Request, plan, 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, 1 for failures, 2 for a wrong request."""
+    """Run the command; return 0, 1 after a failure, 2 for a wrong request."""
     options = _parser().parse_args(arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         kept = "notebooks that had finished are kept, the results of the others are as they were"
         print(f"robsmooth: interrupted; {kept}", file=sys.stderr)
-        return 130  # as a shell has it
+        return 130  # a shell's code for it
 
 
 def figures(options: argparse.Namespace) -> int:
@@ -52,10 +52,10 @@ def figures(options: argparse.Namespace) -> int:
 
 
 def write_report(run: Request) -> None:
-    """Write the report, and at the paper's scale the README's scorecard."""
+    """Write the report and, with the paper's own values, the README's scorecard."""
     from robsmooth.paper import report
 
-    if not (run.results / "data/monte_carlo.json").exists():  # a part was run, in a new place
+    if not (run.results / "data/monte_carlo.json").exists():
         print("no report yet: it needs the results of 04_nonlinear_monte_carlo")
         return
     verdicts = report.write(run.results / "figures", run.results / "data")
@@ -76,7 +76,7 @@ def verdicts(options: argparse.Namespace) -> int:
 
 
 def bench(options: argparse.Namespace) -> int:
-    """Measure the speed of the simulation, and that of its peers, as benchmarks/ has it."""
+    """Measure the speed of the simulation and of its peers, by benchmarks/."""
     command = [sys.executable, "-m", "benchmarks", *(["--write"] if options.write else [])]
     return subprocess.run(command, cwd=_project()).returncode
 
@@ -90,14 +90,13 @@ def _parser() -> argparse.ArgumentParser:
     add = _command(commands, "figures", figures, "run the notebooks that are not fresh")
     text = "scale of the run (default: %(default)s); quick writes to build/quick"
     add("--profile", choices=PROFILES, default=Request.profile, help=text)
-    text = "parts of the names of the notebooks to run (default: all)"
-    add("--only", metavar="NAME[,NAME]", default="", help=text)
-    text = "give a parameter a value of your own; the results go to build/custom"
+    add("--only", metavar="NAME,...", default="", help="parts of notebooks' names (default: all)")
+    text = "set a parameter to a value of your own; the results go to build/custom"
     add("--set", metavar="NAME=VALUE", type=_setting, action="append", default=[], help=text)
     add("--jobs", type=int, default=Request.jobs, help="notebooks at a time (default: %(default)s)")
     text = "for a notebook; a cell may take half as long (default: %(default)g)"
     add("--time-limit", metavar="SECONDS", type=float, default=Request.time_limit, help=text)
-    add("--force", action="store_true", help="run the fresh ones, too")
+    add("--force", action="store_true", help="also run the fresh notebooks")
     text = "compute on the cluster of the Dask scheduler at tcp://host:port"
     add("--dask", metavar="ADDRESS", default=Request.dask, help=text)
     add("--build", metavar="FOLDER", type=Path, help="folder to work in (default: build)")
@@ -126,13 +125,12 @@ def _setting(text: str) -> tuple[str, object]:
 
 
 def _project() -> Path:
-    """Folder of the project: this one or one above it."""
     for folder in (Path.cwd(), *Path.cwd().parents):
         if (folder / "notebooks/profiles.toml").is_file():
             return folder
     raise PipelineError(
-        "there is no notebooks/profiles.toml here or above: say this in a checkout of the "
-        "project, which holds the notebooks and more than the installed package"
+        "there is no notebooks/profiles.toml here or above: run this command in a checkout of the "
+        "project; the installed package has no notebooks"
     )
 
 

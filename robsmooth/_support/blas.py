@@ -1,9 +1,9 @@
-"""One BLAS thread for the many small problems here: more cost several times what they save."""
+"""One BLAS thread: for many small matrices, more threads cost several times what they save."""
 
 from collections.abc import Callable
 from typing import TypeVar
 
-import scipy.linalg  # noqa: F401 - only libraries that are loaded by now are found; this loads all
+import scipy.linalg  # noqa: F401 - loads the BLAS libraries, so that the controller finds them
 from threadpoolctl import ThreadpoolController
 
 F = TypeVar("F", bound=Callable)
@@ -11,5 +11,5 @@ _LIBRARIES = ThreadpoolController()
 
 
 def one_thread(function: F) -> F:
-    """Have a function run with one BLAS thread; what calls it keeps its own number."""
+    """Return a function that runs with one BLAS thread and leaves its caller's number alone."""
     return _LIBRARIES.wrap(limits=1, user_api="blas")(function)

@@ -1,11 +1,9 @@
-"""A long computation's checkpoint: a file of records, from which it resumes.
+"""A checkpoint: a file of records, from which a long computation resumes.
 
 The file is an SQLite database with one table. Record 0 is the identity of the computation. Each
-record has a checksum, because SQLite does not see that a bit of a value has changed.
-
-A record is whole or absent, and on the disk when `Journal.append` returns, by SQLite's rollback
-journal. Its write-ahead log is not used: it needs memory that the processes share, which those on
-two machines of a network file system cannot.
+record has a checksum, because SQLite does not notice a changed bit in a value. SQLite's rollback
+journal makes a record whole or absent. The write-ahead log would need memory that processes share;
+two machines of a network file system share none.
 """
 
 import hashlib
@@ -18,23 +16,23 @@ from pathlib import Path
 
 from robsmooth._support import files
 
-APPLICATION = int.from_bytes(b"rsmo", "big")  # says in an SQLite database whose it is
+APPLICATION = int.from_bytes(b"rsmo", "big")  # SQLite's mark of the program that made a database
 ANEW = "give another path, or delete the file to start anew"
 NOT_ONE = "{} is not a checkpoint of this version of robsmooth: give another path"
 
 
 class CheckpointError(ValueError):
-    """A file that cannot be this computation's checkpoint; it was left as it is."""
+    """A file cannot be this computation's checkpoint; it is left as it was."""
 
 
 @contextmanager
 def open_journal(
     path: str | os.PathLike[str] | None, identity: Mapping[str, object]
 ) -> "Iterator[Journal | None]":
-    """Open a computation's journal, or make it with its folders; with no path, give None.
+    """Open or make a computation's journal, with its folders; without a path, give None.
 
-    The identity is all that the records depend on. A file that is not the journal of this identity
-    is refused as a CheckpointError, never overwritten.
+    The identity is all that the records depend on. Another file is never overwritten: it raises a
+    CheckpointError.
     """
     if path is None:
         yield None
@@ -51,58 +49,55 @@ def open_journal(
             database = stack.enter_context(files.exclusive_lock(path))
             journal = Journal(path, database, dict(identity))
         except BlockingIOError:
-            advice = "wait until that ends, or give another path"
-            message = f"the checkpoint {path} is in use by another run: {advice}"
-            raise CheckpointError(message) from None
+            what = "is in use by another run: wait until that ends, or give another path"
+            raise CheckpointError(f"the checkpoint {path} {what}") from None
         except (OSError, sqlite3.Error, UnicodeDecodeError) as error:  # the last: of damaged SQL
             if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_NOTADB:
                 raise CheckpointError(NOT_ONE.format(path)) from None
-            reason = getattr(error, "strerror", None) or error
-            message = f"the checkpoint {path} cannot be opened: {reason}; {ANEW}"
-            raise CheckpointError(message) from None
+            what = f"cannot be opened: {getattr(error, 'strerror', None) or error}; {ANEW}"
+            raise CheckpointError(f"the checkpoint {path} {what}") from None
         yield journal
 
 
 class Journal:
-    """The records of one computation, in a file that nothing else opens meanwhile."""
+    """The records of one computation, in a file that is locked."""
 
     def __init__(self, path: Path, database: sqlite3.Connection, identity: dict):
         self.path = path
         self._database = database
-        # What is no text any more is read, too, and fails its checksum.
+        # Damaged text is read, too: it fails its checksum.
         database.text_factory = lambda text: text.decode(errors="replace")
         is_new = path.stat().st_size == 0
         if not is_new and self._value("PRAGMA application_id") != APPLICATION:
             raise CheckpointError(NOT_ONE.format(path))
         database.execute("PRAGMA journal_mode = DELETE")
         database.execute("PRAGMA synchronous = FULL")
-        database.execute("PRAGMA fullfsync = ON")  # on macOS, past the cache of the disk
+        database.execute("PRAGMA fullfsync = ON")  # on macOS: past the cache of the disk
         if is_new:
             database.execute("BEGIN")
             database.execute(f"PRAGMA application_id = {APPLICATION}")
-            columns = "number INTEGER PRIMARY KEY, checksum TEXT, text TEXT"
-            database.execute(f"CREATE TABLE record ({columns})")
+            database.execute("CREATE TABLE record (number INTEGER PRIMARY KEY, checksum, text)")
             self._insert(0, identity)
             database.execute("COMMIT")
         if self._value("PRAGMA quick_check(1)") != "ok":
             raise sqlite3.DatabaseError("database disk image is malformed")
         self._check_identity(_texts(self._read(0)), _texts(identity))
-        self._found = self._value("SELECT max(number) FROM record")  # records on opening
-        self.last = self._read(self._found) if self._found else None  # that was there on opening
+        # The number of records on opening, and the last of them.
+        self._found = self._value("SELECT max(number) FROM record")
+        self.last = self._read(self._found) if self._found else None
 
     def records(self) -> Iterator[dict]:
-        """Yield the records that were there on opening, in order, each read as it is asked for."""
+        """Yield the records that there were on opening, in order; only one is in memory."""
         yield from map(self._read, range(1, self._found + 1))
 
     def append(self, record: Mapping[str, object]) -> None:
-        """Add a record of JSON values; it is on the disk on return, or an OSError says why not."""
+        """Add a record of JSON values: it is on the disk on return. OSError where it cannot be."""
         try:
             self._insert(self._value("SELECT max(number) + 1 FROM record"), dict(record))
         except sqlite3.Error as error:
-            raise OSError(
-                f"the checkpoint {self.path} takes no more, as where the disk is full: {error}; "
-                "what it held before is kept, and the same run resumes from it once that is mended"
-            ) from None
+            advice = "what it held before is kept: mend that, and the same run resumes from it"
+            what = f"takes no more, as where the disk is full: {error}; {advice}"
+            raise OSError(f"the checkpoint {self.path} {what}") from None
 
     def _check_identity(self, there: dict[str, str], here: dict[str, str]) -> None:
         differences = [
@@ -123,12 +118,11 @@ class Journal:
         query = "SELECT checksum, text FROM record WHERE number = ?"
         checksum, text = self._database.execute(query, (number,)).fetchone() or (None, None)
         if checksum != _checksum(number, text):
-            message = f"record {number} of the checkpoint {self.path} is damaged: {ANEW}"
-            raise CheckpointError(message)
+            what = f"record {number} of the checkpoint {self.path} is damaged"
+            raise CheckpointError(f"{what}: {ANEW}")
         return json.loads(text)
 
     def _value(self, query: str) -> object:
-        """The first value that a query finds."""
         return self._database.execute(query).fetchone()[0]
 
 
@@ -141,7 +135,7 @@ def _checksum(number: int, text: str | None) -> str:
 
 
 def _texts(identity: Mapping, prefix: str = "") -> dict[str, str]:
-    """The items of a mapping as JSON, those of the mappings in it under dotted names."""
+    """Return the items of a mapping as JSON; those of inner mappings have dotted names."""
     texts = {}
     for name, value in identity.items():
         inner = isinstance(value, Mapping) and value
@@ -150,6 +144,6 @@ def _texts(identity: Mapping, prefix: str = "") -> dict[str, str]:
 
 
 def _short(text: str | None) -> str:
-    """A text for a message: both ends of a long one."""
+    """Return both ends of a long text."""
     text = "absent" if text is None else text
     return text if len(text) <= 40 else f"{text[:16]}...{text[-8:]}"

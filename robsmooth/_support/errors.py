@@ -2,7 +2,7 @@
 
 
 class InfeasibleDesignError(ValueError):
-    """A design that the theory does not allow: one of its conditions fails.
+    """There is no such design: a condition of the theory fails.
 
     Attributes
     ----------
@@ -20,7 +20,7 @@ class InfeasibleDesignError(ValueError):
 
 
 class UnstableLoopError(ValueError):
-    """A closed loop without a stationary covariance: it is not asymptotically stable."""
+    """A closed loop is not asymptotically stable: it has no stationary covariance."""
 
 
 class CoarseDelayWarning(RuntimeWarning):

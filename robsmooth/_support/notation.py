@@ -1,7 +1,4 @@
-r"""Numbers and matrices in a few characters, as text and as LaTeX.
-
-What represents an object on a screen is made of these: an array of any size gives a short text.
-"""
+r"""Numbers and matrices as short text and LaTeX, for what represents an object on a screen."""
 
 import math
 from collections.abc import Iterable
@@ -9,9 +6,9 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-LIMIT = 6  # of more rows, columns or entries than these, the middle ones are left out
+LIMIT = 6  # rows, columns or entries that are shown; of more, dots replace the middle ones
 _DIGITS = 4
-_NO_ENTRY = 1e-16  # is zero in print, over the mean of its row's and column's largest
+_NO_ENTRY = 1e-16  # prints as 0: relative to the geometric mean of its row's and column's largest
 
 
 def number(value: float) -> str:
@@ -28,7 +25,7 @@ def number(value: float) -> str:
 
 
 def scientific(value: float, digits: int) -> tuple[str, int | None]:
-    """Return mantissa and exponent of a number in print; None where it needs no power of ten."""
+    """Return the printed mantissa and exponent of a number; None for a number without one."""
     mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
     return mantissa, int(exponent) if exponent else None
 
@@ -62,13 +59,12 @@ def product(factor: ArrayLike, symbol: str) -> str:
 
 
 def total(terms: Iterable[str]) -> str:
-    """Return the sum of terms, of which the empty ones are zero, as LaTeX."""
-    terms = [term for term in terms if term]
-    return " + ".join(terms).replace("+ -", "- ") or "0"
+    """Return the sum of terms as LaTeX; an empty term is zero."""
+    return " + ".join(filter(None, terms)).replace("+ -", "- ") or "0"
 
 
 def array(value: ArrayLike) -> str:
-    """Return an array as text: its entries, or where a matrix has many, its shape."""
+    """Return an array as text: its entries, or the shape of a large matrix."""
     value = np.asarray(value)
     if value.ndim == 0:
         return f"{value:.5g}"
@@ -78,6 +74,5 @@ def array(value: ArrayLike) -> str:
 
 
 def _elided(entries: Iterable, dots: str | None) -> list:
-    """Return entries with dots for the middle ones of many."""
     entries = list(entries)
     return entries if len(entries) <= LIMIT else [*entries[: LIMIT - 2], dots, entries[-1]]

@@ -1,7 +1,4 @@
-"""Progress bars: of ipywidgets in a notebook, of text in a terminal.
-
-There is none where ``CI`` or ``TQDM_DISABLE`` is set, and where stderr goes to a file.
-"""
+"""Progress bars in notebooks and terminals, unless ``CI`` or ``TQDM_DISABLE`` is set."""
 
 import os
 import sys
@@ -12,7 +9,7 @@ from tqdm import tqdm
 
 
 def progress_bar(iterable: Iterable | None = None, *, shown: bool = True, **settings) -> tqdm:
-    """Return a bar with settings of `tqdm.tqdm`, which does nothing where it is not to be shown."""
+    """Return a bar with settings of `tqdm.tqdm`; where none is shown, it counts in silence."""
     ipython = sys.modules.get("IPython")
     in_notebook = ipython is not None and hasattr(ipython.get_ipython(), "kernel")
     switches = (os.environ.get(name, "").lower() for name in ("CI", "TQDM_DISABLE"))

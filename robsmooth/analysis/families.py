@@ -1,7 +1,7 @@
-"""Families of systems, to see where robustness pays: each by uncertainty and measurement noise.
+"""Families of systems that show where robustness pays, by their uncertainty and measurement noise.
 
-The signals have unit variance and the unit of time is their time constant. The noise's intensity is
-relative: 1 is as much as the signal itself in a unit of time.
+The signal has unit variance, and its time constant is the unit of time. `noise` is the root of the
+measurement noise's intensity: at 1, the noise in a unit of time is as large as the signal.
 """
 
 import math
@@ -24,15 +24,14 @@ LAG, ORDER = 0.5, 2
 
 
 def uncertain_gain(size: float, noise: float) -> UncertainSystem:
-    """A sensor whose gain is known to a fraction `size` sees the signal."""
+    """A sensor sees the signal; its gain is known to a fraction `size`."""
     gain = Uncertainty([[0.0]], [[size]], [[1.0]])
-    return UncertainSystem(
-        [[-1.0]], [[math.sqrt(2.0), 0.0]], [[1.0]], [[1.0]], [[0.0, noise]], [gain]
-    )
+    A, B1 = [[-1.0]], [[math.sqrt(2.0), 0.0]]
+    return UncertainSystem(A, B1, [[1.0]], [[1.0]], [[0.0, noise]], [gain])
 
 
 def uncertain_resonance(size: float, noise: float) -> UncertainSystem:
-    """The signal is a resonance of quality 10, whose squared frequency is known to `size`."""
+    """The signal is a resonance of quality 10; its squared frequency is known to `size`."""
     damping = 0.05
     A, B1 = [[0.0, 1.0], [-1.0, -2.0 * damping]], [[0.0, 0.0], [2.0 * math.sqrt(damping), 0.0]]
     detuning = Uncertainty([[0.0], [1.0]], [[size, 0.0]], [[0.0]])
@@ -40,7 +39,7 @@ def uncertain_resonance(size: float, noise: float) -> UncertainSystem:
 
 
 def uncertain_reference(size: float, noise: float) -> UncertainSystem:
-    """Ten times stronger than the signal, a disturbance is seen by a sensor of uncertain gain."""
+    """A sensor of uncertain gain sees a disturbance ten times stronger than the signal."""
     B1 = [[math.sqrt(2.0), 0.0, 0.0, 0.0], [0.0, 20.0, 0.0, 0.0]]
     D21 = np.hstack([np.zeros((2, 2)), noise * np.eye(2)])
     gain = Uncertainty([[0.0], [0.0]], [[0.0, size]], [[0.0], [1.0]])
@@ -62,10 +61,9 @@ def robustness_map(
     *,
     progress: bool = False,
 ) -> NDArray[np.float64]:
-    """Return by how much the certified worst error falls from classical to minimax, (noise, size).
+    """Return the classical smoother's certified worst error over the minimax one's, (noise, size).
 
-    The errors are of smoothers with a lag of half a time constant; not a number is where no
-    estimator has a finite one.
+    The lag is half a time constant. The ratio is NaN where no estimator has a finite error.
     """
     bound = partial(analysis_bound, output="smoothed", loop="real")
     ratios = np.full((len(noises), len(sizes)), np.nan)

@@ -1,4 +1,4 @@
-"""The explorer: sliders, the figure, a sentence and code that follow them."""
+"""The explorer: sliders, and the figure, the sentence and the code at their settings."""
 
 import asyncio
 import base64
@@ -14,8 +14,8 @@ from robsmooth.estimators.conditions import COSTS
 from robsmooth.explorer.panels import png
 from robsmooth.explorer.snapshot import DESIGNS, SLIDERS, Settings, Snapshot, take_snapshot
 
-DEBOUNCE = 0.004  # s without an event, before the newest settings are drawn
-REST = 0.2  # s without an event, before the certified errors are sought
+DEBOUNCE = 0.004  # s without an event before the settings are drawn
+REST = 0.2  # s more before the certified errors are computed
 JUDGING = "being prepared"
 _COLUMNS = {
     "The smoother": ("lag", "order", "design", "cost"),
@@ -28,19 +28,16 @@ _LABELS |= {name: slider.label for name, slider in SLIDERS.items()}
 
 
 class Explorer:
-    """What a design does at some settings, and sliders for these.
-
-    As the value of a notebook's cell it shows itself, with its sliders where they can be moved.
-    """
+    """What a design does at some settings, for a notebook; with sliders where they can be moved."""
 
     def __init__(self, settings: Settings | None = None):
         self._start = settings or Settings()
         self._following: asyncio.Task | None = None
-        self.inputs: dict[str, widgets.Widget] = {}  # by their settings, once they are shown
+        self.inputs: dict[str, widgets.Widget] = {}  # by setting, once they are shown
 
     @property
     def settings(self) -> Settings:
-        """What the sliders say."""
+        """The settings of the sliders, or at the start."""
         if not self.inputs:
             return self._start
         values = {name: each.value for name, each in self.inputs.items()}
@@ -48,7 +45,7 @@ class Explorer:
 
     @property
     def snapshot(self) -> Snapshot | str:
-        """All that there is to see, or why there is nothing."""
+        """All that there is to see, or the reason for nothing."""
         return take_snapshot(self.settings)
 
     def _repr_mimebundle_(self, **_) -> dict[str, object]:
@@ -59,7 +56,7 @@ class Explorer:
 
     @cached_property
     def widget(self) -> widgets.Widget:
-        """The sliders and what follows them."""
+        """The sliders and all that follows them."""
         self.inputs = {name: _input(name) for names in _COLUMNS.values() for name in names}
         self._image = widgets.Image(format="png", layout={"width": "auto"})
         self._summary = widgets.HTML(layout={"min_height": "4.5em"})  # the figure stays in place
@@ -96,7 +93,7 @@ class Explorer:
         self._following = asyncio.ensure_future(self._follow())
 
     async def _follow(self) -> None:
-        """Show what is found at once, and later all; newer settings cancel this."""
+        """Show the quick results, then all; newer settings cancel this."""
         await asyncio.sleep(DEBOUNCE)
         settings = self.settings
         self._show(settings, take_snapshot(settings, certified=False))
@@ -110,7 +107,7 @@ class Explorer:
 
 
 def summary(found: Snapshot | str) -> str:
-    """Return what there is to learn, in a sentence."""
+    """Return the errors in a sentence."""
     if isinstance(found, str):
         return f"There is no design. {found}"
     filtered, smoothed = found.own.with_sine.filtered, found.own.with_sine.smoothed
@@ -125,7 +122,7 @@ def summary(found: Snapshot | str) -> str:
 
 
 def can_show_widgets() -> bool:
-    """Tell whether a frontend could show sliders: in a batch it could answer no question either."""
+    """Tell whether a frontend can show sliders: one in a batch run takes no input."""
     kernel = getattr(get_ipython(), "kernel", None)
     return bool(kernel and kernel.get_parent("shell").get("content", {}).get("allow_stdin"))
 

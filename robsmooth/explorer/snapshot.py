@@ -1,4 +1,4 @@
-"""What the explorer can be set to, and what there is to see at some settings."""
+"""The explorer's settings, and what there is to see at them."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,29 +17,29 @@ from robsmooth.homodyne.loop import StatisticalLinearisation
 from robsmooth.paper.published import DELAY, ORDER, printed
 from robsmooth.simulation.loop import ExponentialIntegrator, nonlinear_loop
 
-# Where the least bound of the example is, whatever the parameters, unless it pays to ignore the
-# measurement: tau is all that is left to search for.
+# The example's least bound is at these, unless it pays to ignore the measurement; the parameters
+# do not matter. Only tau remains to be found.
 BEST_MULTIPLIERS = [1.0, 0.5, 0.0, 0.0]
 SLOPES = np.linspace(-1.0, 0.0, 21)  # Delta_2 of the sweep
-STEP, SHOWN, BEFORE = 0.4e-6, 100, 25  # of the sample path: s, steps that are shown, and before
+STEP, SHOWN, BEFORE = 0.4e-6, 100, 25  # sample path: step in s, steps shown, steps before them
 SEED = 11  # of the sample path
-_MOST_STATES = 2 + 5  # the phase and an estimator of the largest order
+_MOST_STATES = 2 + 5  # the phase, and an estimator of the largest order
 DESIGNS = ("robust", "minimax", "classical", "tuned classical", "by hand")
 _PAPER = rs.homodyne.PAPER
 
 
 class Slider(NamedTuple):
-    """A slider of a setting, whose default must be one of its values."""
+    """A slider of a setting; the default is one of its values."""
 
     label: str
     tooltip: str
     low: float
     high: float
     step: float
-    unit: float = 1.0  # of what it shows, in SI
+    unit: float = 1.0  # SI value of the unit that it shows
 
     def si(self, shown: float) -> float:
-        """Return in SI what the slider shows, to the digits that it shows."""
+        """Return the SI value of what the slider shows, to its digits."""
         return float(f"{shown * self.unit:.4g}")
 
     def shown(self, value: float) -> float:
@@ -64,16 +64,16 @@ SLIDERS = {
 
 @dataclass(frozen=True)
 class Settings:
-    """What the explorer shows; by default the paper's example."""
+    """The settings of the explorer; by default the paper's example."""
 
     lag: float = DELAY  # s
     order: int = ORDER  # of the Pade model of the lag
-    gamma: float = _PAPER.gamma  # half width of the sector that the sine is taken to stay in
-    noise: float = 1.0  # power of the shot noise, relative to the paper's; the design knows of it
+    gamma: float = _PAPER.gamma  # half width of the sector assumed for the sine
+    noise: float = 1.0  # power of the shot noise over the paper's; the design is for it
     lam: float = _PAPER.lam  # decay rate of the phase, rad/s
     kappa: float = _PAPER.kappa  # diffusion of the phase, rad^2/s
     cost: str = COSTS[0]  # the error that a design keeps low, and that is judged
-    design: str = DESIGNS[0]  # least V or certified worst, nominal, tuned, these tau and lambda
+    design: str = DESIGNS[0]  # one of `DESIGNS`; "by hand" has the tau and lambda below
     tau: float = printed("tau")  # rad^2 s
     lambda1: float = printed("lambda_1")
     lambda2: float = printed("lambda_2")
@@ -93,18 +93,18 @@ class Settings:
 
     @property
     def parameters(self) -> rs.homodyne.HomodyneParameters:
-        """The optical loop: more noise is that of a weaker beam."""
+        """The optical loop: a weaker beam has more noise."""
         alpha = _PAPER.alpha / self.noise**0.5
         return replace(_PAPER, lam=self.lam, kappa=self.kappa, alpha=alpha, gamma=self.gamma)
 
     @property
     def plant(self) -> rs.AugmentedSystem:
-        """The loop as the theory has it, with the model of the lag."""
+        """The augmented system of the loop."""
         return rs.augment(self.parameters.uncertain_system(), self.lag, self.order)
 
     @cached_property
     def _call(self) -> tuple[str, str, dict[str, object]]:
-        """The function of robsmooth that finds the design, of what, and its options."""
+        """The function that finds the design, its argument, and its options."""
         match self.design:
             case "minimax":
                 return "minimax_smoother", "plant", {"output": self.cost}
@@ -126,7 +126,7 @@ class Settings:
         return attrgetter(function)(rs)(attrgetter(given)(self), **options)
 
     def code(self) -> str:
-        """Return code that finds the numbers of the panels by the public API."""
+        """Return code that finds the numbers of the panels with the public API."""
         p, (function, given, options) = self.parameters, self._call
         arguments = ", ".join([given, *(f"{name}={value!r}" for name, value in options.items())])
         return f"""\
@@ -150,13 +150,13 @@ print(smoother, filtered, smoothed, judged, with_sine, sep="\\n")
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What is found of an estimator: mean square errors, rad^2."""
+    """Mean square errors of an estimator, rad^2."""
 
     estimator: rs.Estimator
-    filtered: Matrix  # at each of `SLOPES`, in a loop without the fictitious noise
+    filtered: Matrix  # at each of `SLOPES`, without the fictitious noise of the copies
     smoothed: Matrix
     with_sine: StatisticalLinearisation
-    judged: rs.Judgement  # of the error that is kept low; NaN for what is not certified yet
+    judged: rs.Judgement  # of the error that is kept low; NaN where not yet certified
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,18 +165,15 @@ class Snapshot:
 
     settings: Settings
     filtering: float  # the Kalman-Bucy filter's error without uncertainty, rad^2
-    optimum: float  # what no smoother with this lag can beat then
+    optimum: float  # the least of any smoother with this lag, without uncertainty, rad^2
     own: Findings
     classical: Findings
-    path: Matrix  # each `STEP`, of the phase and its filtered and smoothed estimates, rad
+    path: Matrix  # rows: the phase, its filtered and its smoothed estimate each `STEP`, rad
 
 
 @lru_cache(maxsize=8)
 def take_snapshot(settings: Settings, certified: bool = True) -> Snapshot | str:
-    """Return what there is to see, or the sentence that says why there is nothing.
-
-    The certified errors take longer than all else.
-    """
+    """Return what there is to see, or the sentence that says why there is nothing."""
     least = partial(rs.baselines.optimal_fixed_lag_error, settings.plant.system)
     try:
         design = settings.estimator()
@@ -194,11 +191,10 @@ def take_snapshot(settings: Settings, certified: bool = True) -> Snapshot | str:
 
 
 def _findings(estimator: rs.Estimator, settings: Settings, certified: bool) -> Findings:
-    sweeps = {
-        output: rs.delta_sweep(estimator, SLOPES, output, loop="real")[:, 0, 0] for output in COSTS
-    }
+    sweep = partial(rs.delta_sweep, estimator, SLOPES, loop="real")
+    sweeps = {output: sweep(output=output)[:, 0, 0] for output in COSTS}
     with_sine = rs.statistical_linearisation(settings.parameters, estimator)
-    if certified:
+    if certified:  # this takes longer than all else
         judged = rs.judge(estimator, settings.cost)
     else:
         errors = sweeps[settings.cost]
@@ -207,7 +203,7 @@ def _findings(estimator: rs.Estimator, settings: Settings, certified: bool) -> F
 
 
 def _path(estimator: rs.Estimator) -> Matrix:
-    """Simulate one path, on the same noise whatever the loop, unlike `rs.sample_paths`."""
+    """Simulate one path; unlike in `rs.sample_paths`, the noise is the same for every loop."""
     loop = nonlinear_loop(estimator)
     integrator = ExponentialIntegrator(loop, STEP)
     noise = np.random.default_rng(SEED).standard_normal((1 + BEFORE + SHOWN, _MOST_STATES))

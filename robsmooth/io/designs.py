@@ -1,6 +1,6 @@
-r"""Systems, plants and estimators in readable files, TOML or JSON.
+r"""Systems, plants and estimators in readable TOML or JSON files.
 
-A file has the names and units of the library's fields, its matrices by rows::
+The names and units are those of the library's fields; a matrix is a list of its rows::
 
     format = 1
     kind = "system"
@@ -12,8 +12,8 @@ A file has the names and units of the library's fields, its matrices by rows::
     ...
     function = "sin"
 
-Numbers are written so that they are read back bit for bit. A function is named only: nothing in a
-file is ever imported or run, and `load` takes the functions by those names.
+Every number is read back bit for bit. A function is stored by its name, and `load` takes the
+functions by their names. Nothing in a file is imported or run.
 """
 
 import json
@@ -32,7 +32,6 @@ from typing import Any
 import numpy as np
 
 from robsmooth._support import files, validation
-from robsmooth._support.validation import Matrix
 from robsmooth.estimators.conditions import COSTS, weights
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.minimax import ROUTES, MinimaxSmoother, certified_error
@@ -51,17 +50,17 @@ def save(
     Parameters
     ----------
     value : UncertainSystem, AugmentedSystem or Estimator
-        A `RobustSmoother` is saved by its tau and multipliers, from which all else follows; another
-        estimator by its matrices, a `MinimaxSmoother` with its certificate. Each
-        has its plant with it. Of a nonlinearity's function the name is saved.
+        The file has the plant of an estimator. It has the tau and multipliers of a
+        `RobustSmoother`, from which the rest follows, the matrices and certificate of a
+        `MinimaxSmoother`, the matrices of another estimator, and the name of a function.
     path : str or path
         Ends in .toml or .json. The file appears whole or not at all.
 
     Raises
     ------
     ValueError, TypeError
-        For another suffix or kind of object, different functions of the same name, or a design that
-        `load` would refuse.
+        For another suffix, another kind of object, different functions of one name, or a design
+        that `load` would refuse.
     OSError
         Where the file cannot be written.
 
@@ -90,27 +89,26 @@ def save(
 def load(
     path: str | os.PathLike[str], functions: Mapping[str, Callable[[Any], Any]] | None = None
 ) -> UncertainSystem | AugmentedSystem | Estimator:
-    """Load what `save` wrote, or what was written by hand in its format.
+    """Load a file that `save` or a user wrote.
 
     Parameters
     ----------
     path : str or path, ends in .toml or .json
     functions : mapping of str to callable, optional
-        Those of the nonlinearities, by the names that the file gives them. A design needs none.
+        The functions of nonlinearities, by their names in the file. A design needs none.
 
     Returns
     -------
     UncertainSystem, AugmentedSystem or Estimator
-        A `RobustSmoother` or `MinimaxSmoother` where the file holds one: its guarantee is computed
-        anew.
+        The guarantee of a `RobustSmoother` or `MinimaxSmoother` is computed anew.
 
     Raises
     ------
     ValueError
-        Where the file is not valid, or a certified error does not follow from its multipliers: one
-        sentence that names the file and the field.
+        Where the file is not valid, or a certified error does not follow from its multipliers. The
+        message names the file and the field.
     TypeError
-        For functions that are not a mapping.
+        Where `functions` is not a mapping.
     OSError
         Where the file cannot be read.
 
@@ -127,8 +125,7 @@ def load(
     functions = {} if functions is None else functions
     validation.instance("functions", functions, Mapping)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-        content = _READERS[language](text)
+        content = _READERS[language](path.read_bytes().decode("utf-8-sig"))
         return _object(content, functions)
     except RecursionError:
         raise ValueError(f"{path.name}: its brackets are nested too deeply") from None
@@ -145,7 +142,7 @@ def _language(path: str | os.PathLike[str]) -> tuple[Path, str]:
 
 
 def _distinct(pairs: list[tuple[str, object]]) -> dict:
-    """Return a table of JSON whose names are there once."""
+    """Return a table of JSON, each name of which must be there once."""
     if len({name for name, _ in pairs}) < len(pairs):
         raise ValueError(f"one of {', '.join(name for name, _ in pairs)} is there twice")
     return dict(pairs)
@@ -204,7 +201,7 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
 
 
 def _numbers(value: object, path: str) -> Any:
-    """Return finite numbers, in lists as deep as they are; the class checks how deep."""
+    """Return nested lists of finite numbers; the class that takes them checks their shape."""
     if isinstance(value, list):
         return [_numbers(member, f"{path}[{i}]") for i, member in enumerate(value)]
     if type(value) not in (int, float) or not abs(value) <= sys.float_info.max:
@@ -214,22 +211,20 @@ def _numbers(value: object, path: str) -> Any:
 
 @contextmanager
 def _within(place: str) -> Iterator[None]:
-    """Put a place in front of what is wrong there."""
+    """Put the place in the file in front of an error."""
     try:
         yield
     except (ValueError, TypeError, ArithmeticError) as error:
         raise ValueError(f"{place}: {error}" if place else str(error)) from None
 
 
-def _gains(plant: AugmentedSystem, **gains: Any) -> dict[str, Matrix]:
+def _gains(plant: AugmentedSystem, **gains: Any) -> dict[str, np.ndarray]:
     """Return an estimator's matrices, checked against its plant."""
     m, g = plant.system.m, plant.system.g
     n = len(validation.matrix("A_c", gains["A_c"], (None, None)))
     shapes = [(n, n), (n, plant.system.l + g), (m + g, n), (m, n), (m, n)]
-    return {
-        name: validation.matrix(name, gains[name], shape)
-        for name, shape in zip(_GAINS.split(), shapes, strict=True)
-    }
+    pairs = zip(_GAINS.split(), shapes, strict=True)
+    return {name: validation.matrix(name, gains[name], shape) for name, shape in pairs}
 
 
 def _estimator(plant: AugmentedSystem, nominal: list | None = None, **gains: Any) -> Estimator:
@@ -242,7 +237,7 @@ def _estimator(plant: AugmentedSystem, nominal: list | None = None, **gains: Any
 def _minimax_smoother(
     plant: AugmentedSystem, certified: float, multipliers: list, cost: str, route: str, **gains: Any
 ) -> MinimaxSmoother:
-    """Return a minimax smoother, its error certified anew."""
+    """Return a minimax smoother after certifying its error anew."""
     smoother = MinimaxSmoother(
         plant=plant,
         **_gains(plant, **gains),
@@ -260,14 +255,14 @@ def _minimax_smoother(
 
 
 _GAINS = "A_c B_c C_c C_a C_f"
-_KINDS = {  # the classes by what files call them, the particular ones first
+_KINDS = {  # from the kind in a file to its class, subclasses first
     "robust smoother": RobustSmoother,
     "minimax smoother": MinimaxSmoother,
     "estimator": Estimator,
     "plant": AugmentedSystem,
     "system": UncertainSystem,
 }
-# What makes the object of a table, and the table's fields, of which some may be left out.
+# The function that makes the object of a table, and the table's fields.
 _TABLES = {
     "robust smoother": (limiting_smoother, "tau multipliers cost plant"),
     "minimax smoother": (_minimax_smoother, f"{_GAINS} certified multipliers cost route plant"),
@@ -282,7 +277,6 @@ _OPTIONAL = "uncertainties nonlinearities function reference J_21 nominal B2 D22
 
 
 def _fields(kind: str, value: Any) -> dict:
-    """Return the fields of an object's table."""
     fields = {}
     for name in _TABLES[kind][1].split():
         part = getattr(value, name)
@@ -302,18 +296,15 @@ def _fields(kind: str, value: Any) -> dict:
 
 
 def _check_names(functions: list[Callable | None]) -> None:
-    """Check that each name stands for one function."""
     named: dict[str, Callable] = {}
     for i, function in enumerate(functions):
         if function is not None and named.setdefault(name_of(function), function) != function:
-            raise ValueError(
-                f"nonlinearities[{i}].function must have a name of its own to be saved, got "
-                f"{name_of(function)!r}, which another one has"
-            )
+            what = f"nonlinearities[{i}].function must have a name of its own to be saved"
+            raise ValueError(f"{what}, got {name_of(function)!r}, which another one has")
 
 
 def _toml(table: Mapping, prefix: str) -> Iterator[str]:
-    """Give the lines of a table: its values, then the tables in it."""
+    """Yield the lines of a table: its values, then its inner tables."""
     yield from (f"{name} = {_json(table[name])}" for name in table if name not in _TABLES)
     for name in filter(_TABLES.get, table):
         several = isinstance(table[name], list)
@@ -323,7 +314,7 @@ def _toml(table: Mapping, prefix: str) -> Iterator[str]:
 
 
 def _json(value: object) -> str:
-    """Return a value as JSON, without names as TOML, too; a matrix has one row a line."""
+    """Return a value as JSON (and TOML, where it has no names), a row of a matrix on a line."""
     text = json.dumps(value, indent=2, ensure_ascii=False)
     text = re.sub(r"\[\n([-+.\de,\s]+)\n *\]", lambda row: f"[{' '.join(row[1].split())}]", text)
     return re.sub(r"\[\n *(\[.*\])\n *\]", r"[\1]", text)  # a single row

@@ -1,1 +1,1 @@
-"""What is true of the paper: printed values and the verdicts on them, figures, tables, report."""
+"""The paper's printed values and the verdicts on them, figures, tables and the report."""

@@ -1,7 +1,4 @@
-"""What the paper prints, in ``data/published.toml``: its numbers, and the designs they make.
-
-Beside it lies ``data/monte_carlo.json``: what it is compared with, as notebook 04 writes it.
-"""
+"""The numbers that the paper prints, the designs that follow, and the results in data/."""
 
 import itertools
 import json
@@ -31,16 +28,16 @@ from robsmooth.workbench import provenance
 
 DELAY = 3.1e-6  # s
 ORDER = 2
-RESULTS = "monte_carlo.json"
+RESULTS = "monte_carlo.json"  # which notebook 04 writes
+# By Bayes' rule, in a loop that the filter steers; benchmarks/nonlinear_floor.py writes it.
 NONLINEAR_FLOOR = "nonlinear_floor.json"
-NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # the designs that verdicts are about
-# From the name of a design to its "smoothed" and its "filtered" error.
-SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]
+NEEDED = ("smoother, as printed", "NGCF", "Kalman-Bucy")  # designs with verdicts
+SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]  # by design, "smoothed" or "filtered"
 LAMBDA = ("lambda_1", "lambda_2", "lambda_3", "lambda_4")
 
 
 def data_folder() -> Path:
-    """Return the folder of the published values and results: data/, or the wheel's copy of it."""
+    """Return the folder data/ of the project, or the wheel's copy of it."""
     package = Path(__file__).resolve().parents[1]
     packed = package / "_data"
     return packed if packed.is_dir() else package.parent / "data"
@@ -48,12 +45,12 @@ def data_folder() -> Path:
 
 @cache
 def published() -> dict:
-    """Return the content of the project's published.toml."""
+    """Return the content of published.toml."""
     return tomllib.loads((data_folder() / "published.toml").read_text(encoding="utf-8"))
 
 
 def printed_text(name: str) -> str | list:
-    """Return a quantity as printed, a matrix as its rows, e.g. ``printed_text("tau")``."""
+    """Return the printed digits of a quantity, such as "tau"; of a matrix, in a list of rows."""
     quantities = {entry["id"]: entry["printed"] for entry in published()["quantity"]}
     if name not in quantities:
         raise KeyError(f"the paper prints no {name!r}; it has {', '.join(quantities)}")
@@ -61,13 +58,13 @@ def printed_text(name: str) -> str | list:
 
 
 def printed(name: str) -> float | Matrix:
-    """Return a printed quantity as a number or array, e.g. ``printed("A_c")``."""
+    """Return a printed quantity, such as "A_c", as a number or array."""
     value = np.array(printed_text(name), dtype=float)
     return float(value) if value.ndim == 0 else value
 
 
 def stated(name: str, field: str) -> str:
-    """Return a number that a statement is about, with the printed digits."""
+    """Return the printed digits of a number in a statement."""
     return next(each[field] for each in published()["statement"] if each["id"] == name)
 
 
@@ -77,24 +74,23 @@ def printed_multipliers() -> np.ndarray:
 
 
 def last_digit(text: str) -> float:
-    """Return the worth of the last printed digit: 0.01 for "1.13", 1e-8 for "1.13e-6"."""
+    """Return the unit of the last printed digit: 0.01 for "1.13", 1e-8 for "1.13e-6"."""
     return 10.0 ** Decimal(text).as_tuple().exponent
 
 
 def agrees(text: str, low: float, high: float, zero: float = 0.0) -> bool:
-    """Tell whether some value in [low, high] is printed as `text`, rounded or cut off."""
+    """Tell whether a value in [low, high], rounded or cut off, prints as `text`."""
     number = float(text)
     if number == 0.0:
         return low <= zero and high >= -zero
     if number < 0.0:
         number, low, high = -number, -high, -low
-    unit = last_digit(text)
-    tiny = 1e-9 * number
-    return high >= number - unit / 2 - tiny and low < number + unit
+    unit, rounding = last_digit(text), 1e-9 * number
+    return high >= number - unit / 2 - rounding and low < number + unit
 
 
 def rounding_box() -> list[tuple[float, np.ndarray]]:
-    """Return the printed tau and lambda and the corners of what rounds to them."""
+    """Return the printed tau and lambda, and the corners of the box that rounds to them."""
     half = np.array([last_digit(printed_text(name)) / 2 for name in ("tau", *LAMBDA)])
     middle = np.array([printed("tau"), *printed_multipliers()])
     corners = [middle + half * signs for signs in itertools.product((-1, 1), repeat=5)]
@@ -103,7 +99,7 @@ def rounding_box() -> list[tuple[float, np.ndarray]]:
 
 @cache
 def paper_plant() -> AugmentedSystem:
-    """Return the example's augmented system in the paper's coordinates of the delay model."""
+    """Return the example's plant in the paper's coordinates of the delay model."""
     damping, stiffness = 6.0 / DELAY, 12.0 / DELAY**2
     drive, chain = 2.0**11, 2.0**20  # the states are scaled: 2048 and 1.048e6 in the printed A_p
     F = np.array([[-damping, -stiffness / chain], [chain, 0.0]])
@@ -114,50 +110,48 @@ def paper_plant() -> AugmentedSystem:
 
 
 def signed_design(tau: float, multipliers: Matrix, sign: float = -1.0) -> tuple[Estimator, float]:
-    """Return estimator and V with this sign of the X equation's quadratic term: -1 flips it."""
+    """Return the estimator and V; `sign` multiplies the quadratic term of the X equation."""
     plant = paper_plant()
     equations = design_equations(plant, tau, multipliers)
     X = solve_riccati(*equations.equation_X(quadratic_sign=sign))
     Y = solve_riccati(*equations.equation_Y)
     A_c, B_c, C_c, bound, _ = equations.gains(X.X, Y.X)
-    # the paper prints no C_a: that of the plant reads out the smoothed estimate
+    # the paper prints no C_a; the plant's reads out the smoothed estimate
     return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_c[:1]), bound
 
 
 @cache
 def recomputed_estimator() -> Estimator:
-    """Return the estimator of the printed tau and lambda, with the sign flipped: "as printed"."""
+    """Return the design "as printed": of the printed tau and lambda, with the sign flipped."""
     return signed_design(printed("tau"), printed_multipliers())[0]
 
 
 @cache
 def corrected_smoother() -> RobustSmoother:
-    """Return the design with the least bound, the sign as the theory has it: "corrected"."""
+    """Return the design "corrected": with the theory's sign and the least bound."""
     return minimize_bound(augment(homodyne.PAPER.uncertain_system(), DELAY, ORDER), "filtered")
 
 
 @cache
 def designs() -> Mapping[str, Estimator]:
-    """Return the designs compared throughout, by the names that figures and tables use."""
+    """Return the designs by their names in figures and tables."""
     system = homodyne.PAPER.uncertain_system()
     found = {"smoother, as printed": recomputed_estimator()}
     found |= {"smoother, corrected": corrected_smoother(), "NGCF": baselines.ngcf(system)}
-    found["Kalman-Bucy"] = baselines.kalman_bucy(system, copies=True)  # as the adaptive loop runs
+    found["Kalman-Bucy"] = baselines.kalman_bucy(system, copies=True)  # for the adaptive loop
     return MappingProxyType(found)
 
 
 def x_discriminant(tau: float, multipliers: np.ndarray) -> float:
-    """Return the discriminant of kappa/(tau lambda_1) X^2 - 2 lambda X + q = 0 over (2 lambda)^2.
-
-    That is the example's X equation: below zero it has no real solution.
-    """
+    """Discriminant of kappa/(tau lambda_1) X^2 - 2 lambda X + q = 0 over (2 lambda)^2."""
+    # This is the example's X equation. It has no real solution where the discriminant is below 0.
     equations = design_equations(paper_plant(), tau, multipliers)
     linear = 2.0 * homodyne.PAPER.lam
     return float(1.0 - 4.0 * equations.worst_noise[0, 0] / tau * equations.Q_X[0, 0] / linear**2)
 
 
 def read_simulation(folder: Path) -> SimulatedErrors:
-    """Read the mean square errors of a folder; ValueError where the file is missing or corrupt."""
+    """Return the mean square errors in a folder; ValueError where they are missing or corrupt."""
     try:
         cases = json.loads((folder / RESULTS).read_text(encoding="utf-8"))["cases"]
         return {name: _errors(cases[name]) for name in NEEDED}
@@ -169,10 +163,7 @@ def read_simulation(folder: Path) -> SimulatedErrors:
 
 
 def read_nonlinear_floor() -> Mapping[str, MeanSquare]:
-    """Return the least "smoothed" and "filtered" mean square error of the example with its sine.
-
-    Bayes' rule gives them, in a loop that the filter steers: ``benchmarks/nonlinear_floor.py``.
-    """
+    """Return the least "smoothed" and "filtered" mean square error of the example with its sine."""
     return _errors(json.loads((data_folder() / NONLINEAR_FLOOR).read_text(encoding="utf-8")))
 
 
@@ -185,7 +176,7 @@ def _errors(stored: Mapping[str, Mapping[str, float]]) -> Mapping[str, MeanSquar
 
 
 def write_simulation(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) -> None:
-    """Write what does not differ from run to run to a folder, and the provenance beside it."""
+    """Write the results without their run times to a folder, and their provenance beside them."""
     path, cases = Path(data) / RESULTS, {name: case.to_dict() for name, case in results.items()}
     for case in cases.values():
         del case["wall_time"], case["provenance"]

@@ -15,10 +15,7 @@ _BEGIN, _END = "<!-- scorecard: written by make figures -->", "<!-- end of score
 
 
 def write(figures: Path, data: Path) -> list[Verdict]:
-    """Write the report to the folder `figures`, from the results in `data`; return its verdicts.
-
-    A report that says the same already is left with its provenance.
-    """
+    """Write the report on the results in `data` to `figures` if it changed; return its verdicts."""
     started = time.perf_counter()
     verdicts = paper_verdicts.verdicts(data)
     report, spreadsheet = figures / "reproduction.md", figures / "reproduction.csv"
@@ -54,7 +51,7 @@ def scorecard(verdicts: Iterable[Verdict]) -> Table:
 
 
 def markdown(verdicts: Sequence[Verdict]) -> str:
-    """Return the whole report, a section for each verdict that needs words, then everything."""
+    """Return the report: the scorecard, what needs a reason, then everything."""
     parts = [
         "# What of the paper reproduces",
         "Written by `make figures`; the same as a table is in `reproduction.csv`. A number counts "
@@ -73,7 +70,7 @@ def markdown(verdicts: Sequence[Verdict]) -> str:
 
 
 def about() -> Table:
-    """Return what a notebook was run with: versions, revision, lock and machine."""
+    """Return a table of the versions, revision, lock and machine that a notebook runs with."""
     facts = provenance.collect()
     revision, machine = facts["revision"], facts["machine"]
     rows = [*facts["versions"].items()]

@@ -1,4 +1,4 @@
-"""The statements in the paper's prose that numbers can check, one function each."""
+"""The statements in the paper's prose that numbers can check, a function for each."""
 
 import math
 from collections.abc import Callable
@@ -15,15 +15,14 @@ from robsmooth.homodyne.loop import statistical_linearisation
 from robsmooth.paper import published
 from robsmooth.systems.augmented import AugmentedSystem
 
-Finding = tuple[bool, str, str]  # whether it holds, our value in words, and why, if need be
+Finding = tuple[bool, str, str]  # whether it holds, our value in words, and why or ""
 
-# The errors that the paper compares, the smoother's and the NGCF's: design and output.
-_COMPARED = (("smoother, as printed", "smoothed"), ("NGCF", "filtered"))
-_EQUAL = 1e-9  # relative: two numbers that rounding alone keeps apart
+_COMPARED = (("smoother, as printed", "smoothed"), ("NGCF", "filtered"))  # designs and outputs
+_EQUAL = 1e-9  # relative difference of equal numbers, from rounding
 
 
 def checks(simulation: published.SimulatedErrors | None) -> dict[str, Callable[[], Finding]]:
-    """Return the check of each statement."""
+    """Return the check of each statement, by its id."""
     plant = published.paper_plant()
     return {
         "smoothing improves the Kalman-Bucy filter": smoothing_improves,
@@ -54,7 +53,7 @@ def swept_errors() -> list[np.ndarray]:
 
 
 def smoothing_improves(lag: float = published.DELAY) -> Finding:
-    """Compare the optimal errors without a lag and with one."""
+    """Compare the optimal errors without and with a lag, in seconds."""
     system = homodyne.PAPER.uncertain_system()
     filtered = baselines.optimal_fixed_lag_error(system, 0.0).item()
     smoothed = baselines.optimal_fixed_lag_error(system, lag).item()
@@ -63,7 +62,7 @@ def smoothing_improves(lag: float = published.DELAY) -> Finding:
 
 
 def sector(parameters: homodyne.HomodyneParameters = homodyne.PAPER) -> Finding:
-    """Test the remainder against gamma = (1 - m)/2 wherever the sine is in the sector [m, 1]."""
+    """Test |f| <= gamma |mu_1| with gamma = (1 - m)/2 where the sine is in the sector [m, 1]."""
     m, gamma, beta = parameters.sector_slope, parameters.gamma, parameters.beta
     error = np.linspace(0.0, np.pi, 5001)[1:]
     error = error[np.sin(error) >= m * error]
@@ -85,14 +84,13 @@ def sector(parameters: homodyne.HomodyneParameters = homodyne.PAPER) -> Finding:
 
 
 def scaled_nonlinearity() -> Finding:
-    """Test with which power of gamma f~ = f gamma^power gives gamma f~ = f, in the unit sector."""
+    """Test which f~ = f gamma^power has gamma f~ = f and is in the unit sector."""
     gamma = homodyne.PAPER.gamma
     error = np.linspace(0.0, homodyne.PAPER.sector_range(), 501)[1:]
     ratio = np.abs(homodyne.PAPER.remainder(error) / error).max()
 
     def fits(power: float) -> bool:
-        scale = gamma**power
-        return abs(gamma * scale - 1.0) <= _EQUAL and ratio * scale <= 1.0 + _EQUAL
+        return abs(gamma * gamma**power - 1.0) <= _EQUAL and ratio * gamma**power <= 1.0 + _EQUAL
 
     power = float(published.stated("scaled nonlinearity", "power_of_gamma"))
     recovered, reach = gamma * gamma**power, ratio * gamma**power
@@ -135,7 +133,7 @@ def satisfies(plant: AugmentedSystem) -> Finding:
 
 
 def assumption_3(plant: AugmentedSystem) -> Finding:
-    """Design the smoother with the printed tau and lambda, and with all that round to them."""
+    """Design the smoother with the printed tau and lambda, and with values that round to them."""
     tried, refusals = published.rounding_box(), {}
     for number, (tau, multipliers) in enumerate(tried):
         try:
@@ -170,7 +168,7 @@ def below(smoothed: np.ndarray, filtered: np.ndarray) -> Finding:
 
 
 def less_sensitive(smoothed: np.ndarray, filtered: np.ndarray) -> Finding:
-    """Compare the rises of the errors from Delta_2 = 0 to -1, also relative to their values."""
+    """Compare the rises of the errors from Delta_2 = 0 to -1, absolute and relative."""
     rise, ngcf_rise = (error[-1] - error[0] for error in (smoothed, filtered))
     share, ngcf_share = rise / smoothed[0], ngcf_rise / filtered[0]
     value = f"from Delta_2 = 0 to -1 the smoother's rises by {rise:.3f} rad^2 ({share:.0%}), "
@@ -196,7 +194,7 @@ def robust_against_kalman(simulation: published.SimulatedErrors) -> Finding:
 
 
 def percent(smoothed: float, filtered: float) -> Finding:
-    """Compare the printed percentage with how much larger than the smoother's the NGCF's is."""
+    """Compare the printed percentage with the excess of the NGCF's error over the smoother's."""
     text = published.stated("41%", "percent")
     theirs, ngcf = (published.printed(f"error covariance, {name}") for name in ("smoother", "NGCF"))
     larger, smaller = 100 * (filtered / smoothed - 1), 100 * (1 - smoothed / filtered)

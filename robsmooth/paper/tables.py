@@ -21,16 +21,13 @@ from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.paper import published
 
-Records = Iterator[dict[str, Any]]  # the cells of each row, by their columns
+Records = Iterator[dict[str, Any]]  # the cells of a row, by column
 Results = Mapping[str, MonteCarloResult]
-ErrorsByMethod = dict[str, dict[str, MeanSquare]]  # by the name of an error, and the method
+ErrorsByMethod = dict[str, dict[str, MeanSquare]]  # by the name of an error, then by method
 
 
 def _table(digits: int = 4) -> Callable[[Callable[..., Records]], Callable[..., Table]]:
-    """Make a function return the table of the records that it yields, with its text as caption.
-
-    What stands in braces in the text is an argument of the function.
-    """
+    """Make a function return a table of its records; its docstring is the format of the caption."""
 
     def decorate(records: Callable[..., Records]) -> Callable[..., Table]:
         @wraps(records)
@@ -50,7 +47,7 @@ def _estimate(found: MeanSquare, form: str = ".5f", error_form: str | None = Non
 
 
 def _numbers(values: Iterable[complex], digits: int = 4) -> str:
-    """Return numbers or poles in a row, one of each conjugate pair."""
+    """Return numbers in a row, one of each conjugate pair."""
     upper = (value for value in values if value.imag >= 0.0)
     return ", ".join(f"{value:.{digits}g}" for value in upper).replace("+0j", "")
 
@@ -116,7 +113,7 @@ def simulations(results: Results, caption: str) -> Records:
 def predicted_errors(
     compared: Mapping[str, Estimator], paper: Results, ergodic: Results, of: HomodyneParameters
 ) -> ErrorsByMethod:
-    """Return the errors by each method, where the standard error of moments is their truncation."""
+    """Return the errors by each method; the standard error of moments is their truncation."""
     found = {}
     for name, design in compared.items():
         moments, approximate = stationary_errors(of, design), statistical_linearisation(of, design)
@@ -164,7 +161,7 @@ def noise_sweep(found: Mapping[float, MonteCarloResult]) -> Records:
 
 
 def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParameters) -> Table:
-    """Return how far one number of the loop must change for the printed errors to be predicted."""
+    """Return the changes of single numbers of the loop that predict the printed errors."""
     smoothed = published.printed("error covariance, smoother")
     filtered, runs = published.printed("error covariance, NGCF"), published.printed("runs")
     changes = ("power of the shot noise", "power of the phase noise", "detector gain")
@@ -184,7 +181,7 @@ def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParamete
         record = {"changed": change} | factors
         for name, case in cases.items():
             off = excess(sum(factors.values()) / 2, change, *case)
-            # the standard error of a mean of squares of Gaussian errors
+            # the standard error of a mean of `runs` squared Gaussian errors
             distance = off / (case[-1] * math.sqrt(2 / runs))
             record[f"{name} at the mean factor"] = f"{case[-1] + off:.4f} ({distance:+.1f})"
         records.append(record)

@@ -1,4 +1,4 @@
-"""Whether the paper reproduces: every printed number recomputed, and judged as the report says."""
+"""Whether the paper reproduces: every printed number is recomputed and judged."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -10,7 +10,6 @@ import numpy as np
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.tables import Table
-from robsmooth._support.validation import Matrix
 from robsmooth.paper import published, statements
 
 REPRODUCED = "reproduced"
@@ -19,9 +18,8 @@ NOT_REPRODUCED = "not reproduced"
 NOT_CHECKABLE = "not checkable"
 OUTCOMES = (REPRODUCED, WITH_FLIPPED_SIGN, NOT_REPRODUCED, NOT_CHECKABLE)
 KINDS = ("input", "model", "optimum", "design", "sweep", "simulation")
-Values = dict[str, float | Matrix]  # recomputed, by the names of the quantities
-_INPUT = "an input of the paper, not a result"
-_ZERO = 1e-9  # relative to the largest entry of its matrix, a computed value below this is zero
+Values = dict[str, float | validation.Matrix]  # recomputed, by the names of the quantities
+_ZERO = 1e-9  # a smaller computed value is zero, relative to the largest entry of its matrix
 
 
 @dataclass(frozen=True)
@@ -31,13 +29,13 @@ class Verdict:
     Attributes
     ----------
     name, place, printed : str
-        What it is, e.g. ``"A_c[0, 1]"`` (from zero), where it stands in the paper, and its digits.
+        Its name, e.g. ``"A_c[0, 1]"`` (from zero), its place in the paper, and its digits.
     value : float or str or None
         Recomputed, in the printed unit; words for a statement; None where nothing can be computed.
     relative_difference : float or None
-        Of value from printed, by the size of printed, where that makes sense.
+        (value - printed)/abs(printed) for a printed number that is not zero.
     verdict, reason : str
-        One of `OUTCOMES`, and why, as far as known, where it does not simply reproduce.
+        One of `OUTCOMES`, and why, if known, where it is not simply reproduced.
     """
 
     name: str
@@ -50,7 +48,7 @@ class Verdict:
 
 
 class Verdicts(list[Verdict]):
-    """A list of verdicts, which a notebook shows as a table."""
+    """A list of verdicts; a notebook shows it as a table."""
 
     def __repr__(self) -> str:
         return f"Verdicts({self._counts})"
@@ -61,8 +59,7 @@ class Verdicts(list[Verdict]):
     @property
     def _counts(self) -> str:
         counts = Counter(verdict.verdict for verdict in self)
-        found = [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
-        return ", ".join(found) or "none"
+        return ", ".join(f"{counts[each]} {each}" for each in OUTCOMES if counts[each]) or "none"
 
 
 @one_thread
@@ -72,26 +69,25 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     Parameters
     ----------
     data_dir : path, optional
-        Folder with monte_carlo.json; by default the project's own data/.
+        Folder with monte_carlo.json; by default the project's data/.
     kinds : sequence of str
-        Which quantities and statements to judge, as data/published.toml sorts them; all by default.
+        Kinds of quantities and statements to judge; by default all in data/published.toml.
 
     Returns
     -------
     list of Verdict
-        In the order of the paper, one for each entry of a matrix. A notebook shows a table.
+        In the paper's order, one for each entry of a matrix. A notebook shows a table.
 
     Raises
     ------
     ValueError
-        Where a data file is missing or corrupt.
+        For another kind, or where monte_carlo.json is missing or corrupt.
     """
     for kind in kinds:
         validation.choice("kinds", kind, KINDS)
     simulation, recompute = None, {"model": _model, "optimum": _optimum, "design": _design}
     if "simulation" in kinds:
-        folder = Path(data_dir) if data_dir else published.data_folder()
-        simulation = published.read_simulation(folder)
+        simulation = published.read_simulation(Path(data_dir or published.data_folder()))
         names = "error covariance, smoother", "error covariance, NGCF"
         errors = statements.simulated_errors(simulation)
         recompute["simulation"] = lambda: [dict(zip(names, errors, strict=True))]
@@ -110,8 +106,8 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
 
 
 def table(verdicts: Iterable[Verdict], caption: str = "", merge_zeros: bool = False) -> Table:
-    """Return the verdicts as a table, where asked with one row for a matrix's reproduced zeros."""
-    groups: dict[str | int, list[Verdict]] = {}  # by the name of the matrix of zeros, or a number
+    """Return the verdicts as a table; `merge_zeros` puts a matrix's reproduced zeros in one row."""
+    groups: dict[str | int, list[Verdict]] = {}  # by the name of a matrix of zeros, or by number
     for number, verdict in enumerate(verdicts):
         found = verdict.printed.split(" ")[0], verdict.value, verdict.verdict
         zero = merge_zeros and found == ("0", 0.0, REPRODUCED)
@@ -147,7 +143,7 @@ def _optimum() -> list[Values]:
 
 
 def _design() -> list[Values]:
-    """Return the values for the printed tau and lambda, then for others that print the same."""
+    """Return the values at the printed tau and lambda, then at corners that print the same."""
     found = []
     for tau, multipliers in published.rounding_box():
         estimator, bound = published.signed_design(tau, multipliers)
@@ -156,19 +152,19 @@ def _design() -> list[Values]:
     return found
 
 
-def _verdicts_on(entry: dict, values: Sequence[float | Matrix]) -> Iterator[Verdict]:
-    """Yield the verdict on each entry of a quantity: something between its values must agree."""
+def _verdicts_on(entry: dict, values: Sequence[float | validation.Matrix]) -> Iterator[Verdict]:
+    """Yield the verdict on each entry of a quantity; a number between its values must agree."""
     unit = f" {entry['unit']}" if "unit" in entry else ""
     for index, text in np.ndenumerate(np.array(entry["printed"], dtype=object)):
         name = entry["id"] + (str(list(index)) if index else "")
         quantity = name, entry["place"], text + unit
         if not values:
-            yield Verdict(*quantity, None, None, NOT_CHECKABLE, _INPUT)
+            reason = "an input of the paper, not a result"
+            yield Verdict(*quantity, None, None, NOT_CHECKABLE, reason)
             continue
         candidates = [float(np.asarray(value)[index]) for value in values]
         zero = _ZERO * float(np.abs(values[0]).max())
-        # rounding noise would differ by machine
-        value = 0.0 if abs(candidates[0]) < zero else candidates[0]
+        value = 0.0 if abs(candidates[0]) < zero else candidates[0]  # rounding differs by machine
         number = float(text)
         difference = (value - number) / abs(number) if number else None
         verdict, why = WITH_FLIPPED_SIGN if entry["kind"] == "design" else REPRODUCED, ""

@@ -1,7 +1,4 @@
-"""One notebook in a process of its own, as several in one hang, judged by its executed copy.
-
-papermill's word is not enough: it takes `sys.exit(0)` in a cell for success.
-"""
+"""One notebook in its own process (several in one hang), judged by its executed copy."""
 
 import os
 import re
@@ -11,10 +8,7 @@ import time
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:  # the extra [notebooks]
-    from nbformat import NotebookNode
+from typing import Any
 
 _ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 _LAST_ERROR = re.compile(r".*^([\w.]*(?:Error|Exception|Exit)\b.*)", re.DOTALL | re.MULTILINE)
@@ -22,27 +16,28 @@ _ADDED_BY_PAPERMILL = {"injected-parameters", "papermill-error-cell-tag"}
 
 
 class Execution:
-    """A running notebook: poll it until it is finished, then ask for its failure, if any."""
+    """A running notebook: poll `finished`, then read `failure`."""
 
     def __init__(
         self, notebook: Path, executed: Path, parameters: dict, scratch: Path, time_limit: float
     ) -> None:
-        """Start; the run may take `time_limit` seconds, and one cell of it half as long."""
-        import yaml  # papermill needs it, too
+        """Start; the run may take `time_limit` seconds, and one cell half as long."""
+        import yaml  # comes with papermill
 
         self.started = time.perf_counter()
         self._executed, self._log = executed, scratch / "log.txt"
-        self._time_limit, self._timed_out = time_limit, False
+        self._time_limit, self._reached = time_limit, ""
         executed.parent.mkdir(parents=True, exist_ok=True)
         executed.unlink(missing_ok=True)
         command = [sys.executable, "-P", "-m", "papermill", "--no-progress-bar"]
         command += ["--kernel=python3", "--language=python", "--log-level=ERROR"]
         command += [f"--cwd={notebook.parent}", f"--execution-timeout={max(1, time_limit / 2):.0f}"]
         command += ["--parameters_yaml", yaml.safe_dump(parameters, sort_keys=False)]
-        for path in (notebook, executed):  # papermill would take braces for a template's
+        for path in (notebook, executed):  # papermill reads a path as a template
             command.append(str(path).replace("{", "{{").replace("}", "}}"))
         options = {"stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT}
-        options |= {"env": _environment(scratch), "start_new_session": True}  # Ctrl-C is ours
+        # in a new session, Ctrl-C reaches only this process
+        options |= {"env": _environment(scratch), "start_new_session": True}
         with open(self._log, "wb") as log:
             self._process = subprocess.Popen(command, stdout=log, **options)
 
@@ -52,9 +47,9 @@ class Execution:
         return time.perf_counter() - self.started
 
     def finished(self) -> bool:
-        """Whether it has ended; one that is over its time limit is ended here."""
+        """Whether it has ended; past its time limit it is ended here."""
         if self._process.poll() is None and self.seconds > self._time_limit:
-            self._timed_out = True
+            self._reached = f"the time limit of {self._time_limit:g} s for the notebook was reached"
             self.kill()
         return self._process.poll() is not None
 
@@ -62,7 +57,7 @@ class Execution:
         """End the process, its kernel, and all that the kernel has started."""
         import psutil
 
-        # The kernel has a session of its own, so a signal to the process group would miss it.
+        # A signal to the process group would miss the kernel, which has its own session.
         family = []
         with suppress(psutil.NoSuchProcess):
             worker = psutil.Process(self._process.pid)
@@ -74,30 +69,26 @@ class Execution:
         psutil.wait_procs(family, timeout=10)
 
     def failure(self) -> str:
-        """Why the finished run failed: the cell, numbered from 1, and its traceback; "" if not."""
-        limit = ""
-        if self._timed_out:
-            limit = f"the time limit of {self._time_limit:g} s for the notebook was reached"
+        """Why the finished run failed: the cell, counted from 1, and its traceback; else ""."""
+        # papermill's exit code is not enough: it is 0 after sys.exit(0) in a cell
         log = self._log.read_text(errors="replace").strip()
-        # What papermill itself says of an error in a cell stands in the cell, too.
+        # papermill's own error repeats that of a cell
         found = None if "PapermillExecutionError" in log else _LAST_ERROR.match(log)
-        error = found[1] if found else ""
+        outside = self._reached or (found[1] if found else "")
         cells = self._cells()
         for number, cell in cells:
             errors = [output for output in cell.outputs if output.output_type == "error"]
             lines = [line for each in errors for line in each.traceback or [each.ename]]
             traceback = _ANSI.sub("", "\n".join(lines)).strip()
-            # papermill marks even the cell that its kernel died in as completed: go by the reply
+            # papermill marks a cell as completed even where the kernel died; the reply tells
             if traceback or "shell.execute_reply" not in cell.metadata.get("execution", {}):
-                reason = limit or error or traceback or "the cell was not run to its end"
-                return f"cell {number}\n{reason}"
-        if limit or self._process.returncode or not cells:
-            last = "\n".join(log.splitlines()[-20:])
-            return limit or error or last or "its process died"
+                return f"cell {number}\n{outside or traceback or 'it was not run to its end'}"
+        if self._reached or self._process.returncode or not cells:
+            return outside or "\n".join(log.splitlines()[-20:]) or "its process died"
         return ""
 
-    def _cells(self) -> "list[tuple[int, NotebookNode]]":
-        """Code cells of the executed copy that hold code, with their numbers in the source."""
+    def _cells(self) -> list[tuple[int, Any]]:
+        """Cells of the executed copy that hold code, with their numbers in the notebook."""
         import nbformat
 
         try:
@@ -113,15 +104,15 @@ class Execution:
 
 
 def _environment(scratch: Path) -> dict[str, str]:
-    """Our environment, less what would make a figure depend on its user."""
+    """Environment of this process, without what would make a figure depend on its user."""
     left_out = {"MPLBACKEND", "PYTHONPATH"}
     environment = {name: value for name, value in os.environ.items() if name not in left_out}
     return environment | {
         "OPENBLAS_NUM_THREADS": "1",  # the matrices are small, and notebooks run side by side
-        "TQDM_DISABLE": "1",  # a bar without a terminal fills the executed copy with lines
+        "TQDM_DISABLE": "1",  # without a terminal, a bar is many lines
         "JUPYTER_PREFER_ENV_PATH": "1",  # this environment's kernel, not the user's
         "JUPYTER_RUNTIME_DIR": str(scratch / "jupyter"),
-        "IPYTHONDIR": str(scratch / "ipython"),  # no start-up files of the user's
+        "IPYTHONDIR": str(scratch / "ipython"),  # without the user's start-up files
         "MATPLOTLIBRC": str(Path(find_spec("matplotlib").origin).with_name("mpl-data")),
         "PYTHONHASHSEED": "0",
     }

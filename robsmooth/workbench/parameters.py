@@ -1,8 +1,8 @@
-"""A notebook's parameters: read from its tagged cell, checked against what that cell allows.
+"""A notebook's parameters, read from its cell tagged `parameters` and checked against it.
 
-The cell tagged `parameters` holds lines such as `lag: float = 3.1e-6  # (0, 1e-3] s, of smoothing`.
-The comment may open with the interval of what is allowed, with `inf`, too.
-papermill checks neither name nor type, and its reader skips comments that hold an equals sign.
+A line is such as `lag: float = 3.1e-6  # (0, 1e-3] s, of smoothing`. The comment may open with the
+interval that is allowed; its ends may be `inf`. papermill checks neither names nor types, and its
+own reader skips a comment with an equals sign.
 """
 
 import ast
@@ -14,7 +14,7 @@ from typing import NamedTuple
 from robsmooth._support import validation
 
 TYPES = {"bool": bool, "int": int, "float": float, "str": str}
-# Set by the pipeline, for each run anew, and of no influence on the results.
+# The pipeline sets these for each run; no result depends on them.
 OPTIONAL = ("scheduler", "checkpoint_dir")
 SET_BY_PIPELINE = ("output_dir", "data_dir", *OPTIONAL)
 
@@ -22,7 +22,7 @@ _INTERVAL = re.compile(r"([\[(])\s*([^\s,]+)\s*,\s*([^\s,]+?)\s*([\])])\s*")
 
 
 class PipelineError(ValueError):
-    """A run was asked for that cannot be made; nothing has been run."""
+    """A request that cannot be met; nothing has been run."""
 
 
 class Parameter(NamedTuple):
@@ -31,10 +31,10 @@ class Parameter(NamedTuple):
     name: str
     type: str
     default: object
-    interval: dict  # of what is allowed, as arguments of `validation.real`
+    interval: dict  # what is allowed, as arguments of `validation.real`
 
     def check(self, value: object, where: str) -> object:
-        """Return `value` in this parameter's type, or raise a `PipelineError` that says why not."""
+        """Return `value` in this parameter's type; a `PipelineError` says why it cannot be."""
         if self.type == "float" and type(value) is int:
             value = float(value)
         try:
@@ -49,7 +49,7 @@ class Parameter(NamedTuple):
 
 
 def read(notebook: Path) -> dict[str, Parameter]:
-    """Parameters of a notebook by name; the cell, its lines and their defaults are checked."""
+    """Parameters of a notebook by name, their defaults checked."""
     import nbformat
 
     try:
@@ -74,7 +74,7 @@ def read(notebook: Path) -> dict[str, Parameter]:
 def check(
     parameters: Mapping[str, Parameter], values: Mapping[str, object], where: str
 ) -> dict[str, object]:
-    """Check `values`, given for a notebook's `parameters`, by name, type and range."""
+    """Return `values`, with their names, types and ranges checked against `parameters`."""
     for name in values:
         if name in SET_BY_PIPELINE:
             raise PipelineError(f"{where}: {name} is set by the pipeline and cannot be given")
@@ -84,7 +84,7 @@ def check(
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> PipelineError:
-    """Error for a name that is none of `known`."""
+    """Return the error for a name that is not in `known`."""
     return PipelineError(f"{what} {name} is unknown; known: {', '.join(sorted(known)) or 'none'}")
 
 
@@ -109,7 +109,6 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
 
 
 def _interval(comment: str) -> dict:
-    """Return the interval that a comment opens with, as arguments of `validation.real`."""
     if found := _INTERVAL.match(comment):
         low, high = float(found[2]), float(found[3])
         ends = ((low, found[1] == "("), (high, found[4] == ")"))

@@ -1,7 +1,4 @@
-"""Where a result comes from: versions, seed, revision, lock, machine and run time.
-
-Nothing here identifies a person or a place: no user or host name, no absolute path.
-"""
+"""The source of a result: versions, seed, revision, lock, machine and time; no person or place."""
 
 import hashlib
 import os
@@ -10,6 +7,7 @@ import subprocess
 import time
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
@@ -19,12 +17,12 @@ ROOT = Path(__file__).resolve().parents[2]
 LOCK = "requirements.lock"
 PACKAGES = ("robsmooth", "numpy", "scipy", "matplotlib", "numba", "control", "papermill")
 INPUTS = ("data/published.toml", "data/nonlinear_floor.json", LOCK)  # of all notebooks
-# What a result depends on; a figure that was just regenerated does not make the revision dirty.
+# A result depends on these: a regenerated figure does not make the revision dirty.
 SOURCES = ("robsmooth", "notebooks", "pyproject.toml", *INPUTS)
 
 
 def collect(seed: int | None = None, started: float | None = None, **extra: object) -> dict:
-    """Describe a run: its seed, its `time.perf_counter()` at the start, and what else is given."""
+    """Describe a run; `started` is the `time.perf_counter()` at its start."""
     versions: dict[str, str | None] = {"python": platform.python_version()}
     versions |= dict.fromkeys(PACKAGES)
     for name in PACKAGES:
@@ -53,24 +51,20 @@ def write(result: str | os.PathLike[str], **about: object) -> Path:
 
 
 def revision(root: Path = ROOT) -> dict | None:
-    """Git revision of `root` and whether its sources differ from it; None where there is none."""
-    git = ("git", "-C", str(root))
+    """Git revision of `root`, "dirty" where its sources differ; None where there is none."""
+    run = partial(subprocess.check_output, cwd=root, stderr=subprocess.DEVNULL, text=True)
     with suppress(OSError, subprocess.CalledProcessError):
-        inside, commit = _output(*git, "rev-parse", "--show-prefix", "HEAD").split("\n")[:2]
-        if not inside:  # else `root` is a folder of some other project
-            changes = _output(*git, "status", "--porcelain", "--", *SOURCES)
+        inside, commit = run(["git", "rev-parse", "--show-prefix", "HEAD"]).split("\n")[:2]
+        if not inside:  # else `root` is a folder of another project
+            changes = run(["git", "status", "--porcelain", "--", *SOURCES])
             return {"commit": commit, "dirty": bool(changes)}
     return None
 
 
 def sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file."""
+    """SHA-256 of a file, in hexadecimal."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _output(*command: str) -> str:
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
 def _processor() -> str:

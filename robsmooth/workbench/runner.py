@@ -1,7 +1,4 @@
-"""Run the notebooks that are not fresh, and publish what those that succeed have written.
-
-environment.md says when a notebook is fresh, and what becomes of a failed one's files.
-"""
+"""Run the notebooks that are not fresh, and publish what succeeds, as environment.md says."""
 
 import hashlib
 import json
@@ -30,34 +27,34 @@ PACKAGE = Path(__file__).resolve().parent.parent
 
 @dataclass(frozen=True)
 class Request:
-    """A run as it is asked for."""
+    """What is asked of a run."""
 
-    root: Path  # of the project, with its notebooks/
-    only: Sequence[str] = ()  # parts of the names of notebooks; empty for all
-    profile: str = "paper"  # whose values in notebooks/profiles.toml to use
-    parameters: Mapping[str, object] = field(default_factory=dict)  # that override the profile's
+    root: Path  # of the project, which holds notebooks/
+    only: Sequence[str] = ()  # parts of names of notebooks; empty for all
+    profile: str = "paper"  # a table of notebooks/profiles.toml
+    parameters: Mapping[str, object] = field(default_factory=dict)  # instead of the profile's
     jobs: int = 2  # notebooks at a time
     time_limit: float = 1800.0  # s for a notebook; a cell may take half as long
-    force: bool = False  # whether to run the fresh ones, too
-    dask: str = ""  # address of its scheduler, which changes no result; empty for this machine
-    build: Path | None = None  # folder to work in instead of root/build
+    force: bool = False  # whether to run fresh notebooks
+    dask: str = ""  # address of a scheduler, which changes no result; empty for this machine
+    build: Path | None = None  # folder to work in; None for root/build
 
     def __post_init__(self) -> None:
         if self.jobs < 1:
             raise PipelineError(f"jobs must be 1 or more, not {self.jobs}")
         if not self.time_limit > 0:
-            wanted = "time_limit must be a positive number of seconds"
-            raise PipelineError(f"{wanted}, not {self.time_limit}")
+            wanted = "a positive number of seconds"
+            raise PipelineError(f"time_limit must be {wanted}, not {self.time_limit}")
 
     @property
     def work(self) -> Path:
-        """Where the run works."""
+        """Folder that the run works in."""
         build = self.build or self.root / "build"
         return build.absolute() / ("custom" if self.parameters else self.profile)
 
     @property
     def results(self) -> Path:
-        """Where figures/ and data/ are written: only the paper's own values reach the project's."""
+        """Folder of figures/ and data/: only the paper's own values write to the project's."""
         return self.root if self.profile == "paper" and not self.parameters else self.work
 
 
@@ -67,30 +64,30 @@ class Task:
 
     run: Request
     name: str
-    values: Mapping[str, object]  # of its parameters, checked
+    values: Mapping[str, object]  # given for its parameters, checked
     seed: object
-    optional: tuple[str, ...]  # those of `parameters.OPTIONAL` that it has
+    optional: tuple[str, ...]  # the parameters of `OPTIONAL` that it has
     key: str  # hash of all that its results depend on
     notebook: Path
     executed: Path  # its executed copy
     staging: Path  # folder that it writes to
-    stamp: Path  # key and files of its last run
-    checkpoints: Path  # folder that it resumes from: another one for each state of its inputs
+    stamp: Path  # file of the key and the files of its last run
+    checkpoints: Path  # folder that it resumes from, one for each key
 
 
 @dataclass(frozen=True)
 class NotebookResult:
-    """What became of one notebook."""
+    """The outcome of one notebook."""
 
     task: Task
     status: str  # "done", "fresh" or "failed"
-    files: tuple[str, ...] = ()  # as in "figures/name.pdf"
+    files: tuple[str, ...] = ()  # such as "figures/name.pdf"
     seconds: float = 0.0
-    failure: str = ""  # why it failed
+    failure: str = ""
 
 
 def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResult]:
-    """Run all tasks, each in its process; results as they come. An early end ends them all."""
+    """Run each task in its own process; yield results as they come. Closing it ends them all."""
     waiting, running = [], []
     with _alone(run.work):
         for task in tasks:
@@ -114,10 +111,10 @@ def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResul
 
 
 def plan(run: Request) -> list[Task]:
-    """Select the notebooks, and check all that can be checked before anything is run."""
+    """Select the notebooks, and check all that can be checked before anything runs."""
     with extra("notebooks", "a run of the notebooks"):
         for package in NEEDED:
-            metadata.version(package)  # raises where it is not installed, and imports nothing
+            metadata.version(package)  # without an import; an error where it is not installed
     folder = run.root / "notebooks"
     profiles = _profiles(folder)
     names = select(profiles["notebooks"], run.only)
@@ -128,7 +125,7 @@ def plan(run: Request) -> list[Task]:
             raise unknown("--set: parameter", name, everywhere - {*SET_BY_PIPELINE})
     tasks = [_task(run, name, each, profiles[run.profile]) for name, each in known.items()]
     try:
-        with cluster.connect(run.dask):  # here an error is one sentence, and comes at once
+        with cluster.connect(run.dask):
             pass
     except (ConnectionError, ImportError) as error:
         raise PipelineError(f"--dask: {error}") from error
@@ -138,7 +135,6 @@ def plan(run: Request) -> list[Task]:
 def _task(
     run: Request, name: str, parameters: Mapping[str, cell.Parameter], profile: Mapping[str, dict]
 ) -> Task:
-    """Check the values given for the parameters of a notebook."""
     own = {key: value for key, value in run.parameters.items() if key in parameters}
     where = f"profiles.toml, [{run.profile}.{name}]"
     values = cell.check(parameters, profile.get(name, {}), where)
@@ -158,7 +154,7 @@ def _task(
 
 
 def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
-    """Those of `names` that have one of the parts in `only`; all where there is none."""
+    """Return the names that contain a part in `only`; all names where it is empty."""
     for part in only:
         if not any(part in name for name in names):
             raise unknown("--only: notebook", part, names)
@@ -166,13 +162,13 @@ def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
 
 
 def _profiles(folder: Path) -> dict:
-    """`profiles.toml`, checked against the notebooks that there are."""
+    """Return `profiles.toml`, checked against the notebooks in the folder."""
     try:
         profiles = tomllib.loads((folder / "profiles.toml").read_text())
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
     listed = sorted(profiles.get("notebooks", []))
-    for path in sorted(folder.glob("[0-9][0-9]_*.ipynb")):  # others may be a user's
+    for path in sorted(folder.glob("[0-9][0-9]_*.ipynb")):  # other names may be a user's
         if path.stem not in listed:
             raise PipelineError(f"notebooks/{path.name} is not listed in profiles.toml")
     for profile in PROFILES:
@@ -183,7 +179,6 @@ def _profiles(folder: Path) -> dict:
 
 
 def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
-    """Hash of all that a notebook's results depend on."""
     sources = [path for path in PACKAGE.rglob("*") if path.suffix in {".py", ".pyi", ".mplstyle"}]
     inputs = [*(run.root / name for name in provenance.INPUTS), notebook]
     named = {str(path.relative_to(PACKAGE.parent)): path for path in sorted(sources)}
@@ -195,7 +190,7 @@ def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
 
 
 def _stored(path: Path) -> tuple[str, dict[str, str]]:
-    """Key and digests of the files of a run, by its stamp; none if it is damaged."""
+    """Return the key and the files' digests of a stamp; nothing from a damaged one."""
     try:
         stored = json.loads(path.read_text())
         return stored.get("key", ""), {**stored["files"]}
@@ -204,10 +199,10 @@ def _stored(path: Path) -> tuple[str, dict[str, str]]:
 
 
 def _fresh(task: Task) -> tuple[str, ...] | None:
-    """Files the notebook produced, if it need not be run again."""
+    """Return the files of the last run if it need not be repeated, else None."""
     key, digests = _stored(task.stamp)
     there = {task.run.results / file: digest for file, digest in digests.items()}
-    same = all(path.is_file() and sha256(path) == there[path] for path in there)
+    same = all(path.is_file() and sha256(path) == digest for path, digest in there.items())
     return tuple(digests) if key == task.key and same else None
 
 
@@ -215,7 +210,7 @@ def _start(task: Task) -> Execution:
     shutil.rmtree(task.staging, ignore_errors=True)
     for folder in ("figures", "data", "scratch"):
         (task.staging / folder).mkdir(parents=True)
-    if not task.checkpoints.exists():  # what is there is of other inputs
+    if not task.checkpoints.exists():  # those beside it are of other inputs
         shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
     if "checkpoint_dir" in task.optional:
         task.checkpoints.mkdir(parents=True, exist_ok=True)
@@ -227,7 +222,7 @@ def _start(task: Task) -> Execution:
 
 
 def _finish(task: Task, execution: Execution) -> NotebookResult:
-    """Move what the notebook has produced to its place, with its provenance and a stamp."""
+    """Move the files that the notebook produced to their places; add provenance and stamp."""
     seconds, failure = execution.seconds, execution.failure()
     if failure:
         return NotebookResult(task, "failed", (), seconds, failure)
@@ -244,7 +239,7 @@ def _finish(task: Task, execution: Execution) -> NotebookResult:
     place = task.run.results / "figures" / task.name
     written = provenance.write(place, **about, seed=task.seed, started=execution.started)
     produced[f"figures/{written.name}"] = sha256(written)
-    for file in before.keys() - produced.keys():  # it no longer produces it
+    for file in before.keys() - produced.keys():
         (task.run.results / file).unlink(missing_ok=True)
     files.write_json(task.stamp, {"key": task.key, "files": produced})
     shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
@@ -253,7 +248,7 @@ def _finish(task: Task, execution: Execution) -> NotebookResult:
 
 @contextmanager
 def _alone(work: Path) -> Iterator[None]:
-    """Keep a second run out of the same folder."""
+    """Keep other runs out of the folder."""
     work.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         try:

@@ -1,4 +1,4 @@
-"""The block diagrams, Fig. 1 and Fig. 2, drawn with schemdraw."""
+"""The block diagrams of Fig. 1 and Fig. 2, drawn with schemdraw."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -11,14 +11,14 @@ from schemdraw.flow import Arrow, Box, Line, Wire
 from schemdraw.segments import Segment, SegmentArc
 
 _WIDTH = 3.4  # inches
-_MARGIN = 0.4  # of schemdraw's units: it takes a text to be a little smaller than it is
-_LEFT = {"loc": "mid", "halign": "right", "ofst": (-0.15, 0)}  # of a wire, a text
+_MARGIN = 0.4  # schemdraw's units, because its box of a text is a little too small
+_LEFT = {"loc": "mid", "halign": "right", "ofst": (-0.15, 0)}  # a text left of a wire
 _RIGHT = {"loc": "mid", "halign": "left", "ofst": (0.15, 0)}
-_BEAM = {"color": "C1", "lw": 1.8}  # light is thick, and what is electric or a number is thin
+_BEAM = {"color": "C1", "lw": 1.8}  # light; signals are thin
 
 
 def _diagram(draw: Callable[[], None]) -> Callable[[], Figure]:
-    """Make a function that draws return the figure, of ten or so of whose units are the width."""
+    """Make a function that draws return its figure, some ten units wide."""
 
     @wraps(draw)
     def diagram() -> Figure:
@@ -33,7 +33,7 @@ def _diagram(draw: Callable[[], None]) -> Callable[[], Figure]:
         figure.subplots_adjust(0, 0, 1, 1)
         drawing.draw(canvas=axes, show=False)
         for text in axes.texts:
-            text.set_linespacing(1.3)  # there are hats and tildes
+            text.set_linespacing(1.3)  # room for hats and tildes
         axes.set(xlim=(left, right), ylim=(bottom, top))
         axes.axis("off")
         return figure
@@ -102,21 +102,19 @@ def homodyne_loop() -> None:
 
 
 def _beam_splitter() -> elements.Element:
-    """Return a cube with its mirror."""
     cube = dsp.Square()
     cube.segments.append(Segment([(0, -0.5), (1, 0.5)]))
     return cube
 
 
 def _mirror() -> elements.Element:
-    """Return a mirror, in the middle of its line."""
     mirror = elements.Element()
     mirror.segments.append(Segment([(-0.35, 0), (0.35, 0)], lw=1.5))
     return mirror
 
 
 def _detector() -> elements.Element:
-    """Return a photodetector: light comes to its flat side, current leaves at the round one."""
+    """Return a photodetector: light enters at its flat side, current leaves at its round side."""
     arc, detector = SegmentArc((0, 0), 0.8, 0.8, theta1=-90, theta2=90), elements.Element()
     detector.segments += [arc, Segment([(0, -0.4), (0, 0.4)])]
     detector.anchors["out"] = detector.elmparams["drop"] = (0.4, 0)
