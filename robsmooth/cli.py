@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         return options.command(options)
-    except (PipelineError, MissingExtraError) as error:
+    except (PipelineError, MissingExtraError, BlockingIOError) as error:
         print(f"robsmooth: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

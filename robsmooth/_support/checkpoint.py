@@ -42,15 +42,13 @@ def open_journal(
     path = Path(path)
     with ExitStack() as stack:
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             # SQLite would take a file of one byte for an empty database.
             if path.exists() and (not path.is_file() or path.stat().st_size == 1):
                 raise CheckpointError(NOT_ONE.format(path))
             database = stack.enter_context(files.exclusive_lock(path))
             journal = Journal(path, database, dict(identity))
-        except BlockingIOError:
-            what = "is in use by another run: wait until that ends, or give another path"
-            raise CheckpointError(f"the checkpoint {path} {what}") from None
+        except BlockingIOError as error:
+            raise CheckpointError(f"the checkpoint {error}, or give another path") from None
         except (OSError, sqlite3.Error, UnicodeDecodeError) as error:  # the last: of damaged SQL
             if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_NOTADB:
                 raise CheckpointError(NOT_ONE.format(path)) from None

@@ -1,6 +1,5 @@
 """Files appear whole or not at all, and a file that is locked has one user at a time."""
 
-import errno
 import json
 import os
 import secrets
@@ -50,12 +49,13 @@ def write_json(path: str | os.PathLike[str], value: object) -> None:
 def exclusive_lock(path: str | os.PathLike) -> Iterator[sqlite3.Connection]:
     """Open the SQLite database at a path, and keep everything else from opening it meanwhile.
 
-    An empty or missing file is an empty database. The system takes the lock back when the process
-    ends, however it ends. Nothing else in the process may open the file meanwhile: on POSIX systems
-    to close it again gives up the lock. BlockingIOError where something else has it, sqlite3.Error
-    where the file cannot be opened or has other content.
+    An empty or missing file is an empty database; its folders are made. The system takes the lock
+    back when the process ends, however it ends. Nothing else in the process may open the file
+    meanwhile: on POSIX systems to close it again gives up the lock. BlockingIOError where something
+    else has it, sqlite3.Error where the file cannot be opened or has other content.
     """
     path = Path(path).absolute()  # ":memory:" is the name of a file, too
+    path.parent.mkdir(parents=True, exist_ok=True)
     with closing(sqlite3.connect(path, timeout=0, isolation_level=None)) as connection:
         try:
             connection.execute("PRAGMA locking_mode = EXCLUSIVE")  # until it is closed
@@ -64,5 +64,6 @@ def exclusive_lock(path: str | os.PathLike) -> Iterator[sqlite3.Connection]:
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode != sqlite3.SQLITE_BUSY:
                 raise
-            raise BlockingIOError(errno.EAGAIN, "in use elsewhere", str(path)) from None
+            message = f"{path} is in use by another run: wait until that ends"
+            raise BlockingIOError(message) from None
         yield connection

@@ -100,6 +100,12 @@ class DiscreteSmoother(Exports):
         mean = np.zeros(system.n) if mean is None else mean
         self._mean = validation.matrix("mean", mean, [system.n])
         offset = validation.matrix("offset", [0.0] * self.l if offset is None else offset, [self.l])
+        self.instants: bool = (
+            validation.choice("samples", samples, ("means", "instants")) != "means"
+        )
+        self.estimator, self.functions = estimator, functions
+        how = {"dt": self.dt, "delay": "exact" if self.exact else "model", "samples": samples}
+        self.made_with = how | {"mean": self._mean.tolist(), "offset": offset.tolist()}
         self._offset = offset + system.C2 @ self._mean
         self._w = system.C0 @ self._mean
         self._running = running_copies(estimator)
@@ -108,8 +114,6 @@ class DiscreteSmoother(Exports):
         run = Functions(running_functions(system.nonlinearities, functions, self._running))
         self.compiled: bool = run.compiled
         given = estimator, self.dt, self._running, run, self._shift
-        validation.choice("samples", samples, ("means", "instants"))
-        self.instants: bool = samples == "instants"
         self._engine: ExactFilter | HeldEstimator
         self._engine = ExactFilter(*given, self.instants) if self.exact else HeldEstimator(*given)
         if self.instants:

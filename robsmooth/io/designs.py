@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,18 +41,22 @@ from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.functions import name_of
 from robsmooth.systems.system import UncertainSystem
 
+if TYPE_CHECKING:
+    from robsmooth.estimators.discrete import DiscreteSmoother
 
-def save(
-    value: UncertainSystem | AugmentedSystem | Estimator, path: str | os.PathLike[str]
-) -> None:
-    """Save a system, a plant or an estimator to one readable file.
+    Saved = UncertainSystem | AugmentedSystem | Estimator | DiscreteSmoother
+
+
+def save(value: "Saved", path: str | os.PathLike[str]) -> None:
+    """Save a system, a plant, an estimator or a smoother of records to one readable file.
 
     Parameters
     ----------
-    value : UncertainSystem, AugmentedSystem or Estimator
+    value : UncertainSystem, AugmentedSystem, Estimator or DiscreteSmoother
         The file has the plant of an estimator. It has the tau and multipliers of a
         `RobustSmoother`, from which the rest follows, the matrices and certificate of a
-        `MinimaxSmoother`, the matrices of another estimator, and the name of a function.
+        `MinimaxSmoother`, the matrices of another estimator, and the name of a function. It says
+        how a `DiscreteSmoother` was made, and not its state.
     path : str or path
         Ends in .toml or .json. The file appears whole or not at all.
 
@@ -74,21 +78,28 @@ def save(
     array([[-9140.]])
     """
     path, language = _language(path)
+    settings, given = getattr(value, "made_with", None), value
+    value = value if settings is None else value.estimator
     kind = next((kind for kind, made in _KINDS.items() if isinstance(value, made)), None)
     if kind is None:
-        kinds = "an UncertainSystem, AugmentedSystem or Estimator"
+        kinds = "an UncertainSystem, AugmentedSystem, Estimator or DiscreteSmoother"
         raise TypeError(f"value must be {kinds}, got {type(value).__name__}")
+    if settings is not None and given.functions is not None:
+        advice = "Nonlinearity(..., function=psi) takes them"
+        raise ValueError(f"value must have no functions but those of its system: {advice}")
     content = {"format": 1, "kind": kind, "units": "SI", **_fields(kind, value)}
     there = _object(content, functions={})
     if isinstance(value, RobustSmoother) and not np.allclose(there.A_c, value.A_c, rtol=1e-6):
         raise ValueError("value must have the gains that follow from its tau and multipliers")
+    if settings is not None:
+        content["discrete"] = settings
     text = "\n".join(_toml(content, "")) if language == "toml" else _json(content)
     files.write_text(path, text + "\n")
 
 
 def load(
     path: str | os.PathLike[str], functions: Mapping[str, Callable[[Any], Any]] | None = None
-) -> UncertainSystem | AugmentedSystem | Estimator:
+) -> "Saved":
     """Load a file that `save` or a user wrote.
 
     Parameters
@@ -99,7 +110,7 @@ def load(
 
     Returns
     -------
-    UncertainSystem, AugmentedSystem or Estimator
+    UncertainSystem, AugmentedSystem, Estimator or DiscreteSmoother
         The guarantee of a `RobustSmoother` or `MinimaxSmoother` is computed anew.
 
     Raises
@@ -192,7 +203,13 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
         return _numbers(value, path) if isinstance(value, list) else value
 
     fields = {name: part for name, part in content.items() if name not in header}
+    is_estimator = issubclass(_KINDS[content["kind"]], Estimator)
+    discrete = fields.pop("discrete", None) if is_estimator else None
     result = of_table(content["kind"], fields, "")
+    if discrete is not None:
+        settings = of_table("discrete", discrete, "discrete.")
+        with _within("discrete"):
+            result = result.discretize(**settings)
     for name in functions:
         if name not in named:
             known = ", ".join(map(repr, named)) or "none"
@@ -218,19 +235,10 @@ def _within(place: str) -> Iterator[None]:
         raise ValueError(f"{place}: {error}" if place else str(error)) from None
 
 
-def _gains(plant: AugmentedSystem, **gains: Any) -> dict[str, np.ndarray]:
-    """Return an estimator's matrices, checked against its plant."""
-    m, g = plant.system.m, plant.system.g
-    n = len(validation.matrix("A_c", gains["A_c"], (None, None)))
-    shapes = [(n, n), (n, plant.system.l + g), (m + g, n), (m, n), (m, n)]
-    pairs = zip(_GAINS.split(), shapes, strict=True)
-    return {name: validation.matrix(name, gains[name], shape) for name, shape in pairs}
-
-
 def _estimator(plant: AugmentedSystem, nominal: list | None = None, **gains: Any) -> Estimator:
     if nominal is not None and len(nominal) != 2:
         raise ValueError(f"nominal must be two systems, of model and gain, got {len(nominal)}")
-    result = Estimator(plant=plant, **_gains(plant, **gains))
+    result = Estimator(plant=plant, **gains)
     return result if nominal is None else result.of_nominal(*nominal)
 
 
@@ -240,7 +248,7 @@ def _minimax_smoother(
     """Return a minimax smoother after certifying its error anew."""
     smoother = MinimaxSmoother(
         plant=plant,
-        **_gains(plant, **gains),
+        **gains,
         certified=validation.positive("certified", certified),
         multipliers=weights("multipliers", plant, multipliers),
         cost=validation.choice("cost", cost, COSTS),
@@ -270,10 +278,12 @@ _TABLES = {
     "plant": (augment, "system delay order J_21"),
     "system": (UncertainSystem, "A B1 C0 C2 D21 B2 D22 uncertainties nonlinearities"),
     "nominal": (UncertainSystem, "A B1 C0 C2 D21"),
+    "discrete": (dict, "dt delay mean offset samples"),
     "uncertainties": (Uncertainty, "B C D"),
     "nonlinearities": (Nonlinearity, "B C D lipschitz function reference"),
 }
 _OPTIONAL = "uncertainties nonlinearities function reference J_21 nominal B2 D22"
+_OPTIONAL += " mean offset samples"
 
 
 def _fields(kind: str, value: Any) -> dict:

@@ -7,7 +7,6 @@ import shutil
 import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -89,7 +88,7 @@ class NotebookResult:
 def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResult]:
     """Run each task in its own process; yield results as they come. Closing it ends them all."""
     waiting, running = [], []
-    with _alone(run.work):
+    with files.exclusive_lock(run.work / "lock"):
         for task in tasks:
             if run.force or (produced := _fresh(task)) is None:
                 waiting.append(task)
@@ -244,15 +243,3 @@ def _finish(task: Task, execution: Execution) -> NotebookResult:
     files.write_json(task.stamp, {"key": task.key, "files": produced})
     shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
     return NotebookResult(task, "done", tuple(produced), seconds)
-
-
-@contextmanager
-def _alone(work: Path) -> Iterator[None]:
-    """Keep other runs out of the folder."""
-    work.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(files.exclusive_lock(work / "lock"))
-        except BlockingIOError as error:
-            raise PipelineError(f"another run is at work in {work}; wait for it") from error
-        yield

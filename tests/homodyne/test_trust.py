@@ -184,10 +184,10 @@ def test_without_fcntl_as_on_windows_a_run_is_checkpointed_and_resumed(path):
 import sys
 sys.modules["fcntl"] = None
 import robsmooth as rs
-from robsmooth.workbench import runner
+from robsmooth._support import files
 from tests.helpers.loops import PARAMETERS, printed_smoother
 for _ in range(2):
-    with runner._alone(runner.Path(sys.argv[1]).parent):
+    with files.exclusive_lock(sys.argv[1] + ".lock"):
         rs.monte_carlo(PARAMETERS, printed_smoother(), runs=64, checkpoint=sys.argv[1])
 """
     subprocess.run([sys.executable, "-c", program, path], check=True, env=WITH_THE_TESTS)

@@ -281,9 +281,6 @@ def test_the_suffix_says_the_language(folder, name):
 def test_what_is_no_system_or_design_is_not_saved(folder):
     with pytest.raises(TypeError, match=r"value must be an UncertainSystem, .*, got ndarray"):
         save(np.eye(2), folder / "x.toml")
-    estimator = kalman_bucy(homodyne.PAPER.uncertain_system())
-    with pytest.raises(ValueError, match=r"A_c\[0\]\[0\] must be a finite number, got nan"):
-        save(replace(estimator, A_c=np.nan * estimator.A_c), folder / "x.toml")
     design = example_design()
     with pytest.raises(ValueError, match="gains that follow from its tau and multipliers"):
         save(replace(design, A_c=1.01 * design.A_c), folder / "x.toml")
@@ -608,3 +605,46 @@ def test_text_changed_at_random_loads_or_is_refused_with_the_files_name(
         path = folder / name
         path.write_bytes(text[:at] + inserted + text[at + length :])
         loads_or_says_why(path)
+
+
+# --- smoothers of records ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("samples", ["means", "instants"])
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_a_smoother_of_records_comes_back_as_it_was_made(folder, samples, language):
+    system = random_system(np.random.default_rng(5), measurements=2)
+    estimator = fixed_lag_smoother(system, 0.5, 2)
+    how = {"mean": np.ones(system.n), "offset": [0.1, -0.2], "samples": samples}
+    made = estimator.discretize(0.1, **how)
+    y = np.random.default_rng(1).standard_normal((40, 2))
+    y[7, 1] = np.nan
+    made.run(y)  # the state is not in the file
+    save(made, folder / f"discrete.{language}")
+    found = load(folder / f"discrete.{language}")
+    assert repr(found) == repr(estimator.discretize(0.1, **how))
+    assert_array_equal(found.run(y), estimator.discretize(0.1, **how).run(y))
+
+
+def test_a_smoother_of_records_has_the_functions_of_its_system(folder):
+    design = minimax_smoother(augment(homodyne.PAPER.uncertain_system(), 3.1e-6, 2))
+    made = design.discretize(1e-7)
+    save(made, folder / "discrete.toml")
+    with pytest.raises(ValueError, match=r"discrete: nonlinearities\[0\] must have"):
+        load(folder / "discrete.toml")
+    channel = homodyne.PAPER.channel
+    found = load(folder / "discrete.toml", {"HomodyneParameters.channel": channel})
+    y, reference = np.random.default_rng(1).standard_normal((2, 40, 1))
+    assert_allclose(found.run(y, reference=reference), made.run(y, reference=reference), rtol=1e-12)
+    own = design.discretize(1e-7, functions=[np.tanh])
+    with pytest.raises(ValueError, match="value must have no functions but those of its system"):
+        save(own, folder / "own.toml")
+    text = (folder / "discrete.toml").read_text()
+    (folder / "wrong.toml").write_text(text.replace("dt = 1e-07", "dt = -1.0"))
+    with pytest.raises(ValueError, match=r"^wrong\.toml: discrete: dt must be finite and in"):
+        load(folder / "wrong.toml", {"HomodyneParameters.channel": channel})
+    save(homodyne.PAPER.uncertain_system(), folder / "system.toml")
+    text = (folder / "system.toml").read_text() + "[discrete]\ndt = 1.0\n"
+    (folder / "wrong.toml").write_text(text)
+    with pytest.raises(ValueError, match="discrete is not a field: these are"):
+        load(folder / "wrong.toml")

@@ -14,6 +14,7 @@ import psutil
 import pytest
 
 from robsmooth import cli
+from robsmooth._support import files
 from robsmooth.workbench import parameters, runner
 from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import PipelineError
@@ -419,8 +420,8 @@ def test_the_users_own_settings_stay_out_of_a_run(project, monkeypatch):
 def test_a_second_run_in_the_same_place_is_refused(project):
     project.add("good")
     with (
-        runner._alone(project.root / "build" / "paper"),
-        pytest.raises(PipelineError, match="another run is at work"),
+        files.exclusive_lock(project.root / "build" / "paper" / "lock"),
+        pytest.raises(BlockingIOError, match="lock is in use by another run: wait until that ends"),
     ):
         project.run()
 
