@@ -42,14 +42,11 @@ class HermiteBasis:
     def __init__(self, dimension: int, degree: int):
         self.dimension, self.degree = dimension, degree
         variables = range(dimension)
-        products = (
-            itertools.combinations_with_replacement(variables, k) for k in range(1 + degree)
-        )
-        products = itertools.chain.from_iterable(products)
+        choose = itertools.combinations_with_replacement
+        products = (product for k in range(1 + degree) for product in choose(variables, k))
         self.indices = np.array([[factors.count(k) for k in variables] for factors in products])
         self.degrees = self.indices.sum(axis=1)
-        # the positions of the polynomials of even and of odd degree
-        self.even, self.odd = (np.flatnonzero(self.degrees % 2 == k) for k in (0, 1))
+        self.even, self.odd = (np.flatnonzero(self.degrees % 2 == k) for k in (0, 1))  # positions
         digits = (degree + 1) ** np.arange(dimension, -1, -1)
         self._digits = digits[0] - digits[1:]  # first the degree, then the first exponents
         self._numbers = self.indices @ self._digits

@@ -46,17 +46,11 @@ def equivalent_slopes(
         size_before, size = size, np.abs(change).max(initial=0.0)
         if size < tolerance or size_before <= size < _ROUNDING:
             return found
-    raise UnstableLoopError(
-        "the loop is not in lock: statistical linearisation finds no stationary state, the "
-        "statistically linear loop diverges"
-    )
+    raise UnstableLoopError("the loop is not in lock: the statistically linear loop diverges")
 
 
 def _part(before: Vector, change: Vector, part: float) -> float:
-    """Return how much of a change to make, after `part` of the one before.
-
-    It is all, or, where the slopes oscillate, the part that leads to the zero of a line.
-    """
+    """Return the part of a change to make: all, or a secant step where the slopes oscillate."""
     if not before @ change < 0.0:
         return 1.0
     bend = before - change

@@ -9,10 +9,10 @@ matrix `E` after a time `t` give those after twice the time,
 
 and `W` tends to the stationary covariance, which solves :math:`AP + PA' + BB' = 0`. The first step
 is short, by Taylor's series. QR factorisations keep the roots small. This is R. A. Smith's squared
-method (SIAM J. Appl. Math. 16(1), 1968) with an exact transition matrix. It is for variances and
-time constants that lie decades apart, and for any span: no digit of a root depends on the units of
-the states. :math:`F = E - I` is doubled, as :math:`F(2t) = 2F + F^2`, so that slow modes keep their
-digits. Where the system is stable nothing grows, unlike :math:`e^{-At}` in Van Loan's method.
+method (SIAM J. Appl. Math. 16(1), 1968) with an exact transition matrix, for variances and time
+constants decades apart, and any span. No digit of a root depends on the units of the states. Slow
+modes keep their digits, as :math:`F = E - I` is doubled: :math:`F(2t) = 2F + F^2`. Where the system
+is stable nothing grows, unlike :math:`e^{-At}` in Van Loan's method.
 """
 
 import itertools
@@ -116,10 +116,7 @@ def _settled(A: Matrix, B: Matrix, span: float) -> tuple:
 
 
 def _first_step(A: Matrix, span: float) -> tuple[float, int]:
-    """Return the first step, short for all A, and the number of doublings to the span.
-
-    Below zero the number says that the span is shorter than a step need be.
-    """
+    """Return a first step that is short for all A, and its doublings to the span, if above zero."""
     speed = 1.0
     if A.size:
         speed = balanced_norm(np.abs(A).max(axis=tuple(range(A.ndim - 2))))
