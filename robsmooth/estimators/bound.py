@@ -62,23 +62,14 @@ def minimize_bound(
 ) -> RobustSmoother:
     r"""Design the smoother with the least bound V over :math:`\tau` and :math:`\lambda`.
 
+    Where the bound falls as the multipliers of the mu and mu-tilde constraints vanish, these are at
+    most a millionth of the largest, and `bound_infimum` and `limit` of the result are the limits of
+    bound and design. `best_lag` and `choose_lag` choose the delay and the order, too.
+
     Parameters
     ----------
-    plant, cost
-        As in `design_smoother`; by default "smoothed" where the plant has a delay.
-    starts : int
-        Number of starting points, the best of a random sample over decades.
-
-    Returns
-    -------
-    RobustSmoother
-        The best design found. Where the bound falls as the multipliers of the mu and mu-tilde
-        constraints vanish, these are at most a millionth of the largest, `bound_infimum` is the
-        limit of the bound, and `limit` that of the designs.
-
-    See Also
-    --------
-    best_lag, choose_lag : choose the delay and the order, too.
+    plant, cost : as in `design_smoother`; by default "smoothed" where the plant has a delay
+    starts : int, the number of starting points, the best of a random sample over decades
 
     Examples
     --------
@@ -133,7 +124,6 @@ def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float
 
 
 def _design_near(limit: RobustSmoother) -> RobustSmoother:
-    """Return a design near a limit."""
     plant, design = limit.plant, limit
     for fraction in VANISHING * 0.1 ** np.arange(7):
         small = fraction * limit.multipliers.max()

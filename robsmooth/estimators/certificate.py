@@ -134,10 +134,10 @@ class ConstraintProblem:
 
 
 def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np.ndarray, Matrix]:
-    """Return the loop, without modes that hardly decay where no uncertainty and no error sees them.
+    """Return the loop without modes that hardly decay, if neither uncertainties nor error see them.
 
-    The others are which constraints see these modes, and the states as rows of the whole loop's,
-    (., N). An UnstableLoopError says that an uncertainty sees a mode that does not decay.
+    Also which constraints do, and the states in those of the whole loop, (., N). An
+    UnstableLoopError says that an uncertainty sees a mode that does not decay.
     """
     k, g = plant.system.k, plant.system.g
     whole, seeing = (loop, np.zeros(k + 3 * g, dtype=bool), np.eye(len(loop.A))), None
@@ -184,14 +184,11 @@ def model_loop(estimator: Estimator, loop: str = "real") -> OpenLoop:
 
 
 def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
-    """Return the largest fraction of the uncertainty, at most 1, that has a bound, and its theta.
-
-    The fraction grows step by step, with a multiple of the theta before as a start.
-    """
+    """Return the largest fraction of the uncertainty, up to 1, that has a bound, and its theta."""
     if not np.linalg.eigvals(problem.A).real.max() < 0.0:
         return 0.0, np.empty(0)
     theta, fraction, step = problem.initial_multipliers(), 0.0, 1.0
-    while fraction < 1.0 and step > _SMALLEST_STEP:
+    while fraction < 1.0 and step > _SMALLEST_STEP:  # each theta is the start of the next
         trial = min(1.0, fraction + step)
         feasible = _feasible_multiple(problem, theta, trial)
         if feasible is None:
@@ -244,12 +241,10 @@ def least_certificate(problem: ConstraintProblem, theta: np.ndarray) -> np.ndarr
 def _by_programme(
     problem: ConstraintProblem, theta: np.ndarray, fraction: float = 1.0
 ) -> np.ndarray:
-    """Return the best theta by the matrix inequality of the Riccati equation, or the given one.
-
-    The given theta has a bound for the fraction. P is in units of it, and theta relative.
-    """
+    """Return the best theta by the matrix inequality of the Riccati equation, or the given one."""
     import cvxpy as cp  # it takes long to import
 
+    # the given theta has a bound for the fraction: P is in units of it, and theta relative
     unit, A, B, C = problem.at(theta, fraction).mean_square, problem.A, problem.B, problem.C
     root = np.linalg.inv(np.linalg.cholesky(np.tensordot(theta, problem.M, axes=1)))
     inputs = np.sqrt(unit) * problem.inputs @ root.T

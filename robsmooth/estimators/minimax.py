@@ -76,7 +76,7 @@ class MinimaxSmoother(Estimator):
 
 @one_thread
 def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> MinimaxSmoother:
-    """Design the estimator whose certified error is the least.
+    """Design the estimator whose certified error, that of `analysis_bound`, is the least.
 
     Parameters
     ----------
@@ -91,10 +91,6 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
         Where no estimator has a guarantee: the message says for which fraction of the uncertainty
         one has. Where a measurement has no noise. Where a mode does not decay and no measurement
         sees it, or an uncertainty does.
-
-    See Also
-    --------
-    minimize_bound, analysis_bound : the paper's design; the certified error of any estimator.
 
     Examples
     --------

@@ -92,8 +92,7 @@ def copies_are_known(plant: AugmentedSystem) -> bool:
 def least_certified(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray]:
     """Return the estimator of C_a x with the least certified error, and theta, (k + 3g,).
 
-    The plant is in natural units, with `copies_are_known`. An ArithmeticError says that the solver
-    finds none.
+    The plant is in natural units, with `copies_are_known`. Failure is an ArithmeticError.
     """
     import cvxpy as cp  # it takes long to import
 

@@ -67,7 +67,7 @@ def tuned_fixed_lag_smoother(
 
     The search is over the intensities of the measurement's noises, of a noise through each
     uncertainty's channel, and the nominal values of scalar uncertainties. The result is never worse
-    than the classical smoother.
+    than `fixed_lag_smoother`.
 
     Parameters
     ----------
@@ -75,17 +75,12 @@ def tuned_fixed_lag_smoother(
     against : {"constant", "admissible"}
         The error to minimise: the worst constant, or the certified worst against the output of the
         delay model.
-    output : {"smoothed", "filtered"}
-        Which estimate is wanted.
+    output : {"smoothed", "filtered"}, which estimate is wanted
 
     Raises
     ------
     InfeasibleDesignError
         As in `minimax_smoother`, except that no guarantee is needed.
-
-    See Also
-    --------
-    fixed_lag_smoother, constant_minimax_smoother : not tuned; with all matrices free.
 
     Examples
     --------
@@ -177,7 +172,6 @@ class _Family:
         self.box = np.array([_LOGARITHMS] * intensities + [(-1.0, 1.0)] * len(self.single))
 
     def __call__(self, point: np.ndarray) -> Estimator:
-        """Return the smoother at a point."""
         plant, system = self.plant, self.plant.system
         factors, noises, slopes = np.split(point, np.cumsum([system.l, len(self.uncertain)]))
         model = designed = system.A, system.C2
