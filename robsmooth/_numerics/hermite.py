@@ -35,21 +35,18 @@ def multiplication_matrix(
 class HermiteBasis:
     """The polynomials of d variables up to a total degree, in graded order.
 
-    Those of degree one stand as their variables. What sorts them is a number that is linear in the
-    exponents, so that one step in the exponents is the same step in all these numbers.
+    Those of degree one are in the order of the variables. A number that is linear in the exponents
+    sorts them: a step in the exponents changes all these numbers by the same.
     """
 
     def __init__(self, dimension: int, degree: int):
         self.dimension, self.degree = dimension, degree
         variables = range(dimension)
-        products = (
-            itertools.combinations_with_replacement(variables, k) for k in range(1 + degree)
-        )
-        products = itertools.chain.from_iterable(products)
+        choose = itertools.combinations_with_replacement
+        products = (product for k in range(1 + degree) for product in choose(variables, k))
         self.indices = np.array([[factors.count(k) for k in variables] for factors in products])
         self.degrees = self.indices.sum(axis=1)
-        # the positions of the polynomials of even and of odd degree
-        self.even, self.odd = (np.flatnonzero(self.degrees % 2 == k) for k in (0, 1))
+        self.even, self.odd = (np.flatnonzero(self.degrees % 2 == k) for k in (0, 1))  # positions
         digits = (degree + 1) ** np.arange(dimension, -1, -1)
         self._digits = digits[0] - digits[1:]  # first the degree, then the first exponents
         self._numbers = self.indices @ self._digits
@@ -63,7 +60,7 @@ class HermiteBasis:
         self.coordinates = [a + a.T for a in self.lowering]  # multiplications with xi_1 ... xi_d
 
     def _after(self, positions, step) -> NDArray[np.int_]:
-        """The positions of the polynomials a step in the first exponents on."""
+        """Return the positions of the polynomials after a step in the first exponents."""
         return np.searchsorted(
             self._numbers, self._numbers[positions] + step @ self._digits[: len(step)]
         )
@@ -76,7 +73,7 @@ class HermiteBasis:
         return sum(part * a for part, a in zip(direction, self.lowering, strict=True))
 
     def multiplication(self, factors: list[NDArray[np.float64]]) -> sparse.csr_array:
-        """Multiplication with f_1(xi_1) f_2(xi_2) ..., from the matrices of one variable: exact."""
+        """Multiplication with f_1(xi_1) f_2(xi_2) ..., exact, from the matrix of each f_k."""
         all_bands = range(-self.degree, self.degree + 1)
         bands = ([s for s in all_bands if f.diagonal(-s).any()] for f in factors)
         exponents, parts = self.indices[:, : len(factors)], []

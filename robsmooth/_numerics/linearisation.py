@@ -1,10 +1,9 @@
-r"""Statistical linearisation: in the loop, a nonlinearity is as good as a slope.
+r"""Statistical linearisation: a slope stands for each nonlinearity of a loop.
 
-For a Gaussian argument v, the slope :math:`s = E[\psi(v)v]/E[v^2]` leaves least of
-:math:`\psi(v) - sv`. It depends on the variance of v, which in turn is that of the stationary
-linear loop that the slopes make: both are found together, by iteration. See A. Gelb and W. E.
-Vander Velde, "Multiple-Input Describing Functions and Nonlinear System Design", McGraw-Hill, 1968,
-Chapter 7.
+For a Gaussian argument v, :math:`E(\psi(v) - sv)^2` is least at :math:`s = E[\psi(v)v]/E[v^2]`.
+This slope depends on the variance of v in the stationary linear loop, which depends on the slopes:
+an iteration finds both. See A. Gelb and W. E. Vander Velde, "Multiple-Input Describing Functions
+and Nonlinear System Design", McGraw-Hill, 1968, Chapter 7.
 """
 
 import math
@@ -31,11 +30,10 @@ def equivalent_slopes(
     unit: Vector | float = 1.0,
     largest: float = math.inf,
 ) -> Vector:
-    """Return the slopes s = slopes(variances(s)), iterated from `start` until they settle.
+    """Return the slopes s = slopes(variances(s)), iterated from `start`.
 
-    They have when they change by less than the tolerance, in their unit, or by rounding. An
-    UnstableLoopError says that they do not, or that a variance is above the largest of a loop with
-    a stationary state.
+    The iteration ends where they change by less than the tolerance, in their unit, or by rounding.
+    An UnstableLoopError says that it does not end, or that a variance exceeds the largest.
     """
     found, change, part, size = start, np.zeros(len(start)), 1.0, math.inf
     for _ in range(_ITERATIONS):
@@ -48,17 +46,11 @@ def equivalent_slopes(
         size_before, size = size, np.abs(change).max(initial=0.0)
         if size < tolerance or size_before <= size < _ROUNDING:
             return found
-    raise UnstableLoopError(
-        "the loop is not in lock: statistical linearisation finds no stationary state, the "
-        "statistically linear loop diverges"
-    )
+    raise UnstableLoopError("the loop is not in lock: the statistically linear loop diverges")
 
 
 def _part(before: Vector, change: Vector, part: float) -> float:
-    """Return how much of a change to make, after `part` of the one before.
-
-    All of it, unless the slopes swing from side to side: then as far as to the zero of a line.
-    """
+    """Return the part of a change to make: all, or a secant step where the slopes oscillate."""
     if not before @ change < 0.0:
         return 1.0
     bend = before - change
@@ -72,5 +64,5 @@ def of_function(function: Callable[[NDArray], NDArray], variance: float) -> floa
     deviation = math.sqrt(variance)
     with np.errstate(all="ignore"):
         values = function(deviation * _NODES)
-    values = np.where(np.isfinite(values), values, 0.0)  # no path may ever go as far as the nodes
+    values = np.where(np.isfinite(values), values, 0.0)  # no path need reach the outermost nodes
     return float(_WEIGHTS @ (values * _NODES) / (_WEIGHTS.sum() * deviation))

@@ -1,4 +1,4 @@
-r"""Covariances of linear stochastic systems, and their roots, by doubling the time that they run.
+r"""Covariances of linear stochastic systems, and their roots, by doubling of time.
 
 For :math:`dx = A x\,dt + B\,dW`, started at zero, the covariance :math:`W = RR'` and the transition
 matrix `E` after a time `t` give those after twice the time,
@@ -7,13 +7,12 @@ matrix `E` after a time `t` give those after twice the time,
 
     W(2t) = W(t) + E(t)\,W(t)\,E(t)', \qquad R(2t) = [R(t)\;\; E(t)R(t)], \qquad E(2t) = E(t)^2,
 
-and `W` tends to the stationary covariance, which solves :math:`AP + PA' + BB' = 0`. A short first
-step, by Taylor's series, starts it; QR factorisations keep the roots small. This is R. A. Smith's
-squared method (SIAM J. Appl. Math. 16(1), 1968) with an exact transition matrix. It fits systems
-whose variances and time constants lie decades apart, and spans of any length: no digit of a root
-depends on the units of the states; doubling :math:`F = E - I`, as :math:`F(2t) = 2F + F^2`, does
-not round off a slow mode against one; and nothing grows where the system is stable, as
-:math:`e^{-At}` does in Van Loan's block exponential, the common way to the noise of a step.
+and `W` tends to the stationary covariance, which solves :math:`AP + PA' + BB' = 0`. The first step
+is short, by Taylor's series. QR factorisations keep the roots small. This is R. A. Smith's squared
+method (SIAM J. Appl. Math. 16(1), 1968) with an exact transition matrix, for variances and time
+constants decades apart, and any span. No digit of a root depends on the units of the states. Slow
+modes keep their digits, as :math:`F = E - I` is doubled: :math:`F(2t) = 2F + F^2`. Where the system
+is stable nothing grows, unlike :math:`e^{-At}` in Van Loan's method.
 """
 
 import itertools
@@ -31,30 +30,29 @@ ERROR_TOLERANCE = 1e-6
 _FIRST_STEP = 1 / 4  # times the norm of A
 _TERMS = 15  # of a series in steps of that size, to all digits
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_TERMS)  # exact for the square of the series
-_DOUBLINGS = 60  # further apart than 2^60 no time constants are
-_FORGOTTEN = 1e-6  # the share of a state, below which a doubling leaves nothing of it
-_SETTLED = 1e-12  # the share of a variance that the last increment may be: the next, its square
+_DOUBLINGS = 60  # for time constants up to 2^60 apart
+_FORGOTTEN = 1e-6  # the share of a state that is left: its square is rounding
+_SETTLED = 1e-12  # the share of a variance that an increment is: the next one is its square
 
 
 @dataclass(frozen=True, eq=False)
 class Covariances:
-    """Of the state of dx = A x dt + B dW; all are (..., n, n)."""
+    """Covariances of the state of dx = A x dt + B dW; all are (..., n, n)."""
 
     stationary: Matrix  # P, the limit of W
     grown: Matrix  # W, a span of time after the state was known
-    transition: Matrix  # E, how the state itself goes over into that after the span
+    transition: Matrix  # E over the span
     error: Matrix  # estimated, of P: what one step of refinement would change
 
 
 def covariances(A: Matrix, B: Matrix, span: float = 0.0) -> Covariances:
     """Return P of a stable A (..., n, n) and B (..., n, q) or (n, q), and W and E after a span, s.
 
-    UnstableLoopError says that W or E does not settle: to rounding, the system is not stable.
+    An UnstableLoopError says that the system, to rounding, is not stable.
     """
     root, grown, transition, first, transitions = _settled(A, B, span)
     P = _squared(root)
-    # what one step of refinement would add to P: the solution for its residual, roughly
-    half = A @ P
+    half = A @ P  # the error is roughly the solution for the residual of P
     error = (half + half.mT + _squared(B)) * first
     for E in transitions:
         error = error + E @ error @ E.mT
@@ -77,7 +75,7 @@ def noise_root(A: Matrix, B: Matrix, span: float) -> Matrix:
 
 
 def check_certainty(what: str, P: Matrix, error: Matrix) -> None:
-    """Refuse, by an ArithmeticError, variances of which the estimated error is too large a part."""
+    """Raise an ArithmeticError where the estimated error is too large a part of a variance."""
     variances, errors = np.linalg.diagonal(P), np.abs(np.linalg.diagonal(error))
     lost = ~(errors <= ERROR_TOLERANCE * variances)
     if lost.any():
@@ -87,7 +85,7 @@ def check_certainty(what: str, P: Matrix, error: Matrix) -> None:
 
 
 def deviations(P: Matrix) -> Matrix:
-    """Return the states' standard deviations as units: one for a state that does not move."""
+    """Return the states' standard deviations, one in the place of zero."""
     variances = np.diag(P)
     return np.sqrt(np.where(variances > 0.0, variances, 1.0))
 
@@ -100,14 +98,11 @@ def square_root(P: Matrix) -> Matrix:
 
 
 def _settled(A: Matrix, B: Matrix, span: float) -> tuple:
-    """Double until nothing changes, and the span is reached.
-
-    Return the root of P, that of W and E after the span, the first step and the E of all.
-    """
+    """Return the root of P, that of W and E after the span, the first step and all E."""
     first, doublings = _first_step(A, span)
     grown, transition = np.zeros_like(A), np.broadcast_to(np.eye(A.shape[-1]), A.shape)
     transitions = []
-    with np.errstate(over="ignore", invalid="ignore"):  # where it is not stable
+    with np.errstate(over="ignore", invalid="ignore"):  # of an unstable system
         steps = itertools.islice(_doubled(A, B, first), abs(doublings) + _DOUBLINGS)
         for count, (R, E, moved) in enumerate(steps):
             transitions.append(E)
@@ -121,10 +116,7 @@ def _settled(A: Matrix, B: Matrix, span: float) -> tuple:
 
 
 def _first_step(A: Matrix, span: float) -> tuple[float, int]:
-    """Return the first step, and how often it is doubled to give the span: below zero not at all.
-
-    The step is for the largest of all A, in units of the states in which that is small.
-    """
+    """Return a first step that is short for all A, and its doublings to the span, if above zero."""
     speed = 1.0
     if A.size:
         speed = balanced_norm(np.abs(A).max(axis=tuple(range(A.ndim - 2))))
@@ -135,7 +127,7 @@ def _first_step(A: Matrix, span: float) -> tuple[float, int]:
 
 
 def balanced_norm(A: Matrix) -> float:
-    """Return the norm of A in units of the states in which that is small; one for zero."""
+    """Return the norm of A in the units of the states that make it small; one for zero."""
     return float(np.linalg.norm(dgebal(A, scale=1)[0], 1)) or 1.0
 
 
@@ -152,7 +144,7 @@ def _doubled(A: Matrix, B: Matrix, first: float) -> Iterator[tuple[Matrix, Matri
 
 
 def _after(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]:
-    """Return E - I and R after a unit of time, in which little happens, by the series of e^{At}."""
+    """Return E - I and R after a unit of time by the series of e^{At}; A must be small."""
     term, F = A, A
     moved = [np.broadcast_to(B, (*A.shape[:-1], B.shape[-1]))]
     for order in range(1, _TERMS):
@@ -165,20 +157,19 @@ def _after(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]:
 
 
 def _compressed(*parts: Matrix) -> Matrix:
-    """Return a lower triangular R, (..., n, n), with R R' the sum of the parts' own."""
+    """Return a lower triangular R, (..., n, n), with R R' the sum of the parts' squares."""
     R = np.linalg.qr(np.concatenate(parts, axis=-1).mT, mode="r").mT
     missing = R.shape[-2] - R.shape[-1]
     return np.pad(R, [(0, 0)] * (R.ndim - 1) + [(0, missing)]) if missing else R
 
 
 def _with_signs(R: Matrix) -> Matrix:
-    """Return the root of the same covariance that has no negative entry on its diagonal."""
+    """Return R with its columns' signs such that no entry on the diagonal is negative."""
     return R * np.where(np.linalg.diagonal(R) < 0.0, -1.0, 1.0)[..., None, :]
 
 
 def _has_settled(R: Matrix, moved: Matrix, E: Matrix) -> bool:
-    # also what no noise drives
-    forgotten = (np.abs(np.linalg.diagonal(E)) <= _FORGOTTEN).all()
+    forgotten = (np.abs(np.linalg.diagonal(E)) <= _FORGOTTEN).all()  # of undriven states, too
     variances, increments = ((root**2).sum(axis=-1) for root in (R, moved))
     return forgotten and (increments <= _SETTLED * variances).all()
 

@@ -1,4 +1,4 @@
-r"""The steps of a simulation: how long they are, and what a linear system does in one.
+r"""The steps of a simulation: their length, and the response of a linear system over one.
 
 For :math:`dz = (Az + Bu)\,dt`, with `u` linear in time from :math:`u_0` to :math:`u_1`,
 
@@ -43,7 +43,7 @@ def dividing_step(delay: float, longest: float, duration: float) -> float:
 
 
 def steps_in(duration: float, step: float) -> int:
-    """Return the number of steps of a duration, rounded; refuse none at all."""
+    """Return the number of steps of a duration, rounded; a ValueError says that there is none."""
     steps = round(duration / step)
     if steps < 1:
         raise ValueError(f"duration must be at least one step, {step:g} s, got {duration:g}")
@@ -51,7 +51,7 @@ def steps_in(duration: float, step: float) -> int:
 
 
 def whole_steps(delay: float, step: float) -> int:
-    """Return delay / step where it is a whole number; else say which steps would do."""
+    """Return delay / step; a ValueError says that it is not whole, and which steps would do."""
     ratio = delay / step
     nearest = round(ratio)
     if abs(ratio - nearest) <= MULTIPLE_TOLERANCE and (nearest > 0 or delay == 0):
@@ -65,7 +65,7 @@ def whole_steps(delay: float, step: float) -> int:
 
 
 def responses(A: Matrix, B: Matrix, step: float) -> tuple[Matrix, Matrix, Matrix]:
-    r"""Return e^{A step}, K_1 and K_2.
+    r"""Return e^{A step}, K_1 and K_2; an ArithmeticError says that the step is too long.
 
     :math:`\varphi_0 = e^A` and :math:`\varphi_{j+1} = A^{-1}(\varphi_j - 1/j!)` are blocks of one
     exponential, which needs no inverse of A.
@@ -74,15 +74,15 @@ def responses(A: Matrix, B: Matrix, step: float) -> tuple[Matrix, Matrix, Matrix
     balanced, (scale, _) = matrix_balance(step * A, permute=False, separate=True)
     block = np.eye(3 * n, k=n)
     block[:n, :n] = balanced
-    with np.errstate(all="ignore"):  # an overflow leaves a residual that is not a number
+    with np.errstate(all="ignore"):  # the residual of an overflow is NaN
         phi = expm(block)[:n].reshape(n, 3, n).swapaxes(0, 1)
         residuals = balanced @ phi[1:] - phi[:2] + np.eye(n)
         size = 1.0 + np.linalg.norm(balanced) * np.linalg.norm(phi[1:], axis=(1, 2))
         residual = (np.linalg.norm(residuals, axis=(1, 2)) / size).max()
     if not residual <= _RESIDUAL_TOLERANCE:
         raise ArithmeticError(
-            f"the matrix exponential over one step was found to {residual:.2g} only: it is too "
-            "long for an unstable estimator"
+            f"the matrix exponential over one step has a relative residual of {residual:.2g}: the "
+            "step is too long for an unstable estimator"
         )
     phi_0, phi_1, phi_2 = scale[:, None] * phi / scale
     return phi_0, step * phi_1 @ B, step * phi_2 @ B

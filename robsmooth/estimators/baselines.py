@@ -22,7 +22,7 @@ from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import with_feedback
 from robsmooth.systems.system import UncertainSystem
 
-_CORNERS = 4  # of the set of uncertainties, with their opposites, where a search starts
+_CORNERS = 4  # of the set of uncertainties: a search starts there and at their opposites
 
 
 def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
@@ -32,12 +32,8 @@ def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
     ----------
     system : UncertainSystem
     copies : bool
-        Whether the filter also runs copies of the nonlinearities, at its own estimate. A loop that
-        feeds the estimate back, as adaptive homodyne detection does, amounts to that.
-
-    Returns
-    -------
-    Estimator, for the plant without delay
+        Whether the filter also runs copies of the nonlinearities at its own estimate, as a loop
+        that feeds the estimate back does: adaptive homodyne detection, for example.
 
     Raises
     ------
@@ -63,14 +59,8 @@ def fixed_lag_smoother(
     Parameters
     ----------
     system : UncertainSystem
-    delay, order
-        The delay of the smoothed estimate (s), and the Pade order of its model.
-    copies
-        As in `kalman_bucy`, and what it raises, too.
-
-    See Also
-    --------
-    minimize_bound, optimal_fixed_lag_error : the robust smoother; what no smoother can beat.
+    delay, order : float and int, the delay of the smoothed estimate (s), its model's Pade order
+    copies : as in `kalman_bucy`, with the same exceptions
 
     References
     ----------
@@ -126,8 +116,7 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     Raises
     ------
     InfeasibleDesignError, ArithmeticError
-        As in `kalman_bucy`; where the filter's time constants are so far apart that rounding would
-        spoil the result.
+        As in `kalman_bucy`; where the filter's time constants are too far apart for the precision.
 
     References
     ----------
@@ -155,15 +144,15 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     uncertain = max(np.linalg.norm(root.T @ found.error @ root, 2), known.max() - 1.0)
     if not uncertain <= ERROR_TOLERANCE:
         raise ArithmeticError(
-            f"what the delay takes off the filter's error is certain to {uncertain:.2g} of that "
-            "only: the time constants of the filter are too far apart"
+            "the time constants of the filter are too far apart: the effect of the delay on its "
+            f"error is known to {uncertain:.2g} of that error only"
         )
     remaining = system.C0 @ root @ directions * np.sqrt(np.maximum(1.0 - known, 0.0))
     return remaining @ remaining.T
 
 
 def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
-    """Return `optimal_fixed_lag_error` with the whole past and future: the floor of any delay.
+    """Return `optimal_fixed_lag_error` with the whole past and future, the least for any delay.
 
     Parameters
     ----------
@@ -184,15 +173,14 @@ def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
 
 @one_thread
 def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
-    """Return the largest mean square error, over constant uncertainties, of estimators told them.
+    """Return the largest mean square error of an estimator that knows a constant uncertainty.
 
-    It is the largest that a search finds of `optimal_fixed_lag_error` for the system that an
-    uncertainty makes. No estimator's worst constant error is lower, as none knows more.
+    A search maximises `optimal_fixed_lag_error` over the systems that the uncertainty makes. No
+    estimator has a lower worst constant error.
 
     Parameters
     ----------
-    system, delay
-        As in `optimal_fixed_lag_error`, and what it raises, too.
+    system, delay : as in `optimal_fixed_lag_error`, with the same exceptions
 
     Returns
     -------

@@ -3,18 +3,15 @@ r"""The least bound: minimisation of V over tau and lambda.
 SciPy's SLSQP minimises :math:`\log V` under the constraint :math:`J'M(\lambda)J \le I`, in natural
 units (`robsmooth.estimators.units`). With :math:`\theta = \tau\lambda`, neither :math:`X` nor
 :math:`Y/\tau` nor the estimator depends on :math:`\tau`, and :math:`V = \tau\,v(\theta)`: v is half
-the entropy of the problem's central H-infinity controller, for channels weighted by
-:math:`M(\theta)` and :math:`N(\theta)`. For the search the equations are solved fast and not
-certified; the design that it ends with is, by `design_smoother`.
-
-What is known of the minimiser says where it is sought:
+the entropy of the central H-infinity controller for channels weighted by :math:`M(\theta)` and
+:math:`N(\theta)`. The search solves the equations fast. `design_smoother` certifies its result.
 
 - :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`: the least bound lies on the boundary of the
   constraint, and the step onto it is exact.
 - Where no nonlinearity enters the state, the bound may fall as all multipliers of the mu and
-  mu-tilde constraints vanish. So it does in the paper's example, for both costs, towards
+  mu-tilde constraints vanish. In the paper's example it does, for both costs, towards
   :math:`\lambda = (1, \tfrac12, 0, 0)`. This limit (`limiting_smoother`) is searched, too.
-- V has more than one local minimum: there are several starts. Some all but ignore a channel.
+- V has several local minima: there are several starts, some with a channel nearly ignored.
 """
 
 import math
@@ -38,25 +35,25 @@ from robsmooth.estimators.smoother import RobustSmoother, design_smoother, limit
 from robsmooth.estimators.units import Units
 from robsmooth.systems.augmented import AugmentedSystem, undelayed
 
-VANISHING = 1e-6  # stands for zero beside an infimum, relative to the largest multiplier
-_EXCESS = 1e-3  # of a bound beside an infimum; for less of it, smaller multipliers are taken
-_LARGEST_TAU = 1e20  # the best tau is between this and its inverse, in natural units ...
-_TAU_TOLERANCE = 1e-7  # ... and found to this, relatively
+VANISHING = 1e-6  # the multipliers of a design near the infimum, relative to the largest
+_EXCESS = 1e-3  # of that design's bound; where it is more, the multipliers are made smaller
+_LARGEST_TAU = 1e20  # in natural units; the least is its inverse
+_TAU_TOLERANCE = 1e-7  # relative
 
 _SAMPLE = 4  # random multipliers for each start
 _TAUS = 10.0 ** np.arange(-16.0, 7.0)  # of the starts
 _LEAST = 1e-13  # a multiplier, relative to the largest that the constraint allows
 _IGNORED = 1e-10  # the same, where a start ignores a channel
-_SAME = 1e-9  # bounds that differ by less, relatively
+_SAME = 1e-9  # a difference of bounds, relative
 _STEP = 1e-6  # of the differences, in logarithms
 _REFUSED = 1e3  # more than the logarithm of any bound
-_ROUNDING = 1e-18  # a level of the constraint that is smaller is rounding
+_ROUNDING = 1e-18  # of the constraint's levels
 _ROUGH = {"ftol": 1e-6, "maxiter": 50}  # SLSQP's options from each start ...
 _FINE = {"ftol": 1e-14, "maxiter": 100}  # ... and from the best end
 _STABILITY_MARGIN = 1e-10  # of a Riccati equation's closed loop, relative to its Hamiltonian's norm
-_LARGEST = 1e75  # a norm, so that products of four stay within the floats
-_PASSES = 10  # of it, each from where the one before has stopped
-_TIGHT = 1e-11  # a pass that takes less off log V is the last
+_LARGEST = 1e75  # a norm: products of four do not overflow
+_PASSES = 10  # of SLSQP, each from where the one before has stopped
+_TIGHT = 1e-11  # a pass that lowers log V by less is the last
 
 
 @one_thread
@@ -65,23 +62,14 @@ def minimize_bound(
 ) -> RobustSmoother:
     r"""Design the smoother with the least bound V over :math:`\tau` and :math:`\lambda`.
 
+    Where the bound falls as the multipliers of the mu and mu-tilde constraints vanish, these are at
+    most a millionth of the largest, and `bound_infimum` and `limit` of the result are the limits of
+    bound and design. `best_lag` and `choose_lag` choose the delay and the order, too.
+
     Parameters
     ----------
-    plant, cost
-        As in `design_smoother`; by default the smoothed error's where the plant has a delay.
-    starts : int
-        Number of starting points, the best of a random sample over decades.
-
-    Returns
-    -------
-    RobustSmoother
-        The best design found. Where the bound falls as the multipliers of all nonlinearities' own
-        constraints vanish, those are at most a millionth of the largest, `bound_infimum` is the
-        limit of the bound, and `limit` that of the designs; otherwise these two are None.
-
-    See Also
-    --------
-    design_smoother, best_lag, choose_lag : at given tau and lambda; the delay and the order, too.
+    plant, cost : as in `design_smoother`; by default "smoothed" where the plant has a delay
+    starts : int, the number of starting points, the best of a random sample over decades
 
     Examples
     --------
@@ -107,7 +95,7 @@ def minimize_bound(
         raise InfeasibleDesignError(
             "Assumption 3",
             "no design was found; with smaller uncertainty outputs or Lipschitz constants there "
-            "may be one, and minimax_smoother needs less",
+            "may be one, and minimax_smoother needs fewer conditions",
             verb="failed where the search ended",
         )
     level = conditions.multiplier_level(plant, multipliers)
@@ -122,8 +110,8 @@ def minimize_bound(
 def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float:
     """Return the tau, s (unit of w)^2, with the least bound at multipliers, or in their limit.
 
-    The bound falls with tau, from the least one that has a design, and then grows. Where no tau has
-    a design, the design at this one says why.
+    Above the least tau that has a design, the bound falls and then grows. Where no tau has one,
+    `design_smoother` at the result says why.
     """
     search, multipliers = _Search.of(plant, cost), np.asarray(multipliers, dtype=float)
 
@@ -136,7 +124,6 @@ def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float
 
 
 def _design_near(limit: RobustSmoother) -> RobustSmoother:
-    """Return a design next to a limit."""
     plant, design = limit.plant, limit
     for fraction in VANISHING * 0.1 ** np.arange(7):
         small = fraction * limit.multipliers.max()
@@ -162,7 +149,7 @@ class _Search:
     @classmethod
     def of(cls, plant: AugmentedSystem, cost: str) -> "_Search":
         """Return the bound where all multipliers are positive."""
-        if cost == "filtered":  # which does not see the delay model
+        if cost == "filtered":
             plant = undelayed(plant)
         units = Units.of(Drift.of(plant).plant.system)
         problem = DesignProblem.of(units.plant(plant), cost)
@@ -176,12 +163,12 @@ class _Search:
         return math.exp(point[0]), multipliers
 
     def objective(self, point: np.ndarray) -> float:
-        """Return log V at a point, or more than any where there is no design."""
+        """Return log V at a point, or `_REFUSED` where there is no design."""
         tau, multipliers = self.arguments(point)
         return min(math.log(tau) + log_bound(self.problem, tau * multipliers), _REFUSED)
 
     def gradient(self, point: np.ndarray) -> np.ndarray:
-        """Return the slopes of the objective, zero next to points without a design."""
+        """Return the slopes of the objective, zero near points without a design."""
         steps = _STEP * np.eye(len(point))
         low, high = ([self.objective(each) for each in point + side] for side in (-steps, steps))
         return np.where(np.maximum(low, high) < _REFUSED, np.subtract(high, low), 0.0) / (2 * _STEP)
@@ -191,7 +178,7 @@ class _Search:
         return 1.0 - np.linalg.eigvalsh(np.tensordot(self.arguments(point)[1], self.levels, 1))
 
     def slopes(self, point: np.ndarray) -> np.ndarray:
-        """Return the slopes of `slack`; differences are wrong where eigenvalues cross."""
+        """Return the slopes of `slack`, exact: differences fail where eigenvalues cross."""
         _, u = np.linalg.eigh(np.tensordot(self.arguments(point)[1], self.levels, 1))
         change = np.einsum("ij,aik,kj->ja", u, self.levels[self.positive], u)
         return np.hstack([np.zeros((len(u), 1)), -np.exp(point[1:]) * change])
@@ -207,7 +194,7 @@ class _Search:
         if not found:
             return _REFUSED, 1.0, np.zeros(len(self.positive))
         lowest, best = min(found, key=itemgetter(0))
-        for _ in range(_PASSES):  # SLSQP stops at the kinks of the eigenvalues, and goes on anew
+        for _ in range(_PASSES):  # SLSQP stops where eigenvalues cross
             value, point = self.descent(best, _FINE)
             before, lowest, best = lowest, *min((lowest, best), (value, point), key=itemgetter(0))
             if before - lowest < _TIGHT:
@@ -247,7 +234,7 @@ class _Search:
 
 @np.errstate(all="ignore")
 def log_bound(problem: DesignProblem, theta: np.ndarray) -> float:
-    """Return log v of a problem in natural units; infinity where there is no design."""
+    """Return log v of a problem in natural units, or infinity where there is no design."""
     with suppress(LinAlgError, InfeasibleDesignError):
         equations = DesignEquations(problem, 1.0, theta)
         Y = _stabilising(*equations.equation_Y)
@@ -262,7 +249,7 @@ def log_bound(problem: DesignProblem, theta: np.ndarray) -> float:
 
 
 def _stabilising(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return the stabilising solution of A'X + XA + Q - XSX = 0; a LinAlgError says: none."""
+    """Return the stabilising solution of A'X + XA + Q - XSX = 0, or raise a LinAlgError."""
     n = len(A)
     size_Q, size_S = np.linalg.norm(Q), np.linalg.norm(S)
     unit = np.sqrt(size_Q / size_S) if size_Q > 0.0 < size_S else 1.0 / (size_S or 1.0)

@@ -1,8 +1,7 @@
-r"""The certified error: what the constraints on the uncertainty allow a loop, at given multipliers.
+r"""The certified error: the largest that the constraints on the uncertainty allow a loop.
 
-The constraints (eqIQC1) to (eqIQC4) speak of mean energies of inputs :math:`\tilde\xi` that may
-depend on all that has happened. For multipliers :math:`\theta \ge 0` and the stabilising solution
-of
+The constraints (eqIQC1) to (eqIQC4) limit the mean energies of inputs :math:`\tilde\xi`, which may
+depend on the whole past. For multipliers :math:`\theta \ge 0` and the stabilising solution of
 
 .. math::
 
@@ -32,19 +31,19 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import OpenLoop, drifting_output, open_loop
 from robsmooth.systems.augmented import AugmentedSystem
 
-_LEAST_START = 1e-6  # of the nominal error: what a multiplier is worth, at least, at the start
-_LEAST_ENERGY = 1e-12  # of the largest that an output could have: one that no noise excites
+_LEAST_START = 1e-6  # of the nominal error: the least contribution of a multiplier at the start
+_LEAST_ENERGY = 1e-12  # of an output that no noise excites, relative to the largest it could have
 _LARGEST_CHANGE = 14.0  # of a multiplier in one search, in natural logarithms
 _INFEASIBLE = 1e2  # the objective, a logarithm, where the Riccati equation has no solution
 _RESTARTS = 8
 _LEAST_DECREASE = 1e-10  # a search that lowers the bound by less, relatively, is the last
 _CONTINUATION_ITERATIONS = 10  # of the search at a fraction of the uncertainty
-_MULTIPLES = 4.0 ** np.arange(10)  # of theta: the more, the more the uncertainty counts
+_MULTIPLES = 4.0 ** np.arange(10)  # of theta
 _SMALLEST_STEP = 1e-3  # in the fraction of the uncertainty
 _FINISHED = 1e-4  # the gap of a search that has found the minimum
-_MARGINS = (0.0, *10.0 ** np.arange(-9.0, -1.0))  # of theta, to the edge of what has a bound
+_MARGINS = (0.0, *10.0 ** np.arange(-9.0, -1.0))  # of theta, from the edge of what has a bound
 _LEAST_RATIO = 1e-12  # of a multiplier to that before
-_NEGLIGIBLE = 1e-7  # an effect that is smaller, relative to its terms, is rounding
+_NEGLIGIBLE = 1e-7  # of an effect's terms: less is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +57,13 @@ class Certificate:
 
 
 class ConstraintProblem:
-    """A loop without delay, with the inputs and constraints that are not void.
+    """The constraints of a loop without delay.
 
-    A constraint whose right hand side is zero forbids its input: `free` spans the inputs that are
-    left, and M (between these) and N (between states) are those of the `active` constraints.
-    Constraints that are not `kept` have the multiplier zero. Then inputs may be `unbounded`, and
-    there is a certificate only where they have no effect on the error. Modes that hardly decay are
-    left out where no output sees them; a nonlinearity's own constraint, which does, is not kept.
+    A constraint whose right hand side is zero forbids its input: `free` spans the other inputs, and
+    M (between these) and N (between states) are those of the `active` constraints. Constraints that
+    are not `kept` have the multiplier zero. Inputs may then be `unbounded`: there is a certificate
+    only where they have no effect on the error. Modes that hardly decay are left out where no
+    output sees them; the constraint of one nonlinearity or copy may, and is then not kept.
     """
 
     def __init__(
@@ -89,7 +88,7 @@ class ConstraintProblem:
         self._between_outputs = between[self.active]
 
     def at(self, theta: np.ndarray, fraction: float = 1.0) -> Certificate:
-        """Certify the error with the outputs scaled; a RiccatiError says that it cannot be."""
+        """Certify the error for a fraction of the uncertainty, or raise a RiccatiError."""
         weighted = np.tensordot(theta, self.N, axes=1)
         gain = fraction * np.linalg.solve(np.tensordot(theta, self.M, axes=1), self.inputs.T)
         P = solve_riccati(self.A, self.C.T @ self.C + fraction * weighted, -self.inputs @ gain).X
@@ -129,16 +128,16 @@ class ConstraintProblem:
         return multipliers
 
     def gap(self, theta: np.ndarray) -> float:
-        """Return what the worst input leaves of its constraints, relative to the error."""
+        """Return the energy that the worst input leaves unused, relative to the error."""
         found = self.at(theta)
         return float(theta @ np.maximum(found.slack, 0.0)) / found.mean_square
 
 
 def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np.ndarray, Matrix]:
-    """Return the loop without modes that hardly decay, where it can be.
+    """Return the loop without modes that hardly decay, if neither uncertainties nor error see them.
 
-    Also which constraints see these modes, and what the states are of the whole loop's, (., N). An
-    UnstableLoopError says that a mode does not decay, and the output of an uncertainty holds it.
+    Also which constraints do, and the states in those of the whole loop, (., N). An
+    UnstableLoopError says that an uncertainty sees a mode that does not decay.
     """
     k, g = plant.system.k, plant.system.g
     whole, seeing = (loop, np.zeros(k + 3 * g, dtype=bool), np.eye(len(loop.A))), None
@@ -148,16 +147,9 @@ def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np
         seen = _seeing(found, loop, plant)
         if not seen[: k + g].any():
             V, W = found.V_rest, found.W_rest
-            rest = replace(
-                loop,
-                A=found.A_rest,
-                B=W @ loop.B,
-                inputs=W @ loop.inputs,
-                outputs=loop.outputs @ V,
-                truth=loop.truth @ V,
-                estimate=loop.estimate @ V,
-            )
-            return rest, seen, W
+            new = {"A": found.A_rest, "B": W @ loop.B, "inputs": W @ loop.inputs}
+            new |= {name: getattr(loop, name) @ V for name in ("outputs", "truth", "estimate")}
+            return replace(loop, **new), seen, W
         seeing = seeing or (int(seen.argmax()), found.A)
     if seeing is None or is_stable(loop.A):
         return whole
@@ -177,7 +169,7 @@ def _seeing(found: Modes, loop: OpenLoop, plant: AugmentedSystem) -> np.ndarray:
 
 
 def problem_of(estimator: Estimator, kept: np.ndarray | None = None) -> ConstraintProblem:
-    """Return the constraints for `model_loop`."""
+    """Return the constraints of `model_loop`."""
     return ConstraintProblem(model_loop(estimator), estimator.plant, kept)
 
 
@@ -192,14 +184,11 @@ def model_loop(estimator: Estimator, loop: str = "real") -> OpenLoop:
 
 
 def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
-    """Return the largest fraction of the uncertainty that has a bound, at most 1, and its theta.
-
-    A good theta for some of the uncertainty, or a multiple of it, gives a bound for a little more.
-    """
+    """Return the largest fraction of the uncertainty, up to 1, that has a bound, and its theta."""
     if not np.linalg.eigvals(problem.A).real.max() < 0.0:
         return 0.0, np.empty(0)
     theta, fraction, step = problem.initial_multipliers(), 0.0, 1.0
-    while fraction < 1.0 and step > _SMALLEST_STEP:
+    while fraction < 1.0 and step > _SMALLEST_STEP:  # each theta is the start of the next
         trial = min(1.0, fraction + step)
         feasible = _feasible_multiple(problem, theta, trial)
         if feasible is None:
@@ -207,7 +196,7 @@ def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
         else:
             theta = _quasi_newton(problem, feasible, trial, iterations=_CONTINUATION_ITERATIONS)
             fraction = trial
-    if 0.0 < fraction < 1.0:  # where few theta have a bound, none may be near that for less
+    if 0.0 < fraction < 1.0:  # where few theta have a bound, none may be near the last one
         found = _by_programme(problem, theta, fraction)
         with suppress(RiccatiError):
             problem.at(found)
@@ -216,7 +205,7 @@ def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
 
 
 def certify(problem: ConstraintProblem) -> tuple[float, float, np.ndarray]:
-    """Return the least bound, the largest fraction, and theta; without a bound it is infinite."""
+    """Return the least bound, or infinity, the largest fraction with a bound, and its theta."""
     fraction, theta = largest_fraction(problem)
     if fraction < 1.0:
         return math.inf, fraction, theta
@@ -227,7 +216,7 @@ def certify(problem: ConstraintProblem) -> tuple[float, float, np.ndarray]:
 def _feasible_multiple(
     problem: ConstraintProblem, theta: np.ndarray, fraction: float
 ) -> np.ndarray | None:
-    """Return the smallest of some multiples of theta that give a bound, or None."""
+    """Return the first of `_MULTIPLES` of theta that gives a bound, or None."""
     for multiple in _MULTIPLES:
         with suppress(RiccatiError):
             problem.at(multiple * theta, fraction)
@@ -236,7 +225,7 @@ def _feasible_multiple(
 
 
 def least_certificate(problem: ConstraintProblem, theta: np.ndarray) -> np.ndarray:
-    """Return the theta of the least bound: a search started anew until it gains nothing."""
+    """Return the theta of the least bound, by a search that is repeated while it gains."""
     before = math.inf
     for _ in range(_RESTARTS):
         bound = problem.at(theta).mean_square
@@ -245,19 +234,17 @@ def least_certificate(problem: ConstraintProblem, theta: np.ndarray) -> np.ndarr
         before, theta = bound, _quasi_newton(problem, theta)
     if problem.gap(theta) < _FINISHED:
         return theta
-    # The search stops where the edge of what has a bound is next to the minimum.
+    # The search stops at the edge of what has a bound, if that is near the minimum.
     return min((theta, _by_programme(problem, theta)), key=lambda t: problem.at(t).mean_square)
 
 
 def _by_programme(
     problem: ConstraintProblem, theta: np.ndarray, fraction: float = 1.0
 ) -> np.ndarray:
-    """Return the best theta by the matrix inequality of the Riccati equation, or the given one.
-
-    P is in the unit of the error, and theta relative to the given one, feasible for a fraction.
-    """
+    """Return the best theta by the matrix inequality of the Riccati equation, or the given one."""
     import cvxpy as cp  # it takes long to import
 
+    # the given theta has a bound for the fraction: P is in units of it, and theta relative
     unit, A, B, C = problem.at(theta, fraction).mean_square, problem.A, problem.B, problem.C
     root = np.linalg.inv(np.linalg.cholesky(np.tensordot(theta, problem.M, axes=1)))
     inputs = np.sqrt(unit) * problem.inputs @ root.T
@@ -270,7 +257,7 @@ def _by_programme(
     inequality = cp.bmat([[states, P @ inputs], [inputs.T @ P, worst]])
     least = cp.Minimize(cp.trace(B.T @ P @ B))
     with warnings.catch_warnings(), suppress(cp.SolverError):
-        warnings.simplefilter("ignore")  # of accuracy, which the certificate shows
+        warnings.simplefilter("ignore")  # the certificate shows the accuracy
         cp.Problem(least, [(inequality + inequality.T) / 2 << 0]).solve(solver=cp.CLARABEL)
     for margin in _MARGINS if relative.value is not None else ():
         with suppress(RiccatiError, LinAlgError):
@@ -286,27 +273,20 @@ def _quasi_newton(
     """Return a theta with a lower bound, by a quasi-Newton search over its logarithm."""
     if not theta.size:
         return theta
-
-    best = (math.inf, theta)  # only what was certified counts
+    best = (math.inf, theta)  # certified
 
     def objective(logarithms: np.ndarray) -> tuple[float, np.ndarray]:
         nonlocal best
         trial = np.exp(logarithms)
         try:
             point = problem.at(trial, fraction)
-        except (RiccatiError, LinAlgError):  # multipliers that rounding takes for zero
+        except (RiccatiError, LinAlgError):  # the latter of multipliers that are zero to rounding
             return _INFEASIBLE, np.zeros_like(trial)
         if point.mean_square < best[0]:
             best = point.mean_square, trial
         return math.log(point.mean_square), point.slack * trial / point.mean_square
 
-    start = np.log(theta)
-    minimize(
-        objective,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=list(zip(start - _LARGEST_CHANGE, start + _LARGEST_CHANGE, strict=True)),
-        options={"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-11},
-    )
+    start, options = np.log(theta), {"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-11}
+    box = list(zip(start - _LARGEST_CHANGE, start + _LARGEST_CHANGE, strict=True))
+    minimize(objective, start, jac=True, method="L-BFGS-B", bounds=box, options=options)
     return best[1]

@@ -1,4 +1,4 @@
-"""The conditions of the theory, and what is said where one fails."""
+"""The conditions of the theory, and the errors where one fails."""
 
 from collections.abc import Sequence
 
@@ -13,17 +13,17 @@ from robsmooth.systems.augmented import AugmentedSystem, check_is_plant, check_n
 COSTS = ("filtered", "smoothed")
 ASSUMPTION_Y = "Assumption 3.1 (Riccati equation for Y)"
 ASSUMPTION_X = "Assumption 3.2 (Riccati equation for X)"
-# What usually mends them. X/tau depends on the multipliers alone.
+# What usually helps. X/tau depends on the multipliers alone.
 _HINTS = {
     ASSUMPTION_Y: "; a larger tau may help",
     ASSUMPTION_X: "; other ratios of the multipliers, or less uncertainty (smaller outputs C or "
     "Lipschitz constants), may help",
 }
-EQUALITY_SLACK = 1e-9  # of inequalities that hold with equality at an optimum
+EQUALITY_SLACK = 1e-9  # of inequalities that are equalities at an optimum
 
 
 def check_plant(plant: AugmentedSystem, cost: str) -> None:
-    """Check what a design is for, and Assumptions 1 and 2."""
+    """Check the types, and Assumptions 1 and 2."""
     check_is_plant(plant)
     validation.choice("cost", cost, COSTS)
     _ = plant.J  # exists by Assumption 1
@@ -35,27 +35,26 @@ def weights(name: str, plant: AugmentedSystem, given: Sequence[float]) -> np.nda
     result = validation.array(name, given, ndim=1)
     k, g = plant.system.k, plant.system.g
     if result.size != k + 3 * g:
-        raise ValueError(
-            f"{name} must have k + 3g = {k} + 3*{g} = {k + 3 * g} entries, got {result.size}"
-        )
+        allowed = f"k + 3g = {k} + 3*{g} = {k + 3 * g} entries"
+        raise ValueError(f"{name} must have {allowed}, got {result.size}")
     if (result < 0.0).any():
         raise ValueError(f"{name} must not be negative, got {result.tolist()}")
     return result
 
 
 def of_measurements(plant: AugmentedSystem) -> np.ndarray:
-    """Return which nonlinearities do not enter the state, (g,) of bool."""
+    """Return which nonlinearities do not enter the state, (g,)."""
     return np.array([not c.B.any() for c in plant.system.nonlinearities], dtype=bool)
 
 
 def multiplier_level(plant: AugmentedSystem, multipliers: Sequence[float]) -> float:
-    """Return the largest eigenvalue of J'MJ; (eqcons) says that it is at most 1."""
+    """Return the largest eigenvalue of J'MJ, at most 1 by (eqcons)."""
     level = plant.J.T @ plant.M(multipliers) @ plant.J
     return float(np.linalg.eigvalsh(level).max(initial=0.0))
 
 
 def check_multipliers(plant: AugmentedSystem, multipliers: np.ndarray, limit: bool) -> None:
-    """Check M(lambda) > 0, but for a limit, and the constraint (eqcons)."""
+    """Check M(lambda) > 0, or what a limit needs of it, and the constraint (eqcons)."""
     k, positive = plant.system.k, multipliers > 0.0
     pairs = positive[k:].reshape(3, -1)
     enough = pairs.sum(axis=0) > 1
@@ -93,9 +92,8 @@ def certified_solution(condition: str, equation: tuple[Matrix, ...]) -> RiccatiS
     """Solve one Riccati equation; name the assumption where there is no nonnegative solution."""
     try:
         solution = solve_riccati(*equation)
-        smallest = solution.smallest_eigenvalue
-        if smallest < -EQUALITY_SLACK:
-            detail = f"smallest eigenvalue {smallest:.3g} of its norm"
+        if solution.smallest_eigenvalue < -EQUALITY_SLACK:
+            detail = f"smallest eigenvalue {solution.smallest_eigenvalue:.3g} of its norm"
             raise RiccatiError(f"its stabilising solution is not nonnegative definite: {detail}")
     except RiccatiError as error:
         raise InfeasibleDesignError(condition, f"{error}{_HINTS[condition]}") from None

@@ -1,8 +1,7 @@
-"""The mean square error under a constant uncertainty, its slopes, and the largest of all.
+"""The mean square error under a constant uncertainty, its slopes, and its maximum.
 
-Admissible here are blocks of norm at most one for the uncertainties, and for each nonlinearity a
-slope within its Lipschitz constant, the same for its copy. A projected gradient search, from
-several starts, finds the worst of them.
+An uncertainty has a block of norm at most one. A nonlinearity and its copy have the same slope,
+within the Lipschitz constant. A projected gradient search from several starts finds the worst.
 """
 
 import math
@@ -21,14 +20,14 @@ from robsmooth.estimators.loop import OpenLoop, drifting_error, open_loop, scale
 
 _ITERATIONS = 200
 _LONGEST_STEP, _SHORTEST_STEP = 1e3, 1e-9  # relative to the unit ball
-_CHANGE = 1e-13  # a step whose gain or loss is less, relatively, changes nothing
+_CHANGE = 1e-13  # of the error, relative: less is rounding
 _DIFFERENCE = 1e-6
-_STEEP = 1e100  # a slope next to where the error has no limit
-_STEPS_WITHOUT_GAIN = 3  # in a row: then the search is over
+_STEEP = 1e100  # stands for an infinite slope
+_STEPS_WITHOUT_GAIN = 3  # in a row: then the search ends
 
 
 def mean_square(loop: OpenLoop, Delta: Matrix) -> float:
-    """Return the mean square error; infinity where it has no limit."""
+    """Return the mean square error, or infinity where it has no limit."""
     A = loop.A + loop.inputs @ Delta @ loop.outputs
     if not hardly_decays(A):
         return _moments(loop, A)[0]
@@ -39,7 +38,7 @@ def mean_square(loop: OpenLoop, Delta: Matrix) -> float:
 
 
 def slopes(loop: OpenLoop, Delta: Matrix) -> tuple[float, Slopes]:
-    """Return the error and its slopes; an ArithmeticError says that the loop is not stable."""
+    """Return the error and its slopes, or raise an ArithmeticError for an unstable loop."""
     A = loop.A + loop.inputs @ Delta @ loop.outputs
     if not is_stable(A):
         raise ArithmeticError("the loop is not stable")
@@ -62,10 +61,10 @@ def slopes(loop: OpenLoop, Delta: Matrix) -> tuple[float, Slopes]:
 
 
 def worst_delta(loop: OpenLoop, starts: int) -> tuple[float, Matrix]:
-    """Return the largest mean square error that a search finds, and the Delta that has it."""
-    found = (_ascent(loop, blocks) for blocks in _starts(loop, starts))
+    """Return the largest mean square error that a search finds, and its Delta."""
     largest, worst = -math.inf, None
-    for value, blocks in found:
+    for start in _starts(loop, starts):
+        value, blocks = _ascent(loop, start)
         if value > largest:
             largest, worst = value, blocks
         if math.isinf(value):
@@ -74,18 +73,18 @@ def worst_delta(loop: OpenLoop, starts: int) -> tuple[float, Matrix]:
 
 
 def worst_constant(estimator: Estimator, output: str, starts: int) -> tuple[float, Matrix]:
-    """Return the same for an error of an estimator in a real loop."""
+    """Return `worst_delta` of an estimator in the real loop."""
     return worst_delta(scaled(open_loop(estimator, output, "real"))[0], starts)
 
 
 def cut_at_one(block: Matrix) -> Matrix:
-    """Return the block of norm at most one that is next to this one: singular values are cut."""
+    """Return the nearest block of norm at most one, with its singular values cut."""
     U, scales, V = np.linalg.svd(block, full_matrices=False)
     return U * np.minimum(scales, 1.0) @ V
 
 
 def _moments(loop: OpenLoop, A: Matrix) -> tuple[float, Matrix, Matrix, Matrix]:
-    """Return the error, the covariance of X, what X becomes in a delay, and the estimate's."""
+    """Return the error, the covariance of X, X's transition over the delay, and the estimate's."""
     P = solve_continuous_lyapunov(A, -loop.B @ loop.B.T)
     through = expm(loop.delay * A)
     after = loop.estimate @ through  # the mean of the estimate to come, given the state now
@@ -95,7 +94,7 @@ def _moments(loop: OpenLoop, A: Matrix) -> tuple[float, Matrix, Matrix, Matrix]:
 
 
 def _starts(loop: OpenLoop, count: int) -> Iterator[list[Matrix]]:
-    """Yield zero, then random corners and their negatives, at most `count` and all of few."""
+    """Yield zero, then up to `count` random corners with their negatives, fewer of few entries."""
     rng = np.random.default_rng(0)
     yield [np.zeros(block.shape) for block in loop.blocks]
     entries = sum(block.shape[0] * block.shape[1] for block in loop.blocks)
@@ -122,7 +121,7 @@ def _slopes_in_blocks(loop: OpenLoop, blocks: list[Matrix]) -> list[Matrix]:
 
 
 def _ascent(loop: OpenLoop, blocks: list[Matrix]) -> tuple[float, list[Matrix]]:
-    """Return what a projected gradient search reaches, and where; it ends at infinity."""
+    """Return the error that a projected gradient search reaches, and its blocks."""
     value, step, without_gain = mean_square(loop, loop.assemble(blocks)), 1.0, 0
     moved = True
     for _ in range(_ITERATIONS if blocks else 0):
@@ -130,10 +129,9 @@ def _ascent(loop: OpenLoop, blocks: list[Matrix]) -> tuple[float, list[Matrix]]:
             break
         if moved:
             gradients = _slopes_in_blocks(loop, blocks)
-        pairs = zip(blocks, gradients, strict=True)
         trial = [
             cut_at_one(block + step * gradient / (np.linalg.norm(gradient) or 1.0))
-            for block, gradient in pairs
+            for block, gradient in zip(blocks, gradients, strict=True)
         ]
         found = mean_square(loop, loop.assemble(trial))
         moved = found >= (1.0 - _CHANGE) * value

@@ -1,10 +1,10 @@
 r"""The estimator whose largest error over all constant uncertainties is the least.
 
-Quadratic constraints allow uncertainty that varies in time. For a parameter that is constant and
-not known they are too rich, and a design against them gives too much away. Here the largest error
-over a finite set of :math:`\Delta` is minimised over all matrices of the estimator; the worst
-:math:`\Delta` of the result joins the set, until it is in it. The maximum of errors :math:`J_i` is
-made smooth as :math:`\tfrac1s\log\tfrac1N\sum_i J_i^s`, with a sharpness s that grows.
+Quadratic constraints allow uncertainty that varies in time. A design against them is too cautious
+for an unknown constant. Here the largest error over a finite set of :math:`\Delta` is minimised
+over all matrices of the estimator, and the worst :math:`\Delta` of the result joins the set, until
+it is no new one. The maximum of the errors :math:`J_i` is smoothed as
+:math:`\tfrac1s\log\tfrac1N\sum_i J_i^s`, with a sharpness s that grows.
 """
 
 import math
@@ -28,7 +28,7 @@ from robsmooth.systems.augmented import AugmentedSystem
 
 _SHARPNESS = (1e1, 1e2, 1e3, 1e4)
 _ROUNDS = 8
-_CLOSED = 1e-4  # relative: the worst Delta is in the set where no other is worse by more
+_CLOSED = 1e-4  # relative: a worst Delta is new where it is worse by more
 _STARTS = 16  # of the search for the worst Delta
 
 
@@ -39,8 +39,8 @@ class ConstantMinimaxSmoother(Estimator):
     Attributes
     ----------
     worst_constant : float
-        The largest mean square error under a constant admissible uncertainty that was found, in the
-        squared unit of w, against the truly delayed w.
+        The largest mean square error against the truly delayed w that was found under a constant
+        admissible uncertainty, in the squared unit of w.
     cost : {"smoothed", "filtered"}, which error it is
 
     Examples
@@ -65,18 +65,17 @@ def constant_minimax_smoother(
 ) -> ConstantMinimaxSmoother:
     """Design the estimator whose largest error under constant uncertainties is the least.
 
-    The search is a descent, from the best of the classical, the tuned and the minimax smoother: the
-    result is the least nearby, and never worse than these.
+    A descent from the best of the classical, the tuned and the minimax smoother ends in a local
+    minimum, which is never worse than these.
 
     Parameters
     ----------
-    plant, output
-        As in `minimax_smoother`.
+    plant, output : as in `minimax_smoother`
 
     Raises
     ------
     InfeasibleDesignError
-        Where every candidate's error has no limit for some constant uncertainty, and else as in
+        Where each of these has an infinite error for some constant uncertainty, and else as in
         `minimax_smoother`.
 
     Examples
@@ -106,21 +105,18 @@ def constant_minimax_smoother(
 
 
 def _candidates(plant: AugmentedSystem) -> list[Estimator]:
-    """Return the estimators of which the best is where the descent starts.
-
-    The first runs no copies, so that its error has a limit wherever the plant is stable.
-    """
-    kinds = sorted({False, plant.system.g > 0})
-    found = [classical(plant, kind) for kind in kinds]
+    """Return the estimators from which the descent may start."""
+    # without copies the error has a limit wherever the plant is stable
+    found = [classical(plant, copies) for copies in sorted({False, plant.system.g > 0})]
     found.append(tuned_fixed_lag_smoother(plant))
     with suppress(InfeasibleDesignError):
-        if is_convex(plant):  # else it takes a descent itself
+        if is_convex(plant):  # else its design is a descent, too
             found.append(minimax_smoother(plant))
     return found
 
 
 def _loop(estimator: Estimator, drifts: bool) -> OpenLoop:
-    """Return the loop with the error against the delayed w, by the delay model's if it drifts."""
+    """Return the loop with the error against the delayed w; if it drifts, the delay model's."""
     return model_loop(estimator) if drifts else open_loop(estimator, "smoothed", "real")
 
 

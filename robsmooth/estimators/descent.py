@@ -1,10 +1,9 @@
 r"""Descent on an error over all linear estimators of a given order.
 
 The variables are the drift, the measurement's gain, the copies' arguments and the read-out of the
-estimate of (eqcontrol). What a copy gives is taken off the measurement as its nonlinearity enters
-it: then a reference that both arguments are less does not matter. The caller has the error and its
-gradient in the loop's matrices. States of the estimator have no meaning of their own: the search
-goes on in coordinates in which their covariance is the identity.
+estimate of (eqcontrol). The copies' outputs are subtracted from the measurement where the
+nonlinearities enter it, so that a reference in both arguments has no effect. The search is in
+coordinates in which the covariance of the estimator's states is the identity.
 """
 
 from collections.abc import Callable
@@ -26,7 +25,7 @@ _NONE = np.empty(0)
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """The gradient of an error with respect to the matrices of `OpenLoop`."""
+    """The gradient of an error in the matrices of `OpenLoop`."""
 
     A: Matrix
     B: Matrix
@@ -35,7 +34,7 @@ class Slopes:
     estimate: Matrix
 
     def of_estimator(self, estimator: Estimator) -> np.ndarray:
-        """Return the gradient with respect to `variables`."""
+        """Return the gradient in `variables`."""
         plant = estimator.plant
         n, m, own = plant.n, plant.system.m, slice(plant.n, None)
         drift = self.A[own, own]
@@ -62,7 +61,7 @@ def _parts(estimator: Estimator) -> tuple[Matrix, ...]:
 
 
 def with_variables(estimator: Estimator, x: np.ndarray) -> Estimator:
-    """Return the estimator that has these variables; its C_c and C_a read the same estimate."""
+    """Return the estimator with these variables; its C_c and C_a read the same estimate."""
     parts = _parts(estimator)
     ends = np.cumsum([part.size for part in parts])[:-1]
     A_c, gain, arguments, C_a = (
@@ -76,7 +75,7 @@ def with_variables(estimator: Estimator, x: np.ndarray) -> Estimator:
 
 
 def balanced(estimator: Estimator) -> Estimator:
-    """Return the same estimator with states whose nominal covariance is the identity."""
+    """Return the estimator in coordinates with the identity as nominal covariance."""
     A, B, _, _ = matrices(estimator, "real")
     covariance = solve_continuous_lyapunov(A, -B @ B.T)[estimator.plant.n :, estimator.plant.n :]
     sizes, directions = np.linalg.eigh(covariance)
@@ -84,16 +83,15 @@ def balanced(estimator: Estimator) -> Estimator:
     return estimator.in_coordinates((directions / sizes).T, directions * sizes)
 
 
-Objective = Callable[[Estimator, np.ndarray], tuple[float, np.ndarray]]
-
-
 def descend(
-    estimator: Estimator, objective: Objective, more: np.ndarray = _NONE
+    estimator: Estimator,
+    objective: Callable[[Estimator, np.ndarray], tuple[float, np.ndarray]],
+    more: np.ndarray = _NONE,
 ) -> tuple[Estimator, np.ndarray, float]:
     """Return an estimator with a lower objective, its `more` variables, and the objective.
 
-    The objective is a logarithm; it returns its gradient in `variables` and in `more`. It raises an
-    ArithmeticError or LinAlgError where the estimator is not to be considered.
+    The objective returns a logarithm and its gradient in `variables` and `more`. It raises an
+    ArithmeticError or LinAlgError where it has no value.
     """
     estimator = balanced(estimator)
     start = np.concatenate([variables(estimator), more])

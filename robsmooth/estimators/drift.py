@@ -1,4 +1,4 @@
-r"""Plants that drift: a stabilising observer first, and a design for what it leaves.
+r"""Plants that drift: an observer of the drift, and a design for the rest.
 
 The modes that hardly decay, and that no uncertainty sees, are :math:`x = Vz` with
 :math:`AV = VA_z`. An observer of these,
@@ -6,9 +6,9 @@ The modes that hardly decay, and that no uncertainty sees, are :math:`x = Vz` wi
 .. math:: dx_0 = (Ax_0 + VW\bar B\tilde\mu)\,dt + L_0\,dy', \qquad
           dy' = dy - (C_2x_0 + \bar D\tilde\mu)\,dt, \qquad x_0 = Vz_0,
 
-leaves the plant of :math:`x - x_0` with the measurement :math:`dy'`. It is stable, and an estimator
-for it and the observer are one for the plant. The outputs of the copies, which are known, are taken
-off what the observer has of them.
+leaves the stable plant of :math:`x - x_0` with the measurement :math:`dy'`. Observer and estimator
+of this rest make the plant's estimator. What the observer has of the copies' outputs is known, and
+subtracted.
 """
 
 from dataclasses import dataclass, replace
@@ -26,28 +26,28 @@ from robsmooth.estimators.loop import drifting_output
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.system import UncertainSystem
 
-_SLOW = 1e-3  # of the filter's fastest rate: modes that decay by less are left to the observer
+_SLOW = 1e-3  # of the filter's fastest rate: the observer takes modes that decay by less
 _MORE = 3.0  # measurement noise for the observer: the best one would leave nothing to estimate
 _STANDING = 1e-13  # of that rate: a mode that decays by less does not decay
-_UNSEEN = 1e-9  # of an output's size: what it shows of a mode then is rounding
+_UNSEEN = 1e-9  # of an output's size: less is rounding
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """The observer of a plant's modes that hardly decay, and what it leaves."""
+    """The observer of a plant's modes that hardly decay, and the rest."""
 
-    plant: AugmentedSystem  # of what is left: stable
+    plant: AugmentedSystem  # of the rest: stable
     V: Matrix  # (n, d) the modes, in the system's state
     W: Matrix  # (d, n) with W V = I
     gain: Matrix  # (n, l) L_0
-    kept: np.ndarray  # (k + 3g,) which constraints hold for what is left
+    kept: np.ndarray  # (k + 3g,) which constraints hold for the rest
 
     @classmethod
     def of(cls, plant: AugmentedSystem) -> "Drift":
         """Return the observer of a plant; an InfeasibleDesignError says why there is none."""
         system, k, g = plant.system, plant.system.k, plant.system.g
         if not reaches(system.A, system.B1, system.C0):
-            detail = "no noise in B1 drives C0 x, so that the estimate zero has no error in the end"
+            detail = "no noise in B1 drives C0 x, so that the error of the estimate zero vanishes"
             raise InfeasibleDesignError("A process noise", detail)
         _, gain = kalman_gain(system)
         rate = np.abs(np.linalg.eigvals(system.A - gain @ system.C2)).max()
@@ -74,9 +74,9 @@ class Drift:
         return cls(replace(plant, system=system, taken_off=taken_off), V, W, gain, kept)
 
     def restored(self, plant: AugmentedSystem, fields: dict[str, Any]) -> dict[str, Any]:
-        """Return the fields of an estimator of the plant, from those of one of what is left.
+        """Return the fields of the plant's estimator, from those of one of the rest.
 
-        Its first n states still estimate the plant's; those of the observer are the last.
+        Its first n states still estimate the plant's. The last are the observer's.
         """
         if not self.V.size:
             return fields
@@ -89,9 +89,8 @@ class Drift:
         copies = into @ B - gain @ D
         own, measured = len(A_c), plant.C2_tilde[:l] @ basis
         observer = block_diag(self.W, np.eye(delays)) @ plant.A_p @ basis - gain @ measured
-        # what each read-out takes of the observer's state
         w = plant.C_p0 if np.array_equal(fields["C_c"][:m], fields["C_f"]) else plant.C_a
-        arguments = plant.C1_tilde[sum(plant.output_sizes[: plant.system.k]) :][: plant.system.g]
+        arguments = plant.C1_tilde[-2 * plant.system.g :][: plant.system.g]
         reads = {"C_c": np.vstack([w, arguments]), "C_a": plant.C_a, "C_f": plant.C_p0}
         whole = Estimator(
             plant=plant,
@@ -106,7 +105,7 @@ class Drift:
 
 
 def _unseen(found: Modes, system: UncertainSystem, rate: float) -> Matrix:
-    """Return those combinations of the modes that no uncertainty sees; the others must decay."""
+    """Return the combinations of the modes that no uncertainty sees; the others must decay."""
     rest = np.eye(len(found.A))
     for s, channel in enumerate(system.uncertainties):
         rows = channel.C @ found.V / (np.linalg.norm(channel.C * found.units) or 1.0)

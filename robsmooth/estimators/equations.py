@@ -1,13 +1,12 @@
-r"""The equations of the design (Section III), for all that solves them.
+r"""The equations of the design: Assumption 3, (eqCparams) and (eqbound) of Section III.
 
-They are those of Assumption 3, (eqCparams) and (eqbound), with :math:`M = \tilde M(\lambda)`,
-:math:`N = \tilde N(\lambda)` and :math:`C` as the cost has it. The quadratic term of the X equation
-has the sign as printed; the paper's numbers follow from the other one, see
-`robsmooth.paper.published`.
+:math:`M` is :math:`\tilde M(\lambda)`, :math:`N` is :math:`\tilde N(\lambda)`, and the cost decides
+on :math:`C`. The quadratic term of the X equation has the printed sign; the paper's numbers follow
+from the other one (`robsmooth.paper.published`).
 
-Only between a nonlinearity and its copy have :math:`M(\lambda)` and :math:`N(\lambda)` entries off
-their diagonals. With d, o and c the multipliers of the difference, of the nonlinearity's own
-constraint and of its copy's, the squares are completed there:
+The entries of :math:`M(\lambda)` and :math:`N(\lambda)` off the diagonals are those between a
+nonlinearity and its copy. With the multipliers d of the difference, o of the nonlinearity's own
+constraint and c of its copy's, the squares are completed:
 
 .. math::
 
@@ -16,14 +15,14 @@ constraint and of its copy's, the squares are completed there:
     d(\nu - \tilde\nu)^2 + o\nu^2 + c\tilde\nu^2 &= (d + c)(\tilde\nu - b\nu)^2 + f\nu^2, &
       b &= \tfrac{d}{d + c},\quad f = o + \tfrac{dc}{d + c}.
 
-The estimator has the copy's output :math:`\tilde\mu` without noise: :math:`a\tilde\mu` is a known
-input to it, and what is left of :math:`\mu`, of weight e, is the noise of the Y equation. The
-copy's argument is the estimator's to choose: :math:`b\nu` if it knew the state, which leaves the
-weight f in the X equation, where the noise is 1/f, too. Nothing cancels in e and f.
+The estimator knows the copy's output: :math:`a\tilde\mu` is a known input, and the rest of
+:math:`\mu`, of weight e, is the noise of the Y equation. The estimator chooses the copy's argument,
+:math:`b\nu` if it knew the state. This leaves the weight f in the X equation, and the noise 1/f.
+Nothing cancels in e and f.
 
 With the channels of uncertainties and nonlinearities side by side in B, D and
-:math:`C_1 = [C_{1,s};\ \beta_i\bar C_{1,i}]`, and the weights :math:`\Lambda_Y` and
-:math:`\Lambda_X`, which are :math:`\lambda_s` and then e and f, the equations of Assumption 3 are
+:math:`C_1 = [C_{1,s};\ \beta_i\bar C_{1,i}]`, the weights :math:`\Lambda_Y` of
+:math:`\lambda_s` and e, and :math:`\Lambda_X` of :math:`\lambda_s` and f, Assumption 3 is
 
 .. math::
 
@@ -32,7 +31,7 @@ With the channels of uncertainties and nonlinearities side by side in B, D and
          + B\Lambda_Y^{-1}B' - LE^{-1}L',\\
     0 &= XA_p + A_p'X + \tau C_1'\Lambda_X C_1 + \tfrac1\tau XB\Lambda_X^{-1}B'X,
 
-with l rows of measurements in the place of l + g. (eqCparams) and (eqbound) become
+with l measurements in the place of l + g. (eqCparams) and (eqbound) become
 
 .. math::
 
@@ -42,9 +41,9 @@ with l rows of measurements in the place of l + g. (eqCparams) and (eqbound) bec
     A_c = A_p - KC_2 + Y(R + \Gamma\tilde C_c)/\tau,\\
     V &= \tfrac12\operatorname{tr}(YR + UXT).
 
-Where o and c go to zero, f does, and the noise 1/f of the X equation has no bound. Where it does
-not enter the state, it is left out: these are the equations of the limit. There a is one: the
-*nonlinear observer* takes the copy's output for the nonlinearity's.
+As o and c go to zero, so does f. Where the noise 1/f of the X equation does not enter the state, it
+is left out: these are the equations of the limit. There a = 1: the *nonlinear observer* takes the
+copy's output for the nonlinearity's.
 """
 
 from dataclasses import dataclass
@@ -61,7 +60,7 @@ Equation = tuple[Matrix, Matrix, Matrix]  # the A, Q and S of A'Z + ZA + Q - ZSZ
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """What the equations are made of, whatever tau and lambda."""
+    """The data of the equations, for all tau and lambda."""
 
     A: Matrix  # (n, n) the plant's drift
     C: Matrix  # (m, n) the output that the cost is on
@@ -72,7 +71,7 @@ class DesignProblem:
     channels: np.ndarray  # (r + g,) to which of the k + g channels an input belongs ...
     rows: np.ndarray  # (h + g,) ... and an output
     lipschitz: np.ndarray  # (g,)
-    k: int  # the first channels are those of the uncertainties, the others the nonlinearities'
+    k: int  # the first channels are the uncertainties, the others the nonlinearities
 
     @classmethod
     def of(cls, plant: AugmentedSystem, cost: str) -> "DesignProblem":
@@ -127,7 +126,7 @@ class DesignEquations:
 
     def solution(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, Matrix, float, float]:
         """Return K, U, T, V and rho(YX), which must be below tau."""
-        # inv(I - Y X/tau), symmetric inside: no digit of it depends on the units of the states
+        # T = inv(I - Y X/tau) by a symmetric matrix: no digit depends on the states' units
         root = square_root(Y)
         radii, directions = np.linalg.eigh(root.T @ X @ root)
         radius = float(np.abs(radii).max())

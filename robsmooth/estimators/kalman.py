@@ -1,4 +1,4 @@
-"""The gain of the Kalman-Bucy filter, and why there is none."""
+"""The gain of the Kalman-Bucy filter, or why there is none."""
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -13,16 +13,16 @@ from robsmooth.systems.augmented import check_noise
 from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.system import UncertainSystem
 
-_LOST = 1e-8  # of a mode, relatively: what is seen of it is rounding
+_LOST = 1e-8  # of a mode, relative: less is rounding
 
 
 def kalman_gain(system: UncertainSystem, model: DelayModel | None = None) -> tuple[Matrix, Matrix]:
-    """Return covariance and gain of the Kalman-Bucy filter, of a delay model behind it, too.
+    """Return covariance and gain of the Kalman-Bucy filter, with a delay model behind it.
 
-    The covariance is that of the errors of x and of the model's state with the error of x. Of the
-    Riccati solution only the gain is used: a covariance that follows from the gain cannot be
-    negative, and its own error is that of the gain squared (Kleinman's step, in Joseph's form). As
-    no measurement sees the model, nor does the model feed back, it needs no equation of its own.
+    The covariance is that of the errors of x and of the model's state with the error of x. Only the
+    gain of the Riccati solution is used: the covariance that follows from a gain is not negative,
+    and its error is that of the gain squared (Kleinman's step, in Joseph's form). The model needs
+    no Riccati equation: no measurement sees it, and it does not feed back.
     """
     A, B, C, D = system.A, system.B1, system.C2, system.D21
     check_noise("The Kalman-Bucy filter's condition D21 D21' > 0", D)
@@ -48,25 +48,21 @@ def kalman_gain(system: UncertainSystem, model: DelayModel | None = None) -> tup
 
 
 def _reason(system: UncertainSystem) -> str | None:
-    """Name the mode for which there is no stable filter, if there is one."""
+    """Return which mode has no stable filter, if there is one."""
     A, B, C, D = system.A, system.B1, system.C2, system.D21
     x, y = natural_units(A, B), np.linalg.norm(D, axis=1)[:, None]
     A, B, C, D = A / x[:, None] * x, B / x[:, None], C / y * x, D / y
-    hidden = _hidden_mode(A, C, marginal=False)
-    if hidden is not None:
-        pole, direction = hidden
-        return f"{_named(pole, x * direction)} does not decay, and no measurement sees it"
-    through = B @ np.linalg.pinv(D)  # what the measurement tells of the noise
-    hidden = _hidden_mode((A - through @ C).T, (B - through @ D).T, marginal=True)
-    if hidden is None:
-        return None
-    pole, direction = hidden
+    hidden = _hidden_mode(A, C, x, marginal=False)
+    if hidden:
+        return f"{hidden} does not decay, and no measurement sees it"
+    through = B @ np.linalg.pinv(D)  # the process noise that the measurement shows
+    hidden = _hidden_mode((A - through @ C).T, (B - through @ D).T, 1.0 / x, marginal=True)
     what = "neither decays nor is driven by noise, so that a filter's gain goes to zero in time"
-    return f"{_named(pole, direction / x)} {what}; give it a noise in B1, however small"
+    return f"{hidden} {what}; give it a noise in B1, however small" if hidden else None
 
 
-def _hidden_mode(A: Matrix, C: Matrix, marginal: bool) -> tuple[complex, Matrix] | None:
-    """Return eigenvalue and direction of a mode that does not decay, and that C does not see."""
+def _hidden_mode(A: Matrix, C: Matrix, units: Matrix, marginal: bool) -> str | None:
+    """Return which mode does not decay and C does not see it; `units` are those of its states."""
     size = np.linalg.norm(A) or np.linalg.norm(C) or 1.0
     for pole in np.linalg.eigvals(A):
         if pole.real < -_LOST * size or (marginal and pole.real > _LOST * size):
@@ -74,12 +70,9 @@ def _hidden_mode(A: Matrix, C: Matrix, marginal: bool) -> tuple[complex, Matrix]
         both = np.vstack([A - pole * np.eye(len(A)), C * size / (np.linalg.norm(C) or 1.0)])
         _, sizes, directions = np.linalg.svd(both)
         if sizes[-1] <= _LOST * size:
-            return pole, directions[-1].conj()
+            direction = units * directions[-1].conj()
+            direction = direction / direction[np.abs(direction).argmax()]
+            shown = notation.array(direction.real if np.isreal(pole) else direction.round(4))
+            value = f"{pole.real:.4g}" if np.isreal(pole) else f"{pole:.4g}"
+            return f"the mode with the eigenvalue {value} 1/s and the direction {shown}"
     return None
-
-
-def _named(pole: complex, direction: Matrix) -> str:
-    direction = direction / direction[np.abs(direction).argmax()]
-    shown = notation.array(direction.real if np.isreal(pole) else direction.round(4))
-    value = f"{pole.real:.4g}" if np.isreal(pole) else f"{pole:.4g}"
-    return f"the mode with the eigenvalue {value} 1/s and the direction {shown}"

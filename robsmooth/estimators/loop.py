@@ -1,4 +1,4 @@
-r"""The loop of plant and estimator with its uncertainty taken out.
+r"""The loop of plant and estimator without its uncertainty.
 
 .. math::
 
@@ -6,9 +6,8 @@ r"""The loop of plant and estimator with its uncertainty taken out.
     \qquad e(t) = C_w X(t - \delta) - C_s X(t),
 
 with :math:`X = [x_p; \hat x]` as in (eqclosed): :math:`\tilde\xi = \Delta\tilde\zeta` closes it. A
-*reference* `r` is what a detector takes off the arguments of the nonlinearities, and the copies off
-theirs (`robsmooth.Nonlinearity`): :math:`\tilde\zeta = C_\zeta X - r`, with `r` read out of the
-estimator's state.
+detector may subtract a *reference* `r`, read out of the estimator's state, from the arguments of
+nonlinearities and copies (`robsmooth.Nonlinearity`): :math:`\tilde\zeta = C_\zeta X - r`.
 """
 
 from collections.abc import Sequence
@@ -29,14 +28,14 @@ from robsmooth.systems.channels import REFERENCES
 from robsmooth.systems.system import UncertainSystem
 
 OUTPUTS = ("smoothed", "filtered", "guaranteed")
-LOOPS = ("theory", "real")  # the copies are driven by the design's fictitious noise, or by none
+LOOPS = ("theory", "real")  # the design's fictitious noise drives the copies, or none
 Reference = str | ArrayLike | None
-_COMBINATION_TOLERANCE = 1e-9  # a row that is a combination of others to that, relative, is one
+_COMBINATION_TOLERANCE = 1e-9  # of a row that is a combination of others, relative
 
 
 @dataclass(frozen=True)
 class Block:
-    """A block of Delta, times `gain`, in one place, or in two: a nonlinearity's and its copy's."""
+    """A block of Delta, times `gain`; a nonlinearity and its copy have the same in two places."""
 
     places: tuple[tuple[slice, slice], ...]  # rows and columns in Delta
     gain: float  # the Lipschitz constant of a nonlinearity, 1 for an uncertainty
@@ -45,7 +44,7 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class OpenLoop:
-    """The loop, its uncertainty taken out (the module docstring has its equations)."""
+    """The loop without its uncertainty, by the equations of the module."""
 
     A: Matrix  # (N, N) drift with Delta = 0, 1/s
     B: Matrix  # (N, q + g) noise intensity
@@ -54,7 +53,7 @@ class OpenLoop:
     truth: Matrix  # (m, N) C_w: the error is truth X(t - delay) - estimate X(t)
     estimate: Matrix  # (m, N) C_s
     delay: float  # s
-    blocks: tuple[Block, ...]  # those blocks of Delta that have an effect
+    blocks: tuple[Block, ...]  # those of Delta that have an effect
 
     def assemble(self, blocks: Sequence[Matrix]) -> Matrix:
         """Return Delta, (r + 2g, h + 2g), from its blocks."""
@@ -66,7 +65,7 @@ class OpenLoop:
 
 
 def which_loop(loop: str, copy_noise: bool | None = None) -> str:
-    """Return "theory" or "real"; True and False, of `copy_noise` or in its place, mean these."""
+    """Return "theory" for True, "real" for False, in `copy_noise` or in its place; or the loop."""
     if copy_noise is not None:
         loop = validation.boolean("copy_noise", copy_noise)
     if isinstance(loop, bool | np.bool_):
@@ -77,7 +76,7 @@ def which_loop(loop: str, copy_noise: bool | None = None) -> str:
 def matrices(
     estimator: Estimator, loop: str, reference: Reference = None
 ) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """Return A, B, inputs and outputs of the loop, as `OpenLoop` has them, less a reference."""
+    """Return A, B, inputs and outputs of `OpenLoop`, with a reference subtracted."""
     validation.choice("loop", loop, LOOPS)
     plant, gain = estimator.plant, estimator.B_c
     noise = plant.D21_bar if loop == "theory" else plant.real_noise
@@ -94,36 +93,28 @@ def matrices(
 def reference_outputs(estimator: Estimator, reference: Reference) -> Matrix:
     """Return the rows that read the reference out of the estimator's state, (h + 2g, n_c).
 
-    It is each nonlinearity's own ("system"), an estimate of its argument ("filtered", "smoothed"),
-    a (g, n_c) matrix, or zero (None), and the same for a copy that is run.
+    Each nonlinearity has its own ("system"), an estimate of its argument ("filtered", "smoothed"),
+    a row of a (g, n_c) matrix, or zero (None). A copy that runs has the same.
     """
-    rows = _reference_rows(estimator, reference)
-    runs = estimator.B_c[:, estimator.plant.system.l :].any(axis=0)
+    system = estimator.plant.system
+    rows = np.zeros((system.g, len(estimator.A_c)))
+    if isinstance(reference, str):
+        validation.choice("reference", reference, ("system", *REFERENCES))
+        read_outs = {"filtered": estimator.C_f, "smoothed": estimator.C_a}
+        for i, nonlinearity in enumerate(system.nonlinearities):
+            name = nonlinearity.reference if reference == "system" else reference
+            if name is not None:
+                rows[i] = _argument_weights(system, i) @ read_outs[name]
+    elif reference is not None:
+        rows = validation.matrix("reference", reference, rows.shape)
+    runs = estimator.B_c[:, system.l :].any(axis=0)
     rows = np.vstack([rows, rows * runs[:, None]])
     return np.pad(rows, ((sum(estimator.plant.output_sizes) - len(rows), 0), (0, 0)))
 
 
-def _reference_rows(estimator: Estimator, reference: Reference) -> Matrix:
-    """Return the reference as a (g, n_c) matrix."""
-    system, shape = estimator.plant.system, (estimator.plant.system.g, len(estimator.A_c))
-    if reference is None:
-        return np.zeros(shape)
-    if not isinstance(reference, str):
-        return validation.matrix("reference", reference, shape)
-    validation.choice("reference", reference, ("system", *REFERENCES))
-    rows = np.zeros(shape)
-    for i, nonlinearity in enumerate(system.nonlinearities):
-        name = nonlinearity.reference if reference == "system" else reference
-        if name is not None:
-            read_out = estimator.C_f if name == "filtered" else estimator.C_a
-            rows[i] = _argument_weights(system, i) @ read_out
-    return rows
-
-
 def _argument_weights(system: UncertainSystem, index: int) -> Matrix:
-    """Return the (m,) weights of w in the argument of a nonlinearity, which is made of w."""
+    """Return the (m,) weights of w in the argument of a nonlinearity, in any units of x and w."""
     C, target = system.C0, system.nonlinearities[index].C[0]
-    # states and outputs may have any units
     states = np.maximum(np.abs(C).max(axis=0), np.abs(target))
     states[states == 0.0] = 1.0
     outputs = np.linalg.norm(C / states, axis=1)
@@ -140,7 +131,7 @@ def _argument_weights(system: UncertainSystem, index: int) -> Matrix:
 
 
 def error_rows(smoother: Estimator, output: str) -> tuple[Matrix, Matrix, float]:
-    """Return truth, estimate and delay of an error, as `OpenLoop` has them."""
+    """Return truth, estimate and delay of `OpenLoop`, for an error."""
     validation.choice("output", output, OUTPUTS)
     plant = smoother.plant
     truth, estimate, delay = plant.C_p0, smoother.C_a, plant.delay
@@ -149,9 +140,8 @@ def error_rows(smoother: Estimator, output: str) -> tuple[Matrix, Matrix, float]
     if output == "guaranteed":
         if smoother.cost is None:
             raise ValueError(
-                "output 'guaranteed' is for a RobustSmoother or MinimaxSmoother, which has a "
-                f"guarantee, got {type(smoother).__name__}; 'smoothed' and 'filtered' are for any "
-                "estimator"
+                "output 'guaranteed' is for a RobustSmoother or MinimaxSmoother, got "
+                f"{type(smoother).__name__}; 'smoothed' and 'filtered' are for any estimator"
             )
         truth = plant.C_p0 if smoother.cost == "filtered" else plant.C_a
         estimate = smoother.C_c[: plant.system.m]
@@ -160,7 +150,7 @@ def error_rows(smoother: Estimator, output: str) -> tuple[Matrix, Matrix, float]
 
 
 def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
-    """Take the uncertainty out of the loop; `error_covariance` explains the arguments."""
+    """Return the loop without its uncertainty, for the arguments of `error_covariance`."""
     validation.instance("smoother", smoother, Estimator)
     truth, estimate, delay = error_rows(smoother, output)
     A, B, inputs, outputs = matrices(smoother, loop)
@@ -173,37 +163,26 @@ def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
 
 
 def scaled(loop: OpenLoop) -> tuple[OpenLoop, Matrix]:
-    """Return a loop in units of its fastest mode's time and its states' deviations, and these.
-
-    Errors, Delta and multipliers stay as they are.
-    """
+    """Return a loop in natural units, with the same errors and Delta, and the units of X."""
     _, fastest = rates(loop.A)
     time = 1.0 / (fastest or 1.0)
     if is_stable(loop.A):
         x = deviations(covariances(loop.A, loop.B).stationary)
     else:
         x = natural_units(loop.A, loop.B)
-    natural = replace(
-        loop,
-        A=time * loop.A / x[:, None] * x,
-        B=np.sqrt(time) * loop.B / x[:, None],
-        inputs=time * loop.inputs / x[:, None],
-        outputs=loop.outputs * x,
-        truth=loop.truth * x,
-        estimate=loop.estimate * x,
-        delay=loop.delay / time,
-    )
-    return natural, x
+    new = {"A": time * loop.A / x[:, None] * x, "B": np.sqrt(time) * loop.B / x[:, None]}
+    new |= {"inputs": time * loop.inputs / x[:, None], "delay": loop.delay / time}
+    new |= {name: getattr(loop, name) * x for name in ("outputs", "truth", "estimate")}
+    return replace(loop, **new), x
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of a loop that runs away
+@np.errstate(over="ignore", invalid="ignore")  # of an unstable loop
 def drifting_error(
     A: Matrix, B: Matrix, truth: Matrix, estimate: Matrix, delay: float
 ) -> tuple[Matrix, Matrix]:
     """Return the covariance of truth X(t - delay) - estimate X(t), and its estimated rounding.
 
-    It is for a loop with modes that hardly decay, or do not. An UnstableLoopError says that they
-    are in the error.
+    The loop has modes that hardly decay. An UnstableLoopError says that the error shows them.
     """
     for found in separations(A, B):
         V, W = np.hstack([found.V, found.V_rest]), np.vstack([found.W, found.W_rest])
@@ -225,7 +204,7 @@ def drifting_error(
 
 
 def drifting_output(name: str, A: Matrix) -> str:
-    """Return what is said of a channel whose output holds modes that do not decay, dz = A z dt."""
+    """Return the message about a channel whose output shows modes dz = A z dt without decay."""
     rate = np.linalg.eigvals(A).real.max()
     return (
         f"the output C x of {name} grows without bound, because it holds a mode with an "

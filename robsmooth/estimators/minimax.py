@@ -1,9 +1,8 @@
 r"""The estimator whose certified error is the least: by convex optimisation, or by descent.
 
-The programme of `robsmooth.estimators.programme` gives it for plants of a moderate size in which
-the copies' outputs drive no state that an uncertainty sees. Elsewhere the certified error of the
-best known estimator is made smaller by descent on all its matrices and multipliers; it is then the
-least near by. Either way the answer has the certificate of `robsmooth.estimators.certificate`.
+`robsmooth.estimators.programme` finds it for plants of moderate size in which no uncertainty sees
+a state that the copies' outputs drive. Elsewhere a descent on all matrices and multipliers of the
+best known estimator ends in a local minimum. `robsmooth.estimators.certificate` certifies both.
 """
 
 import math
@@ -43,14 +42,14 @@ class MinimaxSmoother(Estimator):
     Attributes
     ----------
     certified : float
-        The mean square error that no admissible uncertainty exceeds, in the squared unit of w. The
-        error is that of w-hat against the output of the delay model, or against w ("filtered").
+        The mean square error that no admissible uncertainty exceeds, in the squared unit of w: that
+        of w-hat against the output of the delay model, or against w ("filtered").
     multipliers : (k + 3g,) array
         theta of the certificate, in the squared unit of w times seconds.
     cost : {"smoothed", "filtered"}, which error it is
     route : {"semidefinite programme", "descent"}
-        How it was found: the first is the least over all linear estimators, with copies in the
-        limit in which the multipliers of mu and mu-tilde vanish; the second is a local minimum.
+        The programme finds the least error of all linear estimators, with copies in the limit where
+        the multipliers of mu and mu-tilde vanish. The descent finds a local minimum.
 
     Examples
     --------
@@ -77,26 +76,21 @@ class MinimaxSmoother(Estimator):
 
 @one_thread
 def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> MinimaxSmoother:
-    """Design the estimator whose certified error is the least.
+    """Design the estimator whose certified error, that of `analysis_bound`, is the least.
 
     Parameters
     ----------
     plant : AugmentedSystem
-        Made by `augment`. Noise need not enter through uncertainty channels, and J_21 is not used.
+        Noise need not enter through uncertainty channels. J_21 is not used.
     output : {"smoothed", "filtered"}
         The error: of the smoothed estimate against the delay model's output, or the filtered one.
 
     Raises
     ------
     InfeasibleDesignError
-        Where no estimator has a finite guarantee; it says with which fraction of the uncertainty
-        one has. Where a measurement has no noise, no measurement sees a mode that does not decay,
-        or an uncertainty does.
-
-    See Also
-    --------
-    minimize_bound : the paper's design, with the least bound V.
-    analysis_bound : the certified error of any estimator.
+        Where no estimator has a guarantee: the message says for which fraction of the uncertainty
+        one has. Where a measurement has no noise. Where a mode does not decay and no measurement
+        sees it, or an uncertainty does.
 
     Examples
     --------
@@ -113,7 +107,7 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
             positive = theta > 0.0
             found = problem_of(estimator, positive).at(theta[positive]).mean_square
             if found > (1.0 + _LOST) * _classical_error(natural):
-                found = None  # rates that are far apart have cost the solver its digits
+                found = None  # the solver is inaccurate for rates that are far apart
     if found is None:
         route = ROUTES[1]
         estimator, theta, found = _by_descent(natural)
@@ -129,15 +123,15 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
 
 def _classical_error(natural: Natural) -> float:
     """Return the classical smoother's certified error, or infinity where no rates are far apart."""
-    rates = np.abs(np.linalg.eigvals(natural.plant.A_p))
+    plant = natural.plant
+    rates = np.abs(np.linalg.eigvals(plant.A_p))
     if rates.max() < _STIFF * rates.min():
         return math.inf
-    copies = natural.plant.system.g > 0
-    return certify(problem_of(classical(natural.plant, copies), natural.drift.kept))[0]
+    return certify(problem_of(classical(plant, plant.system.g > 0), natural.drift.kept))[0]
 
 
 def is_convex(plant: AugmentedSystem) -> bool:
-    """Return whether the design is made by the semidefinite programme."""
+    """Return whether the semidefinite programme makes the design."""
     return plant.n <= LARGEST and copies_are_known(plant)
 
 
@@ -150,10 +144,7 @@ def certified_error(smoother: MinimaxSmoother) -> float:
 
 
 def _by_descent(natural: Natural) -> tuple[Estimator, np.ndarray, float]:
-    """Return a local minimum, with theta and its certified error, from the best candidate.
-
-    An InfeasibleDesignError says that none has a guarantee for all of the uncertainty.
-    """
+    """Return an estimator by descent from the best candidate, its theta and certified error."""
     fraction, least, best = 0.0, math.inf, None
     kept = natural.drift.kept
     for candidate in _candidates(natural.plant):
@@ -175,7 +166,7 @@ def _by_descent(natural: Natural) -> tuple[Estimator, np.ndarray, float]:
     for _ in range(_ROUNDS):
         trial, logarithms, found = descend(estimator, partial(_objective, kept), np.log(theta))
         if found > math.log(least):
-            break  # next to the edge of what has a certificate, new coordinates can lose it
+            break  # in new coordinates, rounding can take the certificate
         estimator, theta, least = trial, np.exp(logarithms), math.exp(found)
     return estimator, np.where(kept, theta, 0.0), least
 
@@ -193,7 +184,7 @@ def _objective(
 
 
 def _candidates(plant: AugmentedSystem) -> Iterator[Estimator]:
-    """Yield classical smoothers, tuned too, those of the paper's theory, and the estimate zero."""
+    """Yield the classical smoothers, the tuned one, the paper's designs, and the estimate zero."""
     n, m, g = plant.n, plant.system.m, plant.system.g
     with suppress(InfeasibleDesignError):
         for copies in sorted({False, g > 0}):

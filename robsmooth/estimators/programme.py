@@ -1,6 +1,6 @@
 r"""The estimator with the least certified error: a semidefinite programme.
 
-The plant with its delay model, in difference to what the estimator knows, is
+The plant with its delay model, without what the estimator knows, is
 
 .. math::
 
@@ -8,10 +8,10 @@ The plant with its delay model, in difference to what the estimator knows, is
     \mathrm E|\xi_s|^2 \le \mathrm E|C_{1s} x|^2 .
 
 For an estimator :math:`d\hat x = A_c\hat x\,dt + B_c\,dy,\ \hat w = C_c\hat x` of the plant's
-order, and multipliers :math:`\theta`, the mean square of :math:`w_a - \hat w` is certified to be at
-most :math:`\operatorname{tr} W` by a Lyapunov function of both states. It is that of
-`robsmooth.analysis_bound`, which is exact. The usual change of variables of robust filtering makes
-the conditions linear in Z, X, F, L, K, :math:`\theta` and W:
+order, and multipliers :math:`\theta`, a Lyapunov function of both states certifies that the mean
+square of :math:`w_a - \hat w` is at most :math:`\operatorname{tr} W`. This bound is the exact one
+of `robsmooth.analysis_bound`. The usual change of variables of robust filtering makes the
+conditions linear in Z, X, F, L, K, :math:`\theta` and W:
 
 .. math::
 
@@ -30,13 +30,12 @@ with :math:`Q = \sum_s\theta_s C_{1s}'C_{1s}`, and :math:`A_c = (Z-X)^{-1}F`,
 :math:`B_c = (Z-X)^{-1}L`, :math:`C_c = K`. Noise need not enter through the uncertainty's channels.
 
 **Copies.** The estimator knows the output :math:`\tilde\mu` of a copy. A nonlinearity is
-:math:`\tilde\mu` and a rest, :math:`|\mu - \tilde\mu| \le \beta|\nu - \tilde\nu|`. What
-:math:`\tilde\mu` does to the state, :math:`dx_2 = (A x_2 + \bar B\tilde\mu)\,dt`, and to the
-measurement, is known and taken off. The programme is for the rest, in which a nonlinearity is a
-channel whose argument is chosen: its output is :math:`\bar C x - \tilde\nu_1` with
-:math:`\tilde\nu_1 = \tilde K\hat x/\theta`, which adds a row to the inequality. This is the limit
-in which the multipliers of :math:`\mu` and of :math:`\tilde\mu` vanish, and needs that no
-uncertainty sees the states that :math:`\tilde\mu` drives.
+:math:`\tilde\mu` and a rest, :math:`|\mu - \tilde\mu| \le \beta|\nu - \tilde\nu|`. The effect of
+:math:`\tilde\mu` on the measurement and on the state, :math:`dx_2 = (A x_2 + \bar B\tilde\mu)\,dt`,
+is known and subtracted. The programme is for the rest, where a nonlinearity is a channel with the
+output :math:`\bar C x - \tilde\nu_1`. It adds a row to the inequality: the estimator chooses
+:math:`\tilde\nu_1 = \tilde K\hat x/\theta`. This is the limit of vanishing multipliers of
+:math:`\mu` and :math:`\tilde\mu`. No uncertainty may see the states that :math:`\tilde\mu` drives.
 
 References: J. C. Geromel, "Optimal linear filtering under parameter uncertainty", IEEE Trans.
 Signal Process. 47(1), 1999; C. W. Scherer and I. E. Kose, "Robustness with dynamic IQCs: an exact
@@ -59,18 +58,18 @@ from robsmooth.systems.augmented import AugmentedSystem
 
 @dataclass(frozen=True, eq=False)
 class _Channel:
-    """An uncertainty, or a nonlinearity in difference to its copy, its output of norm one."""
+    """An uncertainty, or a nonlinearity less its copy, scaled so that C has the norm one."""
 
     B: Matrix
     D: Matrix
     C: Matrix
-    size: float  # by which its output was divided, and its inputs multiplied
-    constraint: int  # which of the k + 3g it is in
+    size: float  # C was divided by it, B and D multiplied
+    constraint: int  # which of the k + 3g is its own
     copied: bool
 
 
 def _channels(plant: AugmentedSystem) -> list[_Channel]:
-    """Return the channels that have an effect, those of the uncertainties first."""
+    """Return the channels whose C is not zero, those of the uncertainties first."""
     found = []
     for i, block in enumerate(blocks_of(plant)):
         inputs, outputs = block.places[0]
@@ -93,8 +92,7 @@ def copies_are_known(plant: AugmentedSystem) -> bool:
 def least_certified(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray]:
     """Return the estimator of C_a x with the least certified error, and theta, (k + 3g,).
 
-    The plant is in natural units, and its copies are known. An ArithmeticError says that the solver
-    finds none.
+    The plant is in natural units, with `copies_are_known`. Failure is an ArithmeticError.
     """
     import cvxpy as cp  # it takes long to import
 
@@ -108,7 +106,7 @@ def least_certified(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray]:
     arguments = {c.constraint: cp.Variable((1, n)) for c in channels if c.copied}  # times theta
 
     Q = np.zeros((n, n))
-    # the columns to the right of the first two, and the diagonal below these
+    # the columns right of the first two, and minus the diagonal below these
     right, diagonal = [(C_a.T - K.T, C_a.T)], [np.ones(m)]
     for weight, c in zip(theta, channels, strict=True):
         right.append((Z @ c.B, X @ c.B + L @ c.D))
@@ -130,7 +128,7 @@ def least_certified(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray]:
     conditions = [(decay + decay.T) / 2 << 0, (energy + energy.T) / 2 >> 0]
     problem = cp.Problem(cp.Minimize(cp.trace(W)), conditions)
     with warnings.catch_warnings(), suppress(cp.SolverError):
-        warnings.simplefilter("ignore")  # of accuracy, which the certificate shows
+        warnings.simplefilter("ignore")  # the certificate shows the accuracy
         problem.solve(solver=cp.CLARABEL)
     if Z.value is None:
         raise ArithmeticError(f"the solver found no estimator: {problem.status}")
@@ -143,24 +141,19 @@ def least_certified(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray]:
             argument = arguments[c.constraint].value[0] / weight.value
             rows[i] = c.size * argument / system.nonlinearities[i].lipschitz
     to_gains = np.linalg.inv(Z.value - X.value)
-    rest = to_gains @ F.value, to_gains @ L.value, K.value
-    return _with_copies(plant, *rest, rows), multipliers
+    A_c, gain = to_gains @ F.value, to_gains @ L.value
+    return _with_copies(plant, A_c, gain, K.value, rows), multipliers
 
 
 def _with_copies(
     plant: AugmentedSystem, A_c: Matrix, gain: Matrix, read: Matrix, arguments: Matrix
 ) -> Estimator:
-    """Return the estimator of the rest, with what the copies' outputs do to plant and measurement.
-
-    What they do to the state is a part x_2 of the estimator's, where they do anything.
-    """
-    system, n, m = plant.system, plant.n, len(read)
+    """Return the plant's estimator from that of the rest, with x_2 where copies drive a state."""
+    n, m, l, g = plant.n, len(read), plant.system.l, len(arguments)  # noqa: E741
     B, D = plant.known
-    _, C, _ = system.stacked(system.nonlinearities)
-    C = np.pad(C, ((0, 0), (0, n - system.n)))
     B_c, C_c = np.hstack([gain, -gain @ D]), np.vstack([read, arguments])
     if B.any():
-        A_c = np.block([[A_c, -gain @ plant.C2_tilde[: system.l]], [np.zeros((n, n)), plant.A_p]])
-        B_c = np.vstack([B_c, np.hstack([np.zeros((n, system.l)), B])])
-        C_c = np.hstack([C_c, np.vstack([plant.C_a, C])])
+        A_c = np.block([[A_c, -gain @ plant.C2_tilde[:l]], [np.zeros((n, n)), plant.A_p]])
+        B_c = np.vstack([B_c, np.hstack([np.zeros((n, l)), B])])
+        C_c = np.hstack([C_c, np.vstack([plant.C_a, plant.C1_tilde[-2 * g :][:g]])])
     return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=C_c[:m], C_f=C_c[:m])

@@ -16,21 +16,19 @@ from robsmooth.systems.augmented import AugmentedSystem
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class RobustSmoother(Estimator):
-    """A robust fixed-lag smoother with its guarantee; `design_smoother` says what it is made of.
+    """A robust fixed-lag smoother with its guarantee.
 
     Attributes
     ----------
-    tau, multipliers, cost
-        As in `design_smoother`.
+    tau, multipliers, cost : as in `design_smoother`
     X, Y : (n, n) arrays, the solutions of the Riccati equations
     certificates : dict of RiccatiSolution, the residual, definiteness and stability of each
     bound : float
-        V: half the mean square of w-hat's error, in the loop with the copies' fictitious noise, is
+        V: half the mean square error of w-hat, in the loop with the copies' fictitious noise, is
         below it for every admissible uncertainty. The error is that against w, or with
         cost="smoothed" that against the output w_a of the delay model (not of the true delay).
     bound_infimum, limit : float and RobustSmoother, or None
-        Where `minimize_bound` found no least bound: its infimum, and the design that attains it in
-        the limit.
+        The infimum and the limiting design, where `minimize_bound` found no least bound.
     spectral_radius : float, rho(YX), below tau
 
     Examples
@@ -67,29 +65,23 @@ class RobustSmoother(Estimator):
 def design_smoother(
     plant: AugmentedSystem, tau: float, multipliers: ArrayLike, cost: str = "filtered"
 ) -> RobustSmoother:
-    r"""Design the robust fixed-lag smoother at given :math:`\tau` and :math:`\lambda`.
+    r"""Design the robust fixed-lag smoother of (eqCparams), (eqbound) at given tau and lambda.
 
     Parameters
     ----------
-    plant : AugmentedSystem, made by `augment`
+    plant : AugmentedSystem
     tau : float, :math:`\bar\tau > 0`, in seconds times the squared unit of w
     multipliers : (k + 3g,) sequence
         lambda, not negative: those of the k uncertainties, then for the g nonlinearities those of
-        the difference constraints, of the mu constraints and of the mu-tilde constraints.
+        the difference, the mu and the mu-tilde constraints. `minimize_bound` finds the best.
     cost : {"filtered", "smoothed"}
-        Whether the bound is for the filtered error, with :math:`C_{p0}` in R and Gamma as the
-        paper's example has it, or for the error against the delay model's output, with :math:`C_a`
-        as its text has it.
+        The bound is for the filtered error, with :math:`C_{p0}` in R and Gamma as in the paper's
+        example, or for the error against the delay model's output, with :math:`C_a` as in its text.
 
     Raises
     ------
     InfeasibleDesignError
-        Where Assumption 2 or 3, M(lambda) > 0 or the constraint (eqcons) fails; the message says
-        which and by how much. The gains are those of (eqCparams), the bound that of (eqbound).
-
-    See Also
-    --------
-    minimize_bound, limiting_smoother : the search for tau and lambda; multipliers that vanish.
+        Where Assumption 2 or 3, M(lambda) > 0 or the constraint (eqcons) fails, with the figures.
 
     Examples
     --------
@@ -105,21 +97,16 @@ def design_smoother(
 def limiting_smoother(
     plant: AugmentedSystem, tau: float, multipliers: ArrayLike, cost: str = "filtered"
 ) -> RobustSmoother:
-    r"""Design the smoother in the limit where the zeros among the multipliers are approached.
+    r"""Design the smoother in the limit of `design_smoother` as some multipliers go to zero.
 
-    It is the limit of `design_smoother` at multipliers that go to zero, gains and bound. Its
-    guarantee is the limit of theirs: a stable loop's error is a continuous function of the gains.
+    Its guarantee is the limit of theirs: a stable loop's error is continuous in the gains. Where
+    M(lambda) is positive, it is the design of `design_smoother`.
 
     Parameters
     ----------
     plant, tau, multipliers, cost
-        As in `design_smoother`. Of a nonlinearity that enters the measurements and not the state,
-        the multipliers of both the mu and the mu-tilde constraint may be zero.
-
-    Returns
-    -------
-    RobustSmoother
-        Where M(lambda) is positive all the same, that of `design_smoother`.
+        As in `design_smoother`. The multipliers of both the mu and the mu-tilde constraint may be
+        zero for a nonlinearity that enters the measurements and not the state.
 
     Raises
     ------
@@ -145,7 +132,7 @@ def design_equations(
     cost: str = "filtered",
     limit: bool = False,
 ) -> DesignEquations:
-    """Return the equations of a design or of a limit, after checking all but Assumption 3."""
+    """Check all but Assumption 3, and return the equations of a design or of a limit."""
     conditions.check_plant(plant, cost)
     tau = validation.positive("tau", tau)
     multipliers = conditions.weights("multipliers", plant, multipliers)
@@ -154,7 +141,7 @@ def design_equations(
 
 
 def _solved(plant: AugmentedSystem, equations: DesignEquations, cost: str) -> RobustSmoother:
-    """Solve the equations of a design, after checking Assumption 3."""
+    """Check Assumption 3, and return the design."""
     conditions.check_stable(plant)
     Y = conditions.certified_solution(conditions.ASSUMPTION_Y, equations.equation_Y)
     X = conditions.certified_solution(conditions.ASSUMPTION_X, equations.equation_X())

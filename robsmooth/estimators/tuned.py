@@ -1,7 +1,6 @@
-r"""The classical smoother, also tuned: the strongest opponent of a robust design.
+r"""The classical smoother, and the one whose nominal system is tuned for the worst case.
 
-For the worst case the nominal system that it is made for is tuned, as an engineer would. The slope
-of a nonlinearity counts for the gain only: its copy is run as it is.
+The tuned slope of a nonlinearity changes the gain only: its copy runs as it is.
 """
 
 import math
@@ -34,7 +33,7 @@ _CLOSED = 1e-3  # relative: no other Delta is worse by more
 _REFUSED = 1e2  # more than the logarithm of any error in natural units
 _LITTLE_NOISE = -6.0  # through an uncertainty's channel, at the start: a logarithm
 _SHIFTS = (0.0, 3.5, 7.0)  # of the measurement noises' logarithms, where searches start
-_MORE = 7.0  # how far a multiplier's logarithm may go
+_MORE = 7.0  # the largest change of a multiplier's logarithm
 _STARTS = 8  # of the search for the worst Delta
 _LOGARITHMS = (-15.0, 15.0)
 _STEP = 0.1  # of the box, at first
@@ -51,10 +50,9 @@ def classical(plant: AugmentedSystem, copies: bool = False) -> Estimator:
 
 
 def with_copies(plant: AugmentedSystem, A_c: Matrix, gain: Matrix, copies: bool) -> Estimator:
-    """Return an estimator of w that runs the nonlinearities at its estimate, or not."""
-    B, D = plant.known
-    _, C, _ = plant.system.stacked(plant.system.nonlinearities)
-    into, arguments = B - gain @ D, np.pad(C, ((0, 0), (0, plant.n - plant.system.n)))
+    """Return an estimator of w, with or without copies of the nonlinearities."""
+    (B, D), g = plant.known, plant.system.g
+    into, arguments = B - gain @ D, plant.C1_tilde[-2 * g :][:g]
     if not copies:
         into, arguments = np.zeros_like(into), np.zeros_like(arguments)
     B_c, C_c = np.hstack([gain, into]), np.vstack([plant.C_p0, arguments])
@@ -67,27 +65,22 @@ def tuned_fixed_lag_smoother(
 ) -> Estimator:
     """Return the classical fixed-lag smoother whose nominal system is tuned for the worst case.
 
-    Tuned are the intensities of the measurement's noises, noise that enters as each uncertainty
-    does, and the nominal values of uncertainties that are one number. The result is never worse
-    than the classical smoother.
+    The search is over the intensities of the measurement's noises, of a noise through each
+    uncertainty's channel, and the nominal values of scalar uncertainties. The result is never worse
+    than `fixed_lag_smoother`.
 
     Parameters
     ----------
-    plant : AugmentedSystem, made by `augment`
+    plant : AugmentedSystem
     against : {"constant", "admissible"}
-        Which error is to be least: the worst constant or the certified worst one, the latter
-        against the output of the delay model.
-    output : {"smoothed", "filtered"}
-        Which estimate is wanted.
+        The error to minimise: the worst constant, or the certified worst against the output of the
+        delay model.
+    output : {"smoothed", "filtered"}, which estimate is wanted
 
     Raises
     ------
     InfeasibleDesignError
-        As in `minimax_smoother`, but for a guarantee.
-
-    See Also
-    --------
-    fixed_lag_smoother, constant_minimax_smoother : not tuned; with all matrices free.
+        As in `minimax_smoother`, except that no guarantee is needed.
 
     Examples
     --------
@@ -107,7 +100,7 @@ def tuned_fixed_lag_smoother(
 
 
 def _least_constant(family: "_Family") -> np.ndarray:
-    """Return a point with a small worst constant error: of a few Delta, and the worst is added."""
+    """Return a point with a small worst constant error, from a set of Delta that the worst join."""
     starts = family.untuned, *family.starts
     found = [(*worst_constant(family(start), "smoothed", _STARTS), start) for start in starts]
     least, _, best = min(found, key=itemgetter(0))
@@ -119,7 +112,7 @@ def _least_constant(family: "_Family") -> np.ndarray:
             return min(math.log(max(mean_square(loop, Delta) for Delta in Deltas)), _REFUSED)
         return _REFUSED
 
-    point = np.maximum(best, family.starts[0])  # where little noise has an effect
+    point = np.maximum(best, family.starts[0])  # from -inf no step leads anywhere
     for _ in range(_ROUNDS):
         steps = np.where(point > 0.0, -_STEP, _STEP) * (family.box[:, 1] - family.box[:, 0])
         options = {**_OPTIONS, "initial_simplex": np.vstack([point, point + np.diag(steps)])}
@@ -160,8 +153,8 @@ def _least_certified(family: "_Family") -> np.ndarray:
 class _Family:
     """The classical smoothers of a plant in natural units, for other nominal systems.
 
-    A point holds the logarithms of factors on the measurement's noises, and of intensities of
-    noise through the uncertainties, and the nominal slopes.
+    A point holds the logarithms of the measurement noises' factors and of the intensities of noise
+    through the uncertainties, and the nominal slopes.
     """
 
     def __init__(self, natural: Natural) -> None:
@@ -179,7 +172,6 @@ class _Family:
         self.box = np.array([_LOGARITHMS] * intensities + [(-1.0, 1.0)] * len(self.single))
 
     def __call__(self, point: np.ndarray) -> Estimator:
-        """Return the smoother at a point."""
         plant, system = self.plant, self.plant.system
         factors, noises, slopes = np.split(point, np.cumsum([system.l, len(self.uncertain)]))
         model = designed = system.A, system.C2

@@ -1,4 +1,4 @@
-"""Systems that drift or resonate, ready to try designs on."""
+"""Examples of systems that drift or resonate."""
 
 import math
 
@@ -8,7 +8,7 @@ from robsmooth.systems.system import UncertainSystem
 
 
 def random_walk(diffusion: float = 1.0, noise: float = 1.0) -> UncertainSystem:
-    """Return a random walk that is measured: the phase of a laser against a perfect reference.
+    """Return a measured random walk: the phase of a laser against a perfect reference.
 
     Parameters
     ----------
@@ -29,12 +29,11 @@ def random_walk(diffusion: float = 1.0, noise: float = 1.0) -> UncertainSystem:
 def clock(
     phase_noise: float = 1.0, frequency_noise: float = 0.1, noise: float = 1.0
 ) -> UncertainSystem:
-    """Return a clock: a phase that its frequency drives, both walking at random.
+    """Return a clock: noise and a frequency, which walks at random, drive a phase.
 
     Parameters
     ----------
-    phase_noise, frequency_noise : float
-        The intensities of the noises that drive phase and frequency.
+    phase_noise, frequency_noise : float, the intensities of the noises that drive these two
     noise : float, that of the phase's measurement
 
     Examples
@@ -61,9 +60,11 @@ def resonant_phase(
     noise: float = 1.0 / 600.0,
     uncertainty: float = 0.02,
 ) -> UncertainSystem:
-    r"""Return a phase from a mirror on its resonance, whose frequency is not known exactly.
+    r"""Return a phase from a mirror on its resonance, whose frequency is uncertain.
 
     .. math:: \ddot\theta + 2\zeta\omega\dot\theta + \omega^2(1 + 2\epsilon\Delta)\,\theta = f
+
+    The states are :math:`\theta` and :math:`\dot\theta/\omega`.
 
     Parameters
     ----------
@@ -72,11 +73,6 @@ def resonant_phase(
     rms : float, of the phase, rad
     noise : float, intensity of the measurement's noise, rad s^(1/2)
     uncertainty : float, :math:`\epsilon`: to which the frequency is known, relatively
-
-    Returns
-    -------
-    UncertainSystem
-        Its states are :math:`\theta` and :math:`\dot\theta/\omega`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Functions of nonlinearities, vectorised or compiled by numba: what they are, and made to be."""
+"""Functions of nonlinearities, vectorised or compiled by numba."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -60,11 +60,11 @@ def name_of(function: Function) -> str:
 
 
 def check_function(name: str, function: Function) -> None:
-    """Check that a nonlinearity can be called as the library does, and is zero at zero."""
+    """Check that a function is vectorised, and zero at zero."""
     if not callable(function):
         raise TypeError(f"{name} must be callable, got {function!r}")
     at = np.zeros(2)
-    if hasattr(function, "py_func"):  # numba has compiled it, and compiled loops call it
+    if hasattr(function, "py_func"):  # compiled by numba: it may be for scalars only
         with suppress(Exception):
             function(0.0)
             at = 0.0
@@ -81,15 +81,13 @@ def check_function(name: str, function: Function) -> None:
         given = f"an argument of shape {np.shape(at)} gave shape {values.shape}"
         raise ValueError(f"{name} must be vectorised: {given}")
     at_zero = np.ravel(values)[0]
-    if not at_zero == 0.0:
-        raise ValueError(
-            f"{name} must be zero at zero, got {at_zero}: "
-            "move the constant into the measurement or the state"
-        )
+    if at_zero != 0.0:
+        hint = "move the constant into the measurement or the state"
+        raise ValueError(f"{name} must be zero at zero, got {at_zero}: {hint}")
 
 
 def on_arrays(function: Function) -> Function:
-    """Return the function for arrays of one dimension; numba's of a number is compiled for them."""
+    """Return the function for arrays of one dimension, compiled for them if it is numba's."""
     if hasattr(function, "py_func"):
         try:
             function(np.zeros(2))

@@ -1,4 +1,4 @@
-"""The sector of a function: between which slopes it lies up to a given argument."""
+"""The sector of a function: its least and largest slope up to a given argument."""
 
 from dataclasses import dataclass
 
@@ -11,9 +11,9 @@ from robsmooth.systems.channels import Nonlinearity
 from robsmooth.systems.functions import Combination, Function, check_function, compiled, on_arrays
 
 _POINTS = 2**13  # even, so that zero is not one of them
-_UNEVEN = 0.1  # of the second differences of slopes: where they differ by more, there is a corner
-_ROUNDING = 1e-10  # of the slopes: second differences that differ by less do not count
-_STEEPENING = 1.1  # of the range of slopes at half the distance, where it grows without bound
+_UNEVEN = 0.1  # of the slopes' second differences: where they differ by more, there is a corner
+_ROUNDING = 1e-10  # of the slopes: smaller second differences are rounding
+_STEEPENING = 1.1  # the range of slopes over that of means of two: above it they have no bound
 _FLAT = 1e-9  # of the slopes: a smaller range of them is rounding
 
 
@@ -26,8 +26,7 @@ class Sector:
     function : callable
     reach, lower, upper : float
         The largest argument, and the least and the largest slope up to it.
-    slope, half_width : float
-        The slope in the middle, and the Lipschitz constant of f less its line.
+    slope, half_width : float, the slope in the middle, the Lipschitz constant of f less its line
 
     Examples
     --------
@@ -50,8 +49,8 @@ class Sector:
     ) -> Nonlinearity:
         """Return f(C x), which drives the state through B and y through D, as a `Nonlinearity`.
 
-        It is scaled: centred, it has the Lipschitz constant 1, and a noise of intensity `noise`
-        times [B; D] enters where it does with weight one (Assumption 1).
+        It is scaled: its Lipschitz constant, when centred, is 1, and the intensity of a noise
+        `noise` [B; D] through its channel is 1 (Assumption 1).
         """
         noise = validation.positive("noise", noise)
         argument = noise / self.half_width
@@ -66,20 +65,14 @@ class Sector:
 
 
 def sector(function: Function, reach: float) -> Sector:
-    """Find between which slopes a function lies up to a given size of its argument.
+    """Find the least and the largest slope of a function up to a given size of its argument.
+
+    They are accurate to about 1e-9 where f is smooth. `Sector.nonlinearity` puts f in a system.
 
     Parameters
     ----------
-    function : callable
-        f, vectorised or compiled by numba, and zero at zero.
-    reach : float
-        The largest argument. Where it is exceeded, nothing is guaranteed.
-
-    Returns
-    -------
-    Sector
-        With the slopes to about 1e-9 where f is smooth. Its method ``nonlinearity(B, C, D, noise)``
-        makes f(C x) part of a system.
+    function : callable f, vectorised or compiled by numba, and zero at zero
+    reach : float, the largest argument; beyond it nothing is guaranteed
 
     Raises
     ------
@@ -118,10 +111,7 @@ def sector(function: Function, reach: float) -> Sector:
 
 
 def _largest(slopes: Matrix) -> float:
-    """Return the largest slope where the given ones are means over equal intervals.
-
-    Where they are smooth, it is that of the parabola through the three around the largest.
-    """
+    """Return the largest slope from means over equal intervals, by a parabola if it is smooth."""
     best = int(slopes.argmax())
     around = slopes[max(best - 2, 0) :][:5] if best < len(slopes) - 3 else slopes[-5:]
     bends = np.diff(around, 2)
