@@ -1,8 +1,7 @@
-"""Where calls are computed: here, or on a Dask cluster; the results come in the same order.
+"""Calls computed here or on a Dask cluster, with the results in order.
 
-When a worker ends, Dask computes its calls again on another. So a worker computes only with the
-same software as here: Dask itself only warns of other versions, and of its own packages.
-Dask is an optional dependency: nothing here imports it before a cluster is asked for.
+When a worker ends, Dask repeats its calls on another. A worker refuses calls from other software:
+Dask only warns of other versions, of its own packages. Dask is optional, and imported when needed.
 """
 
 import asyncio
@@ -27,33 +26,30 @@ from robsmooth._support.extras import extra
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-CALLS_PER_THREAD = 2  # sent ahead: one that is computed and one that waits for it to end
-CALLS_AHEAD = 2  # and some more, while results are on their way
-LOOK_EVERY = 1.0  # s, how often the cluster is looked at: a scheduler that closes may not answer
-ANSWER_TIME = 30.0  # s, for the scheduler to answer, and how often it is asked while a call goes on
-JOIN_TIME = 30.0  # s, for a worker to join where there is none
-PACKAGES = ("numpy", "numba", "scipy")  # what results depend on to the last bit
+CALLS_PER_THREAD = 2  # one is computed, one waits
+CALLS_AHEAD = 2  # more, while results travel
+LOOK_EVERY = 1.0  # s, between counts of threads: a scheduler that closes may not answer a call
+ANSWER_TIME = 30.0  # s, for the scheduler to answer, and between questions during a call
+JOIN_TIME = 30.0  # s, for the first worker to join
+PACKAGES = ("numpy", "numba", "scipy")  # on which the last bits of results depend
 LOGGERS = ("distributed", "distributed.client", "tornado.application")
-
-# Keeps other threads of this process out of a block: numba's thread pool "workqueue" ends the
-# process when two threads of a worker enter it at once.
+# Numba's thread pool "workqueue" ends the process when two threads enter it at once.
 ALONE = threading.RLock()
 
 
 def in_order(
     function: Callable, calls: Iterable[tuple], client: "Client | None" = None
 ) -> Iterator[Any]:
-    """Yield ``function(*call)`` for each call, in the order of the calls, or raise as it does.
+    """Yield ``function(*call)`` for each call, in order, or raise its error.
 
-    The function is sent with each call: it should pickle to less than about 100 kB. Few calls are
-    on their way at a time: as many as keep all threads at work. Closing the iterator early, as an
-    error in the loop over it does, drops them. ConnectionError says that there is no worker or no
-    scheduler, RuntimeError that a worker has other software or that a call ended several workers.
+    The function, of less than about 100 kB, is sent with each call. Only as many calls are sent as
+    keep all threads at work; closing the iterator drops them. ConnectionError: no worker or no
+    scheduler. RuntimeError: a worker has other software, or a call ended workers.
     """
-    _check_client(client)
     if client is None:
         yield from itertools.starmap(function, calls)
         return
+    _check_client(client)
     import cloudpickle
 
     shipped, numbered = cloudpickle.dumps(function), enumerate(calls)
@@ -73,16 +69,14 @@ def in_order(
                 pending.popleft()
                 yield result
     finally:
-        for future in pending:  # else an error's traceback would keep them
-            with suppress(RuntimeError):  # there is no connection any more
+        for future in pending:  # an error's traceback would keep them
+            with suppress(RuntimeError):  # no connection
                 future.release()
 
 
-def workers(client: "Client | None") -> int:
-    """Number of threads that the workers have for calls, 1 for None; waits for the first worker."""
+def workers(client: "Client") -> int:
+    """Return the number of the workers' threads; wait for the first worker."""
     _check_client(client)
-    if client is None:
-        return 1
     deadline = time.monotonic() + JOIN_TIME
     while True:
         try:
@@ -94,22 +88,22 @@ def workers(client: "Client | None") -> int:
         if time.monotonic() >= deadline:
             address = client.scheduler.address
             raise ConnectionError(
-                f"no worker has joined the scheduler at {address} for {JOIN_TIME:g} s: start some "
-                f"there, as with `dask worker {address}`"
+                f"no worker has joined the scheduler at {address} for {JOIN_TIME:g} s: start one, "
+                f"as with `dask worker {address}`"
             )
         time.sleep(0.1)
 
 
 @contextmanager
 def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
-    """Connect to the scheduler at an address; with the empty address, give None."""
+    """Connect to the scheduler at an address; the empty address gives None."""
     if address == "":
         yield None
         return
     with extra("cluster", "a cluster"):
         from distributed import Client
     with ExitStack() as stack:
-        for logger in map(logging.getLogger, LOGGERS):  # what matters comes as an exception
+        for logger in map(logging.getLogger, LOGGERS):  # errors come as exceptions
             stack.callback(logger.setLevel, logger.level)
             logger.setLevel(logging.CRITICAL)
         try:
@@ -123,7 +117,7 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
 
 
 def worker_threads() -> int | None:
-    """Number of threads that this process has as a worker of a cluster; None where it is none."""
+    """Return the number of threads of this process as a worker of a cluster, or None."""
     with suppress(AttributeError, ValueError):  # Dask is not imported, or this is no worker
         return sys.modules.get("distributed").get_worker().state.nthreads
     return None
@@ -131,7 +125,7 @@ def worker_threads() -> int | None:
 
 @cache
 def software() -> dict[str, str]:
-    """Versions of what a result depends on, and the SHA-256 of this package's sources."""
+    """Return the versions on which results depend, and the SHA-256 of this package's sources."""
     versions = {"python": f"{sys.version_info.major}.{sys.version_info.minor}"}
     versions |= {name: metadata.version(name) for name in PACKAGES}
     return {**versions, "robsmooth": _SOURCES}
@@ -145,19 +139,19 @@ def _digest_sources(package: Path) -> str:
     return digest.hexdigest()
 
 
-# Of now, and not of when it is asked for: by then the files may have been edited.
+# At import: later the files may have been edited.
 _SOURCES = _digest_sources(Path(__file__).resolve().parent.parent)
 
 
 class _Call(tuple):
-    """A call that unpickling computes: ``pickle.loads`` and bytes are known to every worker."""
+    """A call that unpickling computes, so that a worker needs only ``pickle.loads`` and bytes."""
 
     def __reduce__(self):
         return _compute, tuple(self)
 
 
 def _compute(wanted: dict[str, str], function: bytes, arguments: bytes) -> Any:
-    """Do a call on a worker, after a check of its software."""
+    """Check the worker's software and do a call."""
     here = software()
     differences = ", ".join(
         f"{name} {here.get(name, 'absent')[:12]} and not {wanted.get(name, 'absent')[:12]}"
@@ -166,8 +160,8 @@ def _compute(wanted: dict[str, str], function: bytes, arguments: bytes) -> Any:
     )
     if differences:
         raise RuntimeError(
-            f"a worker has other software than the client: {differences}; the results would "
-            "differ: start the workers in the same environment, and anew after each change of it"
+            f"a worker has other software than the client: {differences}; start the workers in "
+            "the same environment, and again after each change of it"
         )
     return _loads(function)(*pickle.loads(arguments))
 
@@ -176,7 +170,7 @@ _loads = lru_cache(maxsize=1)(pickle.loads)  # a function comes with each of its
 
 
 def _result(future: "Future", client: "Client") -> list[Any]:
-    """Wait for a result; there is none where its call goes on, or its worker left with it."""
+    """Wait for a result; return none while its call goes on or is repeated elsewhere."""
     from distributed import KilledWorker
 
     try:
@@ -193,13 +187,11 @@ def _result(future: "Future", client: "Client") -> list[Any]:
         if future.status == "error":  # the function's own
             raise
         if isinstance(error, TimeoutError) and client.status == "running":
-            return []  # the scheduler, where it answers, sees to it
+            return []  # the scheduler repeats a lost call
         raise _lost(client) from error
 
 
-def _check_client(client: "Client | None") -> None:
-    if client is None:
-        return
+def _check_client(client: "Client") -> None:
     distributed = sys.modules.get("distributed")
     if distributed is None or not isinstance(client, distributed.Client):
         raise TypeError(f"client must be a distributed.Client or None, got {client!r}")
@@ -217,7 +209,7 @@ def _lost(client: "Client") -> ConnectionError:
 
 
 def _check_scheduler(address: str, timeout: float) -> None:
-    """Ask who is at an address: a client would wait for ever where nothing answers."""
+    """Ask what is at an address; a client would wait for ever if nothing answers."""
     from distributed.core import rpc
     from distributed.security import Security
 
@@ -228,5 +220,5 @@ def _check_scheduler(address: str, timeout: float) -> None:
             if (kind := (await server.identity())["type"]) != "Scheduler":
                 raise ValueError(f"there is a Dask {kind.lower()}")
 
-    with ThreadPoolExecutor(1) as thread:  # a notebook's own runs an event loop already
+    with ThreadPoolExecutor(1) as thread:  # a notebook's own has an event loop already
         thread.submit(asyncio.run, ask()).result()

@@ -1,4 +1,4 @@
-"""Functions that numba compiles, on machines where it cannot keep them."""
+"""Functions that numba compiles, and keeps on disk where it can."""
 
 import warnings
 from collections.abc import Callable
@@ -7,7 +7,7 @@ import numba
 
 
 def kept(**options: bool) -> Callable[[Callable], Callable]:
-    """Return `numba.njit` with these options, which keeps what it compiles where it can."""
+    """Return `numba.njit` with these options and, where possible, a cache on disk."""
 
     def decorate(function: Callable) -> Callable:
         try:
@@ -18,7 +18,7 @@ def kept(**options: bool) -> Callable[[Callable], Callable]:
                 "process compiles anew, for a Monte Carlo some 15 s: set NUMBA_CACHE_DIR to a "
                 "folder that can be written",
                 RuntimeWarning,
-                stacklevel=1,  # of one place, the same warning is shown once
+                stacklevel=1,  # one place: Python shows the warning once
             )
             return numba.njit(**options)(function)
 

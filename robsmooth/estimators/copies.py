@@ -1,7 +1,6 @@
-"""The copies of nonlinearities that an estimator runs, as functions that compiled code calls.
+"""An estimator's copies of nonlinearities, as functions that compiled code calls by address.
 
-A loop over samples is given the addresses of functions of one number. So it is compiled once,
-whatever the functions are. One that numba cannot compile is called back.
+The loop over samples is compiled once for all. What numba cannot compile is called in Python.
 """
 
 import ctypes
@@ -23,14 +22,13 @@ from robsmooth.systems.functions import Combination, compiled, name_of
 
 _Vectorized = type(numba.vectorize(lambda value: value))
 _TRIED = np.concatenate([[0.0], np.geomspace(1e-6, 1e3, 20), -np.geomspace(1e-6, 1e3, 20)])
-_ROUNDING = 1e-12  # by which what numba makes of a function may differ from it
-
+_ROUNDING = 1e-12  # by which a compiled function may differ from the one given
 Function = Callable[[Any], Any]
 _Address = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)
 
 
 def running_copies(estimator: Any) -> list[int]:
-    """Return which copies are run: those with an argument and a gain."""
+    """Return the indices of the copies that have an argument and a gain."""
     system = estimator.plant.system
     inputs, arguments = estimator.B_c[:, system.l :], estimator.C_c[system.m :]
     return [i for i in range(system.g) if inputs[:, i].any() and arguments[i].any()]
@@ -41,7 +39,7 @@ def running_functions(
     given: Iterable[Function | None] | None,
     running: Sequence[int],
 ) -> tuple[Function, ...]:
-    """Return the functions of the copies that run, with those given instead of the plant's."""
+    """Return the functions of the running copies: the given one, or by default the plant's."""
     if callable(given):
         raise TypeError("functions must be a sequence of callables, got a single one")
     given = [None] * len(nonlinearities) if given is None else list(given)
@@ -50,9 +48,9 @@ def running_functions(
             f"functions must have {len(nonlinearities)} entries, one for each nonlinearity, got "
             f"{len(given)}"
         )
-    pairs = zip(nonlinearities, given, strict=True)
     functions = [
-        own.function if f is None else replace(own, function=f).function for own, f in pairs
+        own.function if f is None else replace(own, function=f).function
+        for own, f in zip(nonlinearities, given, strict=True)
     ]
     for i in running:
         if functions[i] is None:
@@ -64,20 +62,16 @@ def running_functions(
 
 
 class Functions:
-    """Functions of one number with the addresses by which compiled code calls them."""
+    """Functions of one number, and their addresses for compiled code."""
 
     def __init__(self, given: Iterable[Function]) -> None:
         self.given = tuple(given)
-        self.error: Exception | None = None  # what a function that is called back raised
-        enabled = not numba.config.DISABLE_JIT
-        numbers = [
-            _of_number(f) if enabled and isinstance(f, Hashable) else None for f in self.given
-        ]
-        self.compiled = enabled and all(number is not None for number in numbers)
-        self._kept = [
-            self._called_back(function) if number is None else number
-            for function, number in zip(self.given, numbers, strict=True)
-        ]
+        self.error: Exception | None = None  # of a function that was called back
+        jit = not numba.config.DISABLE_JIT
+        numbers = [_of_number(f) if jit and isinstance(f, Hashable) else None for f in self.given]
+        self.compiled = jit and all(numbers)
+        pairs = zip(self.given, numbers, strict=True)
+        self._kept = [number or self._called_back(function) for function, number in pairs]
         pointers = [getattr(one, "ctypes", one) for one in self._kept]
         addresses = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers]
         self.addresses = np.array(addresses, dtype=np.intp)
@@ -96,7 +90,7 @@ class Functions:
         return _Address(value)
 
     def check(self, finite: bool, what: str) -> None:
-        """Raise what a function raised, or an ArithmeticError where `what` is not finite."""
+        """Raise the error of a function, or an ArithmeticError where `what` is not finite."""
         error, self.error = self.error, None
         if error is not None:
             raise error
@@ -106,7 +100,7 @@ class Functions:
 
 @lru_cache(maxsize=64)
 def _of_number(function: Function) -> Any:
-    """Return what numba makes of a function for numbers; None, with a notice, where it cannot."""
+    """Return a function as numba compiles it for a number; None, with a warning, if it cannot."""
     try:
         jitted = _jitted(function)
 
@@ -124,8 +118,8 @@ def _of_number(function: Function) -> Any:
         if is_jitted(function) or isinstance(function, _Vectorized) or _agree(function, called):
             return number
     warnings.warn(
-        f"numba cannot compile the function {name_of(function)}, which a copy runs: it is called "
-        "in Python, which takes some microseconds for each sample",
+        f"numba cannot compile the function {name_of(function)}, which a copy runs: each sample "
+        "calls it in Python, which takes some microseconds",
         RuntimeWarning,
         stacklevel=2,
     )
@@ -140,7 +134,7 @@ def _agree(function: Function, number: Callable[[float], float]) -> bool:
 
 
 def _jitted(function: Function) -> Function:
-    """Return a function as compiled code may call it."""
+    """Return a function that compiled code can call."""
     if is_jitted(function) or isinstance(function, _Vectorized):
         return function
     if isinstance(function, Combination):
@@ -151,7 +145,7 @@ def _jitted(function: Function) -> Function:
 
 
 def call(address: int, argument: float) -> float:
-    """Call the function of a number that stands at an address."""
+    """Call the function at an address."""
     return _Address(int(address))(argument)
 
 

@@ -1,29 +1,26 @@
-"""What takes the samples of a record: the compiled loop over them, and its memory."""
+"""The base of an estimator in samples: it calls the compiled loop and keeps its memory."""
 
 from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robsmooth.estimators.copies import Functions
-from robsmooth.estimators.sample_loop import Memory, Reading, Sampled, advance, step
-
-Floats = NDArray[np.float64]
+from robsmooth.estimators.sample_loop import Floats, Memory, Reading, Sampled, advance, step
 
 
 class Engine:
-    """An estimator in samples, most of which are alike."""
+    """An estimator in samples: `step` is the fast way for most, a subclass's `take` is for all."""
 
     states: int
     memory: Memory
-    _even: Sampled  # what most samples are like ...
-    _reading: Reading  # ... and what is read after them
-    _row: tuple[Floats, Floats, Floats]  # room for one: its measurements, inputs and references
+    _even: Sampled  # matrices of a sample of length dt
+    _reading: Reading  # of the smoothed estimate
+    _row: tuple[Floats, Floats, Floats]  # room for a sample: measurements, inputs and references
 
     def __init__(self, functions: Functions, arguments: Floats, shift: Floats) -> None:
         self._functions, self._arguments = functions, np.ascontiguousarray(arguments)
-        self._usual = -shift  # the references of a sample that has none of its own
+        self._usual = -shift  # references of zero
         self._bound: Any = None
 
     @property
@@ -36,7 +33,7 @@ class Engine:
         return Memory(*(each.copy() for each in self.memory))
 
     def step(self, y: Floats, reference: Floats | None) -> Floats | None:
-        """Take a sample as most are; return None where it is not taken, and `take` has to."""
+        """Take a usual sample and return its estimate; return None for one that `take` must do."""
         if self._bound is None or self._bound[0] is not self.memory:
             self._bound = self._bind()
         _, take_one, row, known, estimate = self._bound
@@ -46,7 +43,7 @@ class Engine:
         return estimate[0, 0].copy() if take_one() else None
 
     def _bind(self) -> tuple[Any, ...]:
-        """Return a memory, what takes a sample into it, and room for that and the estimate."""
+        """Return the memory, a call of `step` on it, and the arrays that this reads and writes."""
         y, inputs, reference = self._row
         estimate = np.empty((1, 1, len(self._reading.readout)))
         constants = self._functions.addresses, self._arguments, *self._even[:2]
@@ -58,7 +55,7 @@ class Engine:
         return vars(self) | {"_bound": None}  # addresses of functions are those of a process
 
     def _advance(self, sampled: Sampled, kinds: Any, memory: Memory, *of: Any) -> None:
-        """Take samples into a memory; an ArithmeticError says that it is of no use any more."""
+        """Take samples into a memory; where this raises an ArithmeticError, drop the memory."""
         try:
             addresses = self._functions.addresses
             finite = advance(addresses, self._arguments, sampled, kinds, memory, *of)

@@ -1,7 +1,6 @@
-r"""A Kalman filter and smoother of a record in discrete time, without a model of the delay.
+r"""The Kalman filter and smoother of a record in discrete time, without a model of the delay.
 
-It is for the nominal system of a classical design, as `robsmooth.estimators.exact_model` samples
-it, and has the equations of `robsmooth.estimators.sample_loop`.
+Equations are in `robsmooth.estimators.sample_loop`, matrices in `robsmooth.estimators.exact_model`.
 """
 
 import math
@@ -11,22 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._numerics.lyapunov import covariances
-from robsmooth._numerics.modes import rates, separations
+from robsmooth._numerics import lyapunov, modes
 from robsmooth._numerics.steps import MULTIPLE_TOLERANCE
 from robsmooth._support.blas import one_thread
+from robsmooth.estimators import sample_loop
 from robsmooth.estimators.copies import Functions
-from robsmooth.estimators.engine import Engine
+from robsmooth.estimators.engine import Engine, Floats
 from robsmooth.estimators.exact_model import SampledModel
 from robsmooth.estimators.kalman import kalman_gain
-from robsmooth.estimators.sample_loop import Memory, Reading, Samples, empty_memory, read, spread_of
+from robsmooth.estimators.sample_loop import Memory, Reading, Samples
 from robsmooth.systems.system import UncertainSystem
 
-_STANDING = 1e-13  # of the fastest mode's rate: a mode that decays by less does not
-_APART = 1e-7  # of that rate: what decays by more is apart from those that do not
+_STANDING = 1e-13  # of the fastest mode's rate: a mode that decays slower counts as constant
+_APART = 1e-7  # of that rate: modes that decay faster are separated from the constant ones
 _MOST_NUMBERS = 2e8  # in the ring of a delay
-_NEVER = 2**62  # samples back: before the record
-Floats = NDArray[np.float64]
 
 
 class ExactFilter(Engine):
@@ -63,7 +60,7 @@ class ExactFilter(Engine):
             )
 
     def _of(self, lags: Any, parts: Any) -> Reading:
-        """Return the reading at lags, row by row, with (length, time) within samples."""
+        """Return the reading at a lag for each row; a part is (length, time) within its sample."""
         lags = np.asarray(lags).reshape(-1, 1)
         parts = np.asarray(parts).reshape(-1, 2)
         inside = parts[:, 1] > MULTIPLE_TOLERANCE * self._dt
@@ -73,24 +70,23 @@ class ExactFilter(Engine):
         return Reading(self._C0, lags, times, self._model.within(different))
 
     def _at(self, lags: Sequence[int]) -> Reading:
-        """Return the reading at the beginnings of samples, the same ones for all rows."""
+        """Return the reading at the beginnings of samples, with the same lags for all rows."""
         lags = np.array(lags, dtype=np.int64).reshape(1, -1)
         return Reading(self._C0, lags, np.full_like(lags, -1), self._reading.within)
 
     def start(self, state: Floats | None, covariance: Floats | None) -> None:
-        """Begin a record: with what is known of the state, or with nothing but its model."""
+        """Begin a record with a mean and a covariance, by default those of the model."""
         self._begin = state, covariance
         self.memory = self._fresh(self.samples_back)
         if self._stationary and state is None and covariance is None:
-            # times before the record are estimated, too
-            rows = self.samples_back + 1
-            self.take(self._model.nothing(rows), "filtered", [0], False)
+            # estimates at times before the record, too
+            self.take(self._model.nothing(self.samples_back + 1), "filtered", [0], False)
 
     def _fresh(self, ring: int) -> Memory:
         state, covariance = self._begin
         n, l = self.states, self._model.l  # noqa: E741 - the paper's letter
         unknown = self._unknown if covariance is None else self._unknown[:, :0]
-        memory = empty_memory(n, l, self._even.model.shape[2] - n, ring, unknown)
+        memory = sample_loop.empty_memory(n, l, self._even.model.shape[2] - n, ring, unknown)
         memory.states[-1, :n] = 0.0 if state is None else state
         memory.covariances[-1] = self._prior if covariance is None else covariance
         return memory
@@ -98,12 +94,8 @@ class ExactFilter(Engine):
     def take(
         self, given: Samples, output: str, lags: Sequence[int] | None, spread: bool
     ) -> tuple[Floats, Floats]:
-        """Take samples; return estimates and deviations, (rows, lags, m), the latter if wanted.
-
-        The lags are those of the output where they are None.
-        """
-        if lags is None and output == "filtered":
-            lags = [0]
+        """Return estimates and, where `spread`, deviations, (rows, lags, m); None: output's lag."""
+        lags = [0] if lags is None and output == "filtered" else lags
         count = 1 if lags is None else len(lags)
         result = np.empty((len(given.y), count, len(self._C0)))
         deviations = np.empty_like(result) if spread else result[:0]
@@ -119,14 +111,14 @@ class ExactFilter(Engine):
         return result, deviations
 
     def two_sided(self, given: Samples) -> tuple[Floats, Floats]:
-        """Return the estimates and deviations from a whole record."""
+        """Return the estimates and deviations that use the whole record."""
         rows, m = len(given.y), len(self._C0)
         memory, reading = self._fresh(rows), self._at(range(rows))
         none = np.empty((rows, 0, m))
         self._run(memory, self._at([]), given, (none, none[:0], given.y[:0]))
         result, deviations = np.empty((2, rows, m))
-        read(memory, reading, 0, result)
-        spread_of(memory, reading, 0, deviations)
+        sample_loop.read(memory, reading, 0, result)
+        sample_loop.spread_of(memory, reading, 0, deviations)
         return result[::-1], deviations[::-1]
 
     def innovations(self, given: Samples) -> Floats:
@@ -146,7 +138,7 @@ class ExactFilter(Engine):
         self._advance(sampled, kinds, memory, reading, samples, results)
 
     def _delayed(self, memory: Memory, lengths: Floats) -> tuple[Memory, Reading]:
-        """Return the reading one delay before the ends of samples, and a ring that has it."""
+        """Return a memory that is long enough, and the reading a delay before samples' ends."""
         before = memory.intervals[_slots(memory, len(memory.states) - 1)]
         times = np.cumsum(np.concatenate([[0.0], before, lengths]))
         ends = np.arange(len(times) - max(len(lengths), 1), len(times))
@@ -154,7 +146,7 @@ class ExactFilter(Engine):
         close = MULTIPLE_TOLERANCE * self._dt
         begins = np.minimum(np.searchsorted(times, wanted + close, side="right") - 1, ends)
         known = begins >= 0
-        lags = np.where(known, ends - begins, _NEVER)
+        lags = np.where(known, ends - begins, sample_loop.NEVER)
         parts = np.zeros((len(ends), 2))
         inside = known & (lags > 0)
         parts[inside, 0] = (times[1:] - times[:-1])[begins[inside]]
@@ -164,23 +156,23 @@ class ExactFilter(Engine):
         return _grown(memory, ring), self._of(lags, parts)
 
     def estimate(self, output: str) -> Floats:
-        """Return an estimate now, as the last sample left it."""
+        """Return the estimate after the last sample."""
         memory, reading = self.memory, self._reading if output == "smoothed" else self._at([0])
         if memory.counts[3] and output == "smoothed":
             memory, reading = self._delayed(memory, np.empty(0))
         result = np.empty((1, len(self._C0)))
-        read(memory, reading, 0, result)
+        sample_loop.read(memory, reading, 0, result)
         return result[0]
 
 
 def _slots(memory: Memory, ring: int) -> NDArray[np.int64]:
-    """Return where in a ring the samples are that the memory has, from the oldest."""
+    """Return the rows of a ring that hold the memory's samples, from the oldest."""
     taken, kept = memory.counts[0], min(memory.counts[0], len(memory.states) - 1)
     return np.arange(taken - kept, taken) % max(ring, 1)
 
 
 def _grown(memory: Memory, ring: int) -> Memory:
-    """Return a memory whose ring has at least this length."""
+    """Return the memory with a ring of at least this length."""
     length = len(memory.states) - 1
     if ring <= length:
         return memory
@@ -189,31 +181,29 @@ def _grown(memory: Memory, ring: int) -> Memory:
         new = np.zeros((ring + 1, *old.shape[1:]), dtype=old.dtype)
         new[_slots(memory, ring)], new[-1] = old[_slots(memory, length)], old[-1]
         rings.append(new)
-    memory.counts[1] = min(memory.counts[1], length)  # more is not in the new ring
+    memory.counts[1] = min(memory.counts[1], length)  # the new ring has no more
     return Memory(*rings, *memory[7:])
 
 
 @one_thread
 def _before(system: UncertainSystem, in_lock: bool) -> tuple[Floats, Floats, bool]:
-    """Return what is known before any sample.
+    """Return the covariance of the first state, unknown modes, and whether it is stationary.
 
-    That is the covariance of the state, the modes that are not known at all, in units of the
-    filter's deviations, and whether the covariance is stationary. A filter that runs copies is
-    in lock: it begins with its own covariance, for what copies do depends on the estimate.
+    A filter with copies begins in lock, with its own covariance: their outputs depend on the state.
     """
     A, B = system.A, system.B1
-    slowest, fastest = rates(A)
+    slowest, fastest = modes.rates(A)
     if slowest > _STANDING * fastest:
-        return covariances(A, B).stationary, np.zeros((len(A), 0)), True
+        return lyapunov.covariances(A, B).stationary, np.zeros((len(A), 0)), True
     V = W = np.eye(len(A))
     rest = np.zeros_like(A)
-    for found in separations(A, B):
-        if rates(found.A_rest)[0] > _APART * fastest:
+    for found in modes.separations(A, B):
+        if modes.rates(found.A_rest)[0] > _APART * fastest:
             V, W, below = found.V, found.W, found.W_rest
-            inner = covariances(found.A_rest, below @ B).stationary
+            inner = lyapunov.covariances(found.A_rest, below @ B).stationary
             rest = found.V_rest @ inner @ found.V_rest.T
     P, _ = kalman_gain(system)
-    unknown = V * np.sqrt(np.diag(W @ P @ W.T))
+    unknown = V * np.sqrt(np.diag(W @ P @ W.T))  # in units of the filter's deviations
     if in_lock:
         return rest + unknown @ unknown.T, unknown[:, :0], False
     return rest, unknown, False

@@ -1,8 +1,7 @@
 r"""A classical design's nominal system in samples of any length, exactly.
 
-A sample is the mean of :math:`dy/dt` over its interval. Or it is taken at an instant, the end of
-the interval: :math:`y_k = C_2x + D\mu + D_{22}u + v_k`, with noise :math:`v_k` of the variance that
-the mean over ``dt`` has, however long the interval is.
+A sample is the mean of :math:`dy/dt` over its interval, or :math:`C_2x + D\mu + D_{22}u + v` at the
+instant of its end. For any length, `v` has the variance of the noise of a mean over ``dt``.
 """
 
 import math
@@ -10,19 +9,16 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from robsmooth._numerics.lyapunov import noise_root
 from robsmooth._numerics.steps import responses
 from robsmooth._support.blas import one_thread
-from robsmooth.estimators.sample_loop import Sampled, Samples, Within
-
-Floats = NDArray[np.float64]
+from robsmooth.estimators.sample_loop import Floats, Sampled, Samples, Within
 
 
 class SampledModel:
-    """The nominal system of an estimator: the model that is run, and that of the gain."""
+    """The nominal system of an estimator: the model that predicts, and the one for the gain."""
 
     def __init__(self, estimator: Any, dt: float, running: list[int], instants: bool) -> None:
         system, self.dt, self._instants = estimator.plant.system, dt, instants
@@ -36,18 +32,18 @@ class SampledModel:
         self._whole = self._with_integral(self._model), self._with_integral(self._gain)
 
     def _with_integral(self, system: Any) -> Floats:
-        """Return A with the integral of what is measured, of its noise alone for instants."""
+        """Return A, with rows that integrate the measurement; for instants, its noise alone."""
         below = np.zeros_like(system.C2) if self._instants else system.C2
         return np.pad(np.vstack([system.A, below]), ((0, 0), (0, self.l)))
 
     def _readout(self, system: Any, length: float) -> Floats:
-        """Return what the state is, and a sample below it, of the state and the integral."""
+        """Return rows for the state and the sample, of the state and the integral."""
         over = math.sqrt(length * self.dt) if self._instants else length
         sample = np.hstack([self._instants * system.C2, np.eye(self.l) / over])
         return np.vstack([np.eye(self.n, self.n + self.l), sample])
 
     def nothing(self, rows: int) -> Samples:
-        """Return samples that are missing, and zeros beside them."""
+        """Return missing samples, with references and inputs of zero."""
         inputs = np.zeros((rows, self._into.shape[1] - self.g))
         return Samples(np.full((rows, self.l), np.nan), np.zeros((rows, self.g)), inputs, None)
 
@@ -70,12 +66,12 @@ class SampledModel:
         return length, np.hstack([end @ step[:, : self.n], driven]), through, root @ root.T
 
     def _drive(self, held: Floats, ramp: Floats) -> Floats:
-        """Return what the copies' values, their changes and the inputs do."""
+        """Return the columns of the copies' values, their changes and the inputs."""
         return np.hstack([held[:, : self.g], ramp[:, : self.g], held[:, self.g :]])
 
     @one_thread
     def within(self, parts: Iterable[tuple[float, float]]) -> Within:
-        """Return the system at times within samples, for pairs of a length and a time, s."""
+        """Return the system at times within samples, for pairs of length and time, s."""
         found = [self._within(length, time) for length, time in parts]
         n, d = self.n, self.g + self._into.shape[1]
         if not found:

@@ -1,7 +1,7 @@
-"""What other programs take of an estimator in discrete time: its matrices, python-control, C.
+"""Exports of an estimator in discrete time: matrices, python-control, C.
 
-In C the matrices stand as sums of products, for each set of missing measurements. The state moves
-by its change, ``x + (Phi - 1) x``, so that single precision does not lose a slow mode.
+In C, each set of missing measurements has its sums of products. The state moves by its change,
+``x + (Phi - 1) x``, so that single precision does not lose a slow mode.
 """
 
 import copy
@@ -20,8 +20,8 @@ from robsmooth.systems.system import state_space
 
 Floats = NDArray[np.float64]
 Texts = Sequence[str | None] | None
-_MOST_CHANNELS = 4  # which can be missing: each set of them has sums of its own
-_ROWS = 200  # of the record to test with
+_MOST_CHANNELS = 4  # each set of missing ones has its own sums
+_ROWS = 200  # of the test record
 _EXPRESSION = r"[\w\s.,+*/()?:<>=&|!-]+"
 _PSI = "\nstatic real psi{}(real x)\n{{\n    return (real)({});\n}}\n"
 _HEADER = """\
@@ -112,24 +112,23 @@ class Exports:
         """The matrices of a step without gaps, by name, read-only; `scipy.io.savemat` takes them.
 
         With the delay model ``x = transition @ x + measurement @ y + copies @ mu + correction @
-        change``: the copies give mu for ``arguments @ x`` now, and the change is to the end of the
-        step without it. Estimates are ``smoothed @ x`` and ``filtered @ x``. An exact smoother has
-        ``transition`` and ``measurement``, which give the state and y at the end of a sample that
-        nothing drives; ``Phi``, ``H``, ``Q``, ``S`` and ``R``, for which its gain is; ``filtered``.
+        change``: the copies give mu for ``arguments @ x`` now, and mu + change at the end of the
+        step without correction. Estimates are ``smoothed @ x`` and ``filtered @ x``. An exact
+        smoother has ``transition`` and ``measurement``, from x to the state and y at the end of a
+        sample; ``Phi``, ``H``, ``Q``, ``S`` and ``R``, of its gain; and ``filtered``.
         """
         return MappingProxyType(self._matrices(np.zeros(self.l, dtype=bool)))
 
     def _matrices(self, missing: NDArray[np.bool_]) -> dict[str, Floats]:
         engine: Any = self._engine
+        n, g = engine.states, len(self._running)
         if self.exact:
             _, model, gain, noise = (each[0] for each in engine._even)
-            n = engine.states
             parts = model[:n, :n], model[n:, :n], gain[:n], gain[n:]
             parts += noise[:n, :n], noise[:n, n:], noise[n:, n:], engine._reading.readout
             names = "transition", "measurement", "Phi", "H", "Q", "S", "R", "filtered"
             found = dict(zip(names, parts, strict=True))
         else:
-            n, g = engine.states, len(self._running)
             parts = np.split(engine.model(missing, self.dt), [n, n + g, n + 2 * g], axis=1)
             names = "transition", "copies", "correction", "measurement"
             found = dict(zip(names, parts, strict=True))
@@ -138,10 +137,7 @@ class Exports:
         return {name: validation.frozen(np.array(each)) for name, each in found.items()}
 
     def to_statespace(self) -> Any:
-        """Return an estimator with its delay model, without copies, as a python-control object.
-
-        It has steps of dt, the input ``y`` and the outputs ``smoothed`` and ``filtered``.
-        """
+        """Return a python-control object, from ``y`` to ``smoothed`` and ``filtered``, by dt."""
         if self.exact or self._running:
             raise ValueError(f"to_statespace is for delay='model' without copies, got {self!r}")
         step = self.matrices
@@ -151,15 +147,15 @@ class Exports:
         return state_space(A, {"y": B}, {k: C @ A for k, C in reads.items()}, through, self.dt)
 
     def to_c(self, path: str | Path, functions: Texts = None, precision: str = "double") -> None:
-        """Write an estimator with its delay model as C99, which needs math.h and no allocation.
+        """Write an estimator with its delay model as C99, with math.h and without allocation.
 
-        NAME.c and NAME.h have NAME_init and NAME_step. Compiled with ROBSMOOTH_TEST, they are a
-        program that runs the record NAME.csv and prints how far its estimates are from Python's.
+        NAME.c and NAME.h have NAME_init and NAME_step. With ROBSMOOTH_TEST defined, they are a
+        program that runs the record NAME.csv and prints the largest difference from Python.
 
         Parameters
         ----------
         path : str or path, with NAME.c at its end
-        functions : sequence of g str, where a copy runs an expression of C in x: "sin(x)"
+        functions : sequence of g str, expressions of C in x such as "sin(x)", for the copies
         precision : {"double", "float"}
         """
         path = Path(path).expanduser()
@@ -199,13 +195,13 @@ def _functions(discrete: Any, given: Texts) -> str:
     if not right or not all(re.fullmatch(_EXPRESSION, str(psi[i] or "")) for i in running):
         raise ValueError(
             f"functions must be a list of {discrete.g} expressions of C in x, such as 'sin(x)', or "
-            f"None but for {running}, of which the estimator runs copies; got {given!r}"
+            f"None where no copy runs (copies run at {running}), got {given!r}"
         )
     return "".join(_PSI.format(i, psi[i]) for i in running)
 
 
 def _statements(discrete: Any) -> dict[str, str]:
-    """Return what moves the state, what reads the estimates, and how much that is."""
+    """Return the C statements of a step, and the number of their operations."""
     running, l = discrete._running, discrete.l  # noqa: E741
     cases = [discrete._matrices(np.array(gaps)) for gaps in product([False, True], repeat=l)]
     x, ahead = ([f"{name}[{i}]" for i in range(discrete._engine.states)] for name in ("x", "next"))
@@ -251,7 +247,7 @@ def _sum(row: Floats, names: list[str]) -> str:
 
 
 def _record(discrete: Any) -> Floats:
-    """Return samples with gaps, references near the estimates, and what the estimator makes."""
+    """Return samples with gaps, references near the estimates, and the estimates."""
     rng, D21 = np.random.default_rng(0), discrete._engine._estimator.plant.system.D21
     y = np.sqrt(np.diag(D21 @ D21.T) / discrete.dt) * rng.standard_normal((_ROWS, discrete.l))
     y[rng.random(y.shape) < 0.1] = np.nan

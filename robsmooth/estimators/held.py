@@ -1,14 +1,13 @@
-r"""An estimator as it is in continuous time, with each sample held over its interval.
+r"""An estimator's equations in continuous time, with each sample held over its interval.
 
-With `y` held at its mean, an estimator
+With `y` held at its mean and the reference `r`, an estimator is
 
 .. math::
 
-    \dot{\hat x} = A\hat x + B_y\,y + B_\mu\,\psi(\tilde\nu - r), \qquad \tilde\nu = C_\nu\hat x,
+    \dot{\hat x} = A\hat x + B_y\,y + B_\mu\,\psi(\tilde\nu - r), \qquad \tilde\nu = C_\nu\hat x .
 
-is linear but for the copies, where `r` is the reference. The linear part is taken exactly, whatever
-`dt`, and the copies' part by the exponential Runge-Kutta method of second order ETD2RK (S. M. Cox
-and P. C. Matthews, J. Comput. Phys. 176(2), 2002),
+The linear part is exact for any `dt`. The copies' part is the exponential Runge-Kutta method of
+second order ETD2RK (S. M. Cox and P. C. Matthews, J. Comput. Phys. 176(2), 2002),
 
 .. math::
 
@@ -16,15 +15,14 @@ and P. C. Matthews, J. Comput. Phys. 176(2), 2002),
     \hat x_{k+1} &= a + \varphi_2 h\,B_\mu\,[\mu(a) - \mu(\hat x_k)], \qquad
     \mu(x) = \psi(C_\nu x - r_k), \quad \varphi_j = \varphi_j(Ah),
 
-which keeps every equilibrium. The copies' slope at zero is not moved into `A`: what is left could
-have twice the Lipschitz constant, and that this is small is why long steps are stable. In the
-example, at a `dt` of a third of the loop's time constant, the method's error is a thousandth of the
+which keeps every equilibrium. The copies' slope at zero is not moved into `A`: the remainder could
+have twice the Lipschitz constant, and long steps are stable because that is small. In the example,
+at a `dt` of a third of the loop's time constant, the method's error is a thousandth of the
 estimate's.
 
-Where measurements are missing, their place is taken by what the estimator expects of them,
-:math:`(C_2\hat x)_i + (\bar D_{21}\,\tilde\mu)_i`, all along the interval and not held: their
-innovation is zero. This changes `A` and :math:`B_\mu`, so that every set of missing channels has
-matrices of its own. In a long gap the estimates go back to the prior, zero.
+For a missing measurement the estimator takes :math:`(C_2\hat x)_i + (\bar D_{21}\,\tilde\mu)_i` all
+along the interval: its innovation is zero. This changes `A` and :math:`B_\mu`, so every set of
+missing channels has matrices of its own. In a long gap the estimates go to the prior, zero.
 """
 
 from collections.abc import Iterable, Sequence
@@ -36,16 +34,15 @@ from numpy.typing import NDArray
 from robsmooth._numerics.steps import responses
 from robsmooth._support.blas import one_thread
 from robsmooth.estimators.copies import Functions
-from robsmooth.estimators.engine import Engine
+from robsmooth.estimators.engine import Engine, Floats
 from robsmooth.estimators.sample_loop import Reading, Sampled, Samples, Within, empty_memory, hold
 
-_KEPT = 1000  # kinds of samples whose matrices are kept
+_KEPT = 1000  # matrices, at most
 _NO_WITHIN = Within(*np.empty((3, 0, 0, 0)))
-Floats = NDArray[np.float64]
 
 
 class HeldEstimator(Engine):
-    """The equations of an estimator in steps of dt: to the loop, y are inputs."""
+    """The equations of an estimator in steps of dt; for the compiled loop, y are known inputs."""
 
     def __init__(
         self, estimator: Any, dt: float, running: list[int], functions: Functions, shift: Floats
@@ -54,8 +51,7 @@ class HeldEstimator(Engine):
         if system.p:
             raise ValueError(
                 "a system with known inputs is for an exact smoother, of a classical or a tuned "
-                "design without delay='model': this one runs a model of its delay; a design of "
-                "the system without B2 and D22 takes no inputs"
+                "design without delay='model'; design this one for the system without B2 and D22"
             )
         super().__init__(functions, estimator.C_c[system.m :][running], shift)
         self._row = np.empty((1, 0)), np.empty((1, system.l)), np.empty((1, len(running)))
@@ -73,7 +69,7 @@ class HeldEstimator(Engine):
         drives = self._even.model.shape[2] - self.states
         self.memory = empty_memory(self.states, 0, drives, 0, np.empty((self.states, 0)))
         self.memory.states[-1, : self.states] = 0.0 if state is None else state
-        self.memory.counts[1] = 1  # there is no covariance that could change
+        self.memory.counts[1] = 1  # no covariance changes
 
     def estimate(self, output: str) -> Floats:
         """Return an estimate now."""
@@ -82,7 +78,7 @@ class HeldEstimator(Engine):
     def take(
         self, given: Samples, output: str, _lags: Sequence[int] | None, _spread: bool
     ) -> tuple[Floats, Floats]:
-        """Take samples; return the estimates, (rows, 1, m), and no deviations."""
+        """Return the estimates after samples, (rows, 1, m), and no deviations."""
         missing, lengths, memory = np.isnan(given.y), given.intervals, self.copied()
         memory.counts[3] |= lengths is not None
         reading, kinds = self._readings[output], np.empty(0, dtype=np.int64)
@@ -104,14 +100,14 @@ class HeldEstimator(Engine):
         return result, result[:0]
 
     def _sampled(self, kinds: Iterable[Floats]) -> Sampled:
-        """Return the estimator in samples of these kinds: which channels are missing, a length."""
+        """Return the matrices for kinds of samples: missing channels, then the length, s."""
         models = np.array([self.model(kind[:-1].astype(bool), kind[-1]) for kind in kinds])
         none = np.empty((len(models), 0, 0))
         return Sampled(np.zeros(len(models)), models, none, none)
 
     @one_thread
     def model(self, missing: NDArray[np.bool_], length: float) -> Floats:
-        """Return what a sample does to the state, the copies' values and changes, and y."""
+        """Return the columns of the state, the copies' values and changes, and y, in a sample."""
         key = missing.tobytes() + np.float64(length).tobytes()
         if key in self._kept:
             return self._kept[key]

@@ -1,36 +1,34 @@
-r"""The time-varying Kalman filter in discrete time, and fixed-lag smoothing of its innovations.
+r"""The time-varying Kalman filter in discrete time, and the fixed-lag smoother of its innovations.
 
-With the state :math:`x_k` at the beginning of sample k, a sample and its noises
+The state :math:`x_k` at the beginning of sample k and the sample obey
 
 .. math::
 
     x_{k+1} = \Phi x_k + d_k + w_k, \qquad y_k = H x_k + h_k + v_k, \qquad
     \operatorname{cov}\begin{bmatrix}w\\v\end{bmatrix} = \begin{bmatrix}Q & S\\ S' & R\end{bmatrix},
 
-the innovation :math:`e_k = y_k - h_k - H\hat x_k` of covariance :math:`\Sigma = HPH' + R` gives
+The innovation :math:`e_k = y_k - h_k - H\hat x_k` has the covariance :math:`\Sigma = HPH' + R`, and
 
 .. math::
 
     \hat x_{k+1} = \Phi\hat x_k + d_k + Ke_k, \qquad K = (\Phi PH' + S)\Sigma^{-1}, \qquad
     \Psi = \Phi - KH .
 
-Known at the end of sample k, the state d samples before is :math:`\hat x_j + P_jr` and has the
-covariance :math:`P_j - P_jNP_j`, where the innovations since then are gathered backward from
-:math:`r = 0,\ N = 0` (P. de Jong, "Smoothing and interpolation with the state-space model",
-J. Am. Stat. Assoc. 84(408), 1989):
+At the end of sample k, the smoothed estimate of the state :math:`x_j` is :math:`\hat x_j + P_jr`,
+and its covariance :math:`P_j - P_jNP_j`. The samples from k back to j give r and N, from
+:math:`r = 0,\ N = 0` on (P. de Jong, J. Am. Stat. Assoc. 84(408), 1989):
 
 .. math::
 
     r \leftarrow H'\Sigma^{-1}e_i + \Psi_i'r, \qquad N \leftarrow H'\Sigma^{-1}H + \Psi_i'N\Psi_i .
 
-With the Cholesky factor :math:`\Sigma = LL'`, the normalised innovations :math:`L^{-1}e_k` are
-white with the covariance I, where the record is one of the model. Rows of a missing measurement are
-left out of H.
+With the Cholesky factor :math:`\Sigma = LL'`, the normalised innovations :math:`L^{-1}e_k` of the
+model are white with covariance I. H has no rows for missing measurements.
 
-Within sample j, a time :math:`\tau` after it began, the state is
-:math:`x(\tau) = \Phi_\tau x_j + d_\tau + w_\tau`, and with `r` and `N` of the samples after j and
+A time :math:`\tau` after sample j began, the state is
+:math:`x(\tau) = \Phi_\tau x_j + d_\tau + w_\tau`. With `r` and `N` of the samples after j and
 :math:`C = \Phi_\tau P_j\Psi_j' + \operatorname{E}w_\tau w_j' - \operatorname{E}w_\tau v_j'K_j'`,
-its estimate and the covariance of that are
+its estimate and covariance are
 
 .. math::
 
@@ -38,14 +36,13 @@ its estimate and the covariance of that are
     \Phi_\tau P_j\Phi_\tau' + \operatorname{E}w_\tau w_\tau' - G\Sigma^{-1}G' - CNC', \qquad
     G = \Phi_\tau P_jH' + \operatorname{E}w_\tau v_j' .
 
-Where modes V of the state are not known at the start, :math:`x_0 = \hat x_0 + V\delta`, the filter
-runs with :math:`\delta = 0` until the innovations determine it (the same author, "The diffuse
-Kalman filter", Ann. Stat. 19(2), 1991). With :math:`V \leftarrow \Psi V`, they are
-:math:`e_k - HV\delta`, and :math:`\delta` and its covariance, added to estimate and covariance, are
-those of least squares.
+Modes V of the state may be unknown at the start: :math:`x_0 = \hat x_0 + V\delta`. The filter then
+runs with :math:`\delta = 0` (P. de Jong, Ann. Stat. 19(2), 1991). With
+:math:`V \leftarrow \Psi V`, the innovations are :math:`e_k - HV\delta`. Once they determine
+:math:`\delta`, its least-squares estimate and covariance are added to those of the state.
 
-What a copy gives, :math:`\mu = \psi(C_\nu\hat x - r)`, is taken at the beginning of a sample and,
-predicted, at its end, and held to be linear in time.
+The output of a copy, :math:`\mu = \psi(C_\nu\hat x - r)`, is linear in time within a sample,
+between its value at the beginning and the predicted one at the end.
 """
 
 from typing import NamedTuple
@@ -57,20 +54,19 @@ from robsmooth._support.kernels import kept
 from robsmooth.estimators.copies import call
 
 Floats = NDArray[np.float64]
-_STEADY = 1e-15  # of the variances: a covariance that changes by less stays as it is
-_KNOWN = 1e-6  # delta is determined where its variance, in its own units, is below one over this
-# Times the noise of a sample: where more than this is not known of a state, its smoothed estimate
-# would be the difference of numbers that are too large.
-_MOST = 1e10
+NEVER = 2**62  # samples, more than any record has
+_STEADY = 1e-15  # of the variances: a smaller change of the covariance counts as none
+_KNOWN = 1e-6  # of the information on delta, in its own units: above this it is determined
+_MOST = 1e10  # times a sample's noise: of a larger P, rounding would spoil smoothed estimates
 
 
 class Samples(NamedTuple):
-    """Samples of a record, and what is known beside them."""
+    """Samples of a record."""
 
     y: Floats  # (N, l), nan where it is missing
     reference: Floats  # (N, copies)
     inputs: Floats  # (N, p)
-    intervals: Floats | None  # (N,) their lengths, s, where these are not dt
+    intervals: Floats | None  # (N,) s; None: dt
 
     def rows(self, some: slice) -> "Samples":
         """Return some of the samples."""
@@ -78,20 +74,17 @@ class Samples(NamedTuple):
 
 
 class Sampled(NamedTuple):
-    """The system in samples of some lengths: the state at the end and the measurement, below it.
-
-    What drives it in a sample are d numbers: the copies' values at its beginning, their changes
-    until its end, and known inputs.
-    """
+    """Matrices for K lengths of samples: rows of the state at the end, then of the measurement."""
 
     interval: Floats  # (K,) s
-    model: Floats  # (K, n + l, n + d) of state and drive, by the model that is run
-    gain: Floats  # (K, n + l, n) Phi and H, by the gain's
-    noise: Floats  # (K, n + l, n + l) Q and S, S' and R, by the gain's
+    model: Floats  # (K, n + l, n + d) of state and drive, by the model that predicts
+    # The drive: the copies' values at the beginning, their changes until the end, known inputs.
+    gain: Floats  # (K, n + l, n) Phi and H, by the model that gives the gain
+    noise: Floats  # (K, n + l, n + l) Q and S, S' and R, by the same
 
 
 class Within(NamedTuple):
-    """The same for the state at times within samples."""
+    """The same for the state at T times within samples."""
 
     model: Floats  # (T, n, n + d)
     gain: Floats  # (T, n, n) Phi_tau
@@ -99,26 +92,26 @@ class Within(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What is kept of the samples in the longest lag, in a ring, and in its last row of now."""
+    """The samples within the longest lag, in a ring; its last row is of now."""
 
     states: Floats  # (ring + 1, n + d) the state before a sample, and its drive
     covariances: Floats  # (ring + 1, n, n) P
     closed: Floats  # (ring + 1, n, n + l) Psi and K; in the last row those of the sample before
-    seen: Floats  # (ring + 1, l, n + l) H and I times the inverse of L; zeros for what is missing
+    seen: Floats  # (ring + 1, l, n + l) inverse of L times H and I; zeros where y is missing
     innovations: Floats  # (ring + 1, l) normalised
     intervals: Floats  # (ring + 1,) s
-    lost: NDArray[np.bool_]  # (ring + 1,) whether too little is known to smooth
-    pattern: NDArray[np.bool_]  # (l,) which measurements of the sample before were there
-    # samples taken, how many of the last had one covariance, from which on the state is known or
-    # -1, and whether some had lengths of their own
+    lost: NDArray[np.bool_]  # (ring + 1,) whether P is too large to smooth
+    pattern: NDArray[np.bool_]  # (l,) which measurements the sample before had
+    # samples taken; how many of the last had one covariance; after how many the state was known,
+    # or `NEVER`; whether any had a length other than dt
     counts: NDArray[np.int64]
-    unknown: Floats  # (n, u) V, of what is not known until then
+    unknown: Floats  # (n, u) V
     information: Floats  # (u, u) the inverse of delta's covariance
-    score: Floats  # (u,) that times delta
+    score: Floats  # (u,) information times delta
 
 
 def empty_memory(n: int, l: int, d: int, ring: int, unknown: Floats) -> Memory:  # noqa: E741
-    """Return a memory of nothing."""
+    """Return a memory without samples."""
     rows, u = ring + 1, unknown.shape[1]
     return Memory(
         states=np.zeros((rows, n + d)),
@@ -129,7 +122,7 @@ def empty_memory(n: int, l: int, d: int, ring: int, unknown: Floats) -> Memory: 
         intervals=np.zeros(rows),
         lost=np.zeros(rows, dtype=bool),
         pattern=np.zeros(l, dtype=bool),
-        counts=np.array([0, 0, -1 if u else 0, 0]),
+        counts=np.array([0, 0, NEVER if u else 0, 0]),
         unknown=unknown.copy(),
         information=np.zeros((u, u)),
         score=np.zeros(u),
@@ -137,11 +130,11 @@ def empty_memory(n: int, l: int, d: int, ring: int, unknown: Floats) -> Memory: 
 
 
 class Reading(NamedTuple):
-    """Which estimates are read: in the row for a sample, or in the only one for all."""
+    """Which estimates are read after each sample. A single row of lags is for all samples."""
 
     readout: Floats  # (m, n)
-    lags: NDArray[np.int64]  # (rows or 1, L) at the beginning of which sample, back from the end
-    times: NDArray[np.int64]  # (rows or 1, L) or, where this is not -1, at which time within it
+    lags: NDArray[np.int64]  # (rows or 1, L) samples from the estimate to the end, ascending
+    times: NDArray[np.int64]  # (rows or 1, L) index in `within`; -1: the beginning of the sample
     within: Within
 
 
@@ -149,10 +142,9 @@ class Reading(NamedTuple):
 def _gains(gain, noise, P, present):
     """Return Psi and K, `seen`, the next P, and whether P is too large to smooth."""
     n, l = len(P), len(present)  # noqa: E741
-    rows, white, lost = np.flatnonzero(present), np.zeros((l, l)), False
+    rows, white = np.flatnonzero(present), np.zeros((l, l))
     through = gain @ P @ np.ascontiguousarray(gain.T) + noise  # of the state and the measurement
-    for i in range(l):
-        lost = lost or through[n + i, n + i] > _MOST * noise[n + i, n + i]
+    lost = (np.diag(through)[n:] > _MOST * np.diag(noise)[n:]).any()
     if len(rows):
         root = np.linalg.inv(np.linalg.cholesky(through[n:, n:][rows][:, rows]))
         for i in range(len(rows)):
@@ -170,7 +162,7 @@ def _gains(gain, noise, P, present):
 
 @kept()
 def _add(result, matrix, vector):
-    """Add a matrix, as many rows and columns as there are, times a vector."""
+    """Add the first rows and columns of a matrix, as many as needed, times a vector."""
     for i in range(len(result)):
         for j in range(len(vector)):
             result[i] += matrix[i, j] * vector[j]
@@ -178,7 +170,7 @@ def _add(result, matrix, vector):
 
 @kept()
 def _copies(functions, arguments, x, reference, k, values, first):
-    """Write what the copies give at a state, from an entry of `values` on."""
+    """Write the copies' outputs at state x into `values`, from entry `first` on."""
     for i in range(len(functions)):
         argument = -reference[k, i]
         for j in range(arguments.shape[1]):
@@ -188,7 +180,7 @@ def _copies(functions, arguments, x, reference, k, values, first):
 
 @kept()
 def _predict(functions, arguments, model, state, inputs, reference, k, following):
-    """Write the drive into a state, and what follows on that, state and measurement."""
+    """Write the drive behind the state, and the predicted state and measurement."""
     n, g = arguments.shape[1], len(functions)
     for i in range(inputs.shape[1]):
         state[n + 2 * g + i] = inputs[k, i]
@@ -209,8 +201,8 @@ def _predict(functions, arguments, model, state, inputs, reference, k, following
 def advance(functions, arguments, sampled, kinds, memory, reading, given, results):
     """Take samples; write estimates, (rows, lags, m), their deviations and normalised innovations.
 
-    The latter two are not wanted where they have no rows. NaN is missing. Where a state is not
-    finite, return False, with the memory as the sample before left it.
+    Deviations and innovations without rows are not written. Return False before a sample that makes
+    the state infinite: the memory is then as the sample before left it.
     """
     y, inputs, reference = given
     result, spread, normalised = results
@@ -269,7 +261,7 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
         counts[0] += 1
         if len(normalised):
             normalised[k] = np.where(present, z, np.nan)
-        if counts[2] < 0:
+        if counts[2] == NEVER:
             _determine(memory, z)
             normalised[k : k + 1] = np.nan
         if only_now:
@@ -289,7 +281,7 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
 
 @kept()
 def hold(sizes, model, y, state, readout, result):
-    """Do as `advance` where only y drives a state: quickly, for sizes that the compiler knows."""
+    """Do as `advance` where only y drives the state; faster, for the sizes are compiled in."""
     n, measurements, outputs = len(sizes[0]), len(sizes[1]), len(sizes[2])
     x = np.zeros((2, n))  # now, and at the end of the sample
     x[0] = state
@@ -319,11 +311,9 @@ def step(
     readout, lags, times, within_model, within_gain, within_noise,
     y, inputs, reference, result,
 ):  # fmt: skip
-    """Take a sample where all measurements are there and the gain is as before; else return False.
-
-    Each array is an argument of its own, because numba takes long to look into a tuple.
-    """
-    usual = counts[1] > 0 and counts[2] >= 0 and not counts[3] and interval[0] == intervals[-1]
+    """Take a sample without gaps, with the gain of the one before; return False for any other."""
+    # The arrays are separate arguments because numba unpacks a tuple slowly.
+    usual = counts[1] > 0 and counts[2] != NEVER and not counts[3] and interval[0] == intervals[-1]
     for i in range(len(pattern)):
         usual = usual and pattern[i] and np.isfinite(y[0, i])
     if not usual:
@@ -340,7 +330,7 @@ def step(
 
 @kept()
 def _determine(memory, z):
-    """Add what a sample tells of delta; where that is enough, add delta to the estimate."""
+    """Add a sample's information on delta; once delta is determined, add it to the estimate."""
     n = len(memory.unknown)
     seen = np.ascontiguousarray(memory.seen[-1][:, :n]) @ memory.unknown
     memory.information[:] += seen.T @ seen
@@ -354,17 +344,11 @@ def _determine(memory, z):
 
 
 @kept()
-def _known(memory):
-    """Return for how many samples the state has been known."""
-    return memory.counts[0] - memory.counts[2] if memory.counts[2] >= 0 else -1
-
-
-@kept()
 def read(memory, reading, row, result):
-    """Write the estimates at the lags of a row, which ascend."""
+    """Write the estimates at the lags of a row."""
     samples, ring, n = memory.counts[0], len(memory.states) - 1, reading.readout.shape[1]
     row, l = min(row, len(reading.lags) - 1), memory.innovations.shape[1]  # noqa: E741
-    known, done, slot = _known(memory), 0, samples % max(ring, 1)
+    known, done, slot = samples - memory.counts[2], 0, samples % max(ring, 1)
     r, later, part, x = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     closed, seen, innovations = memory.closed, memory.seen, memory.innovations
     for at in range(reading.lags.shape[1]):
@@ -407,7 +391,7 @@ def spread_of(memory, reading, row, result):
     """Write the standard deviations of the errors of these estimates."""
     samples, ring, n = memory.counts[0], len(memory.states) - 1, reading.readout.shape[1]
     row = min(row, len(reading.lags) - 1)
-    known, done, slot = _known(memory), 0, samples % max(ring, 1)
+    known, done, slot = samples - memory.counts[2], 0, samples % max(ring, 1)
     N = later = np.zeros((n, n))
     for at in range(reading.lags.shape[1]):
         lag, time = reading.lags[row, at], reading.times[row, at]
@@ -423,7 +407,7 @@ def spread_of(memory, reading, row, result):
         done = lag
         P = memory.covariances[slot if lag else ring]
         covariance = P - P @ N @ P if lag else P.copy()
-        if time >= 0:  # of w_tau with itself, with what follows and with what is seen
+        if time >= 0:
             gain, noise = reading.within.gain[time], reading.within.noise[time]
             through = np.hstack((gain @ P, noise[:, 2 * n :]))
             onto = through @ np.ascontiguousarray(memory.seen[slot].T)

@@ -1,8 +1,8 @@
 r"""The adaptive homodyne loop of Section IV with a linear estimator in it.
 
-The phase and the photocurrent are those of `robsmooth.homodyne.parameters`, with the local
-oscillator's phase :math:`u` in place of the estimate, and a noise of the power s. The estimator is
-driven by the measurement and by its own copy of the nonlinearity,
+Phase and photocurrent are those of `robsmooth.homodyne.parameters`, with the local oscillator's
+phase :math:`u` for the estimate, and noise of the power s. The measurement and a copy of the
+nonlinearity drive the estimator,
 
 .. math::
 
@@ -11,17 +11,17 @@ driven by the measurement and by its own copy of the nonlinearity,
     d\hat x &= \bigl[A_c\hat x + B_\mu\,\psi(\tilde\nu - 2\alpha\gamma u)\bigr]dt + B_y\,dy,
     \qquad \psi(v) = 2\alpha f\Bigl(\frac{v}{2\alpha\gamma}\Bigr),\quad f(e) = \sin e - \beta e .
 
-With :math:`u`, :math:`\tilde\nu` and the estimates linear in :math:`\hat x` this is
+As :math:`u`, :math:`\tilde\nu` and the estimates are linear in :math:`\hat x`, this is
 
 .. math::
 
     d\hat x = \bigl[G\hat x + b_c\sin(c\hat x)\bigr]dt
              + b_s\bigl[\sin(\varphi - r\hat x)\,dt + \nu\,dW\bigr],
-    \qquad \nu = \frac{\sqrt s}{2\alpha},
+    \qquad \nu = \frac{\sqrt s}{2\alpha} .
 
-which is what is simulated. The phase u is the filtered estimate, the smoothed one,
-:math:`\tilde\nu/2\alpha\gamma`, with which the copy's output is zero, or zero. It is the loop of
-`robsmooth.estimators.loop` with the reference :math:`2\alpha\gamma u`, written with sines:
+The phase u is the filtered or the smoothed estimate, or :math:`\tilde\nu/2\alpha\gamma`, with which
+the copy's output is zero, or zero. It is the loop of `robsmooth.estimators.loop` with the reference
+:math:`2\alpha\gamma u`, written with sines:
 :math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) - (\beta/\gamma)v`.
 """
 
@@ -32,9 +32,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag, expm
 
-from robsmooth._numerics import linearisation
-from robsmooth._numerics.lyapunov import covariances, stationary_root
-from robsmooth._numerics.modes import rates
+from robsmooth._numerics import linearisation, lyapunov, modes
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
@@ -49,24 +47,24 @@ from robsmooth.systems.system import UncertainSystem
 OSCILLATORS = (*REFERENCES, "copy", "none")
 _SLOPE_TOLERANCE = 1e-13
 _LEAST_DECAY = 1e-8  # of the phase, relative to the rate of its filter
-LARGEST_VARIANCE = 4 * np.pi**2  # rad^2, a turn: such a loop is not locked at all
+LARGEST_VARIANCE = 4 * np.pi**2  # rad^2, the square of a turn: out of lock
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """The loop in the form that is simulated (the last equation of the module's docstring)."""
+    """The loop in the form of the last equation of the module's docstring."""
 
     drift: Matrix  # (1 + n, 1 + n), 1/s, of (phi, x_hat) without the sines: -lambda and G
-    noise: Matrix  # (1 + n, 2): how dV and dW drive it
-    gains: Matrix  # (1 + n, 2): how the sines drive it, b_s and b_c, 1/s
-    arguments: Matrix  # (2, 1 + n): rows that read the sines' arguments, (1, -r) and (0, c)
+    noise: Matrix  # (1 + n, 2), of dV and dW
+    gains: Matrix  # (1 + n, 2), of the sines: b_s and b_c, 1/s
+    arguments: Matrix  # (2, 1 + n), of the sines: (1, -r) and (0, c)
     sine_noise: float  # nu, s^(1/2)
     readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase, rad
     delay: float  # of the smoothed estimate, s
 
     @property
     def order(self) -> int:
-        """Number of states of the estimator."""
+        """n, the number of states of the estimator."""
         return len(self.drift) - 1
 
     def linearised_drift(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
@@ -77,19 +75,16 @@ class Loop:
         r"""Stationary covariance of :math:`(\varphi, \hat x)`, each sine replaced by a slope."""
         drift = self.linearised_drift(sine_slope, copy_slope)
         decay_rate(drift)
-        return covariances(drift, self.noise).stationary
+        return lyapunov.covariances(drift, self.noise).stationary
 
     def stationary_root(self, slopes: Sequence[float], S: Matrix, inverse: Matrix) -> Matrix:
-        """Return a root of the stationary covariance in S: it tells small deviations from none."""
+        """Return a root of the stationary covariance in S, accurate for small deviations."""
         drift = self.linearised_drift(*slopes)
         decay_rate(drift)
-        return stationary_root(inverse @ drift @ S, inverse @ self.noise)
+        return lyapunov.stationary_root(inverse @ drift @ S, inverse @ self.noise)
 
     def error_coordinates(self) -> tuple[Matrix, Matrix]:
-        """Return coordinates with the argument of the first sine for the phase, and their inverse.
-
-        The phase may wander far, and the estimate with it; their difference does not.
-        """
+        """Return coordinates with the first sine's argument for the phase, which may wander far."""
         inverse = np.eye(1 + self.order)
         inverse[0] = self.arguments[0]
         return 2 * np.eye(1 + self.order) - inverse, inverse
@@ -99,16 +94,13 @@ class Loop:
         P = self.covariance(*slopes)
         filtered = np.concatenate([[1.0], -self.readout[0]])
         smoothed = np.concatenate([[0.0], -self.readout[1]])
-        # covariance of now and the phase a delay ago
+        # covariance of the state now and the phase a delay ago
         cross = (expm(self.linearised_drift(*slopes) * self.delay) @ P)[:, 0]
         lagged = float(P[0, 0] + 2 * smoothed @ cross + smoothed @ P @ smoothed)
         return float(filtered @ P @ filtered), lagged
 
     def equivalent_slopes(self) -> tuple[float, float]:
-        """Return the slopes of statistical linearisation, iterated from slopes of one.
-
-        An UnstableLoopError says that there are none, because the loop loses lock.
-        """
+        """Return slopes by statistical linearisation; UnstableLoopError: the loop loses lock."""
         S, inverse = self.error_coordinates()
         rows = self.arguments @ S
         slopes = linearisation.equivalent_slopes(
@@ -123,9 +115,8 @@ class Loop:
     def response_time(self) -> float:
         r"""The time in which the sines respond to themselves, s; infinity if never.
 
-        A kick through one of the gains b moves the argument of a sine, read by r, by
-        :math:`r e^{At}b`; the rate is the larger of that and the root of its slope, at time zero.
-        Modes that no sine is driven by and sees, as a smoother's delay, have no part in it.
+        A kick through a gain b moves the argument r x of a sine by :math:`r e^{At}b`. The rate is
+        the larger of that and the root of its slope, at time zero.
         """
         A = self.linearised_drift()[1:, 1:]
         gains, rows = self.gains[1:], self.arguments[:, 1:]
@@ -135,8 +126,8 @@ class Loop:
 
 
 def decay_rate(drift: Matrix) -> float:
-    """Return that of the slowest mode, 1/s; an UnstableLoopError says that it is not positive."""
-    slowest = 0.0 + rates(drift)[0]  # and not minus zero
+    """Return the decay rate of the slowest mode, 1/s; UnstableLoopError: it is not positive."""
+    slowest = 0.0 + modes.rates(drift)[0]  # no minus zero
     if not slowest > 0.0:
         raise UnstableLoopError(
             "the loop has no stationary state: linearised, its slowest mode has the decay rate "
@@ -157,7 +148,7 @@ def homodyne_loop(
     validation.choice("oscillator", oscillator, OSCILLATORS)
     copy = validation.boolean("copy", copy)
     shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
-    # a phase that does not decay is taken to, by so little that no error tells
+    # A phase that does not decay gets a decay too small to change the errors.
     rate = 2.0 * parameters.alpha * parameters.beta * math.sqrt(parameters.kappa)
     lam = max(parameters.lam, _LEAST_DECAY * rate)
     system = replace(parameters, lam=lam).uncertain_system()
@@ -170,11 +161,11 @@ def homodyne_loop(
     steering = rows[OSCILLATORS.index(oscillator)]
     if oscillator == "copy" and not steering.any():
         raise ValueError(
-            "oscillator must be 'filtered' or 'smoothed' where no copy runs, got 'copy'"
+            "oscillator must be 'filtered', 'smoothed' or 'none' where no copy runs, got 'copy'"
         )
     reference = None if oscillator == "none" else steering
     drift, noise, inputs, outputs = matrices(estimator, loop="real", reference=reference)
-    # of the sine and its copy, behind the channel of an uncertainty that is zero
+    # the first channel is an uncertainty that is zero; the sine and its copy follow
     gains, arguments = 2 * alpha * inputs[:, 1:], outputs[1:] / scale
     arguments[1] *= gains[:, 1].any()
     linear = drift - beta * gains @ arguments
@@ -191,7 +182,7 @@ def homodyne_loop(
 
 
 def _estimator(smoother: Estimator, system: UncertainSystem, copy: bool) -> Estimator:
-    """Return the estimator, of one output and measurement, as one of this system, with a copy."""
+    """Return the estimator, checked, as one of this system and with the channel of a copy."""
     validation.instance("smoother", smoother, Estimator)
     own = smoother.plant.system
     if (own.m, own.l) != (1, 1) or own.g > 1:
@@ -212,7 +203,7 @@ def _estimator(smoother: Estimator, system: UncertainSystem, copy: bool) -> Esti
 
 @dataclass(frozen=True)
 class StatisticalLinearisation:
-    """The loop with slopes in place of its sines, as `statistical_linearisation` finds them."""
+    """The result of `statistical_linearisation`."""
 
     filtered: float  # mean square errors, rad^2
     smoothed: float
@@ -228,9 +219,9 @@ def statistical_linearisation(
     copy: bool = True,
     shot_noise: float = 1.0,
 ) -> StatisticalLinearisation:
-    r"""Predict the errors of the nonlinear loop from slopes that belong to its own variances.
+    r"""Predict the errors of the nonlinear loop by statistical linearisation.
 
-    For a Gaussian argument of variance P, the mean slope of its sine is :math:`e^{-P/2}`.
+    The mean slope of the sine of a Gaussian argument with variance P is :math:`e^{-P/2}`.
 
     Parameters
     ----------
@@ -240,12 +231,11 @@ def statistical_linearisation(
     Returns
     -------
     StatisticalLinearisation
-        With the mean square errors ``filtered`` and ``smoothed``, rad^2, and the two ``slopes``.
 
     Raises
     ------
     UnstableLoopError
-        Where no self-consistent variance exists: the linearised loop loses lock.
+        Where no slopes belong to their own variances: the loop loses lock.
 
     Examples
     --------
@@ -255,8 +245,7 @@ def statistical_linearisation(
     >>> round(found.slopes[0], 4), round(found.filtered, 4)
     (0.9569, 0.0881)
     """
-    loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
-    return linearised(loop)
+    return linearised(homodyne_loop(parameters, smoother, oscillator, copy, shot_noise))
 
 
 def linearised(loop: Loop) -> StatisticalLinearisation:

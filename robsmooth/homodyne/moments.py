@@ -8,9 +8,9 @@ With :math:`z = (\varphi, \hat x)`, the arguments :math:`s_k z` of the two sines
     dz = \Bigl[Az + \sum_k b_k\bigl(\sin s_kz - \rho_k s_kz\bigr)\Bigr]dt + Q^{1/2}\,dW,
     \qquad AP + PA' + Q = 0 .
 
-Let :math:`z = S\xi` with :math:`P = SS'`, so that the linear part leaves :math:`N(0, I)` invariant,
-with :math:`h_\alpha` the normalised Hermite polynomials of :math:`\xi` and :math:`a_i =
-\partial/\partial\xi_i` (`robsmooth._numerics.hermite`). The loop's backward Kolmogorov operator is
+Let :math:`z = S\xi` with :math:`P = SS'`: the linear part leaves :math:`N(0, I)` invariant. With
+the normalised Hermite polynomials :math:`h_\alpha` of :math:`\xi` and :math:`a_i =
+\partial/\partial\xi_i` (`robsmooth._numerics.hermite`), the backward Kolmogorov operator is
 
 .. math::
 
@@ -18,25 +18,22 @@ with :math:`h_\alpha` the normalised Hermite polynomials of :math:`\xi` and :mat
         + \sum_k\bigl(\sin s_kS\xi - \rho_k s_kS\xi\bigr)\,\tilde b_k\cdot a,
     \qquad \tilde A = S^{-1}AS,\quad \tilde b_k = S^{-1}b_k .
 
-With the matrix of L between the polynomials of total degree up to N, the stationary moments
+L is a matrix on the polynomials of total degree up to N. The stationary moments
 :math:`m_\alpha = E\,h_\alpha(\xi)` solve :math:`\sum_\alpha m_\alpha L_{\alpha\beta} = 0` for
-:math:`0 < |\beta| \le N`, with :math:`m_0 = 1`, and a linear read-out :math:`w = pz` of the state
-has the expectation :math:`e^{Lt}w` a time t later. With :math:`d = \varphi - C_a\hat x` and
-:math:`L\varphi = -\lambda\varphi` the smoothed error is, free of cancellation when the phase
-wanders far,
+:math:`0 < |\beta| \le N`, with :math:`m_0 = 1`. The expectation of a linear read-out
+:math:`w = pz` a time t later is :math:`e^{Lt}w`. With :math:`d = \varphi - C_a\hat x` and
+:math:`L\varphi = -\lambda\varphi`, the smoothed error is, without cancellation for a large phase,
 
 .. math::
 
     E\bigl(\varphi(t - \delta) - C_a\hat x(t)\bigr)^2 = 2(1 - e^{-\lambda\delta})\,E\varphi^2
         + E\,d^2 + 2E\bigl[\varphi\,(e^{L\delta} - 1)d\bigr].
 
-All terms are odd, so that moments of odd degree vanish and read-outs stay odd. Degree 2 is
-statistical linearisation.
+All terms are odd: odd moments are zero, read-outs stay odd. Degree 2 is statistical linearisation.
 
-The polynomials look at the lock point at zero alone. Where a loop slips, the series ceases to
-converge: the error in lock has a meaning only to about the probability that the loop is about to
-slip, of the order of :math:`e^{-2/\sigma^2}` for a scalar loop with error variance
-:math:`\sigma^2`. In the paper's example that is the ninth digit.
+The expansion is about the lock point at zero. It does not converge for a loop that slips: the error
+in lock is defined to about the probability of a slip, :math:`e^{-2/\sigma^2}` for a scalar loop
+with error variance :math:`\sigma^2`. In the paper's example that is the ninth digit.
 """
 
 import math
@@ -57,19 +54,18 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import Loop, homodyne_loop
 from robsmooth.homodyne.parameters import HomodyneParameters
 
-TOLERANCE = 1e-8  # relative truncation error at which the degree is high enough
-LARGEST_TRUNCATION = 0.02  # relative truncation error above which there is no result
-LEAST_DEGREE = 4  # of two, statistical linearisation, the truncation error is unknown
-STEPS_WITHOUT_GAIN = 3  # in degree, after which higher ones are not tried
-GAIN_OF_A_STEP = 10.0  # by which a step in degree is believed to reduce the truncation error
-DEFAULT_UNKNOWNS, MOST_UNKNOWNS = 2500, 6000  # at most: of the default degree, and at all
-DECAYED = 30.0  # time constants of the loop's slowest mode after which e^{Lt} is zero
-_LARGEST_RESIDUAL = 1e-10  # relative residual up to which the moments are solved for
-
-LARGEST_DEVIATION = math.pi / 2  # standard deviation of the argument of a sine in lock, rad
-_NEGLIGIBLE_REMAINDER = 1e-15  # of what sin(v) - v does to the state in a time constant
+TOLERANCE = 1e-8  # of the relative truncation error: the degree is high enough
+LARGEST_TRUNCATION = 0.02  # of a result, relative
+LEAST_DEGREE = 4  # degree 2, statistical linearisation, has no estimate of its truncation error
+STEPS_WITHOUT_GAIN = 3  # in degree, then no higher ones are tried
+GAIN_OF_A_STEP = 10.0  # assumed factor between the truncation errors of two degrees
+DEFAULT_UNKNOWNS, MOST_UNKNOWNS = 2500, 6000  # for degrees above the least, and for that
+DECAYED = 30.0  # time constants of the loop's slowest mode, then e^{Lt} is zero
+_LARGEST_RESIDUAL = 1e-10  # of the moments, relative
+LARGEST_DEVIATION = math.pi / 2  # standard deviation of a sine's argument in lock, rad
+_NEGLIGIBLE_REMAINDER = 1e-15  # effect of sin(v) - v on the state in a time constant
 _LARGEST_ROUNDING = 1e-4  # of the covariance in white coordinates
-_NEGLIGIBLE_DEVIATION = 1e-10  # of a direction in which nothing moves, relative
+_NEGLIGIBLE_DEVIATION = 1e-10  # of a direction without noise, relative
 
 
 @dataclass(frozen=True)
@@ -78,10 +74,8 @@ class StationaryErrors:
 
     Attributes
     ----------
-    smoothed, filtered : float
-        Mean square errors, rad^2.
-    smoothed_truncation, filtered_truncation : float
-        Estimates of the error that the finite degree, and rounding, make in them, rad^2.
+    smoothed, filtered : float, mean square errors, rad^2
+    smoothed_truncation, filtered_truncation : float, estimates of their numerical errors, rad^2
     degree : int, total, of the polynomials
 
     Examples
@@ -101,7 +95,7 @@ class StationaryErrors:
 
     @property
     def _relative_truncation(self) -> float:
-        """The larger of both, infinite where the degree had no solution."""
+        """The larger of the two, infinite if the degree had no solution."""
         smoothed = self.smoothed_truncation / self.smoothed
         larger = max(smoothed, self.filtered_truncation / self.filtered)
         return math.inf if math.isnan(larger) else larger
@@ -114,11 +108,11 @@ class StationaryErrors:
 
 @dataclass(frozen=True, eq=False)
 class WhitenedLoop:
-    """The loop in the coordinates xi, with time in units of its fastest time constant."""
+    """The loop in the coordinates xi, with its fastest time constant as the unit of time."""
 
     drift: Matrix
     sines: list[tuple[Matrix, float, Matrix]]  # v = row . (xi_1, xi_2), slope, gain (n,)
-    phase: Matrix  # rows that read the phase and the errors out of xi
+    phase: Matrix  # rows of phase and errors
     filtered: Matrix  # phi - C_f x_hat
     smoothed: Matrix  # phi - C_a x_hat
     phase_decay: float
@@ -136,12 +130,11 @@ def stationary_errors(
     copy: bool = True,
     shot_noise: float = 1.0,
 ) -> StationaryErrors:
-    r"""Return the stationary mean square errors of an estimator in the nonlinear loop.
+    r"""Return the stationary mean square errors of an estimator in the nonlinear loop in lock.
 
-    They are those of continuous time, and of a loop in lock. The truncation error is estimated by
-    what the last step of two in the degree changed, or a tenth of the change before that. The
-    degree is the least with a truncation error below 1e-8 of both errors, or the best one with at
-    most 2500 unknowns.
+    The truncation error is the change in the last step of two in degree, or a tenth of the change
+    before that. The degree is the least with a truncation error below 1e-8 of both errors, or the
+    best one with at most 2500 unknowns.
 
     Parameters
     ----------
@@ -151,12 +144,12 @@ def stationary_errors(
     Raises
     ------
     ValueError
-        Where there are more than 6000 unknowns, before any work.
+        Where there are more than 6000 unknowns.
     UnstableLoopError
         Where the loop is unstable, or by statistical linearisation not in lock.
     ArithmeticError
-        Where the loop is so noisy that the expansion does not converge to 2%, or its rates are so
-        far apart that the linear loop's covariance is lost in rounding.
+        Where noise keeps the expansion from converging to 2%, or rates so far apart that rounding
+        spoils the linear loop's covariance.
 
     Examples
     --------
@@ -170,8 +163,8 @@ def stationary_errors(
     unknowns = _unknowns(1 + loop.order, LEAST_DEGREE)
     if unknowns > MOST_UNKNOWNS:
         raise ValueError(
-            f"the {loop.order} states of smoother make {unknowns} unknowns at the least degree, of "
-            f"which at most {MOST_UNKNOWNS} are solved for"
+            f"the {loop.order} states of smoother make {unknowns} unknowns at the least degree; at "
+            f"most {MOST_UNKNOWNS} are allowed"
         )
     result = _converged(whitened(loop))
     relative = result._relative_truncation
@@ -184,12 +177,12 @@ def stationary_errors(
 
 
 def _unknowns(dimension: int, degree: int) -> int:
-    """Number of polynomials of even degree, the constant left out."""
+    """Number of polynomials of even degree above zero."""
     return sum(math.comb(k + dimension - 1, k) for k in range(2, degree + 1, 2))
 
 
 def _converged(problem: WhitenedLoop) -> StationaryErrors:
-    """Raise the degree until the truncation error is small, or no longer gets smaller."""
+    """Raise the degree until the truncation error is small or stops to decrease."""
     errors, results = [_errors(problem, 2)], []
     for degree in count(LEAST_DEGREE, 2):
         errors.append(_errors(problem, degree))
@@ -203,7 +196,7 @@ def _converged(problem: WhitenedLoop) -> StationaryErrors:
 
 def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> StationaryErrors:
     """Return the last errors, with the truncation estimated from the last two steps in degree."""
-    with np.errstate(invalid="ignore"):  # infinite errors make a truncation that is none
+    with np.errstate(invalid="ignore"):  # infinite errors have the truncation nan
         steps = np.abs(np.diff(errors[-3:], axis=0))
         steps[:-1] /= GAIN_OF_A_STEP
         truncation = steps.max(axis=0) + problem.rounding * errors[-1]
@@ -211,14 +204,14 @@ def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> Statio
 
 
 def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
-    """Mean square errors, smoothed and filtered, infinite where the moments are of no law."""
+    """Mean square errors, smoothed and filtered; infinite if no law has these moments."""
     basis = HermiteBasis(len(problem.drift), degree)
     generator = _generator(problem, basis)
     try:
         moments = _stationary_moments(generator[basis.even][:, basis.even])
     except (RuntimeError, ArithmeticError):  # a singular matrix
         return np.full(2, np.inf)
-    # E[xi_i h_alpha], first for the alpha of degree one: the covariance of xi
+    # E[xi_i h_alpha]; the alpha of degree one, which are first, give the covariance of xi
     products = np.array([moments @ x[basis.even][:, basis.odd] for x in basis.coordinates])
     covariance = products[:, : len(problem.drift)]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -247,7 +240,7 @@ def _generator(problem: WhitenedLoop, basis: HermiteBasis) -> sparse.csr_array:
 def _remainder(row: Matrix, slope: float, basis: HermiteBasis) -> sparse.csr_array:
     """The matrix of multiplication with sin(v) - slope v, v = row . (xi_1, xi_2)."""
     product = -slope * sum(factor * x for factor, x in zip(row, basis.coordinates, strict=False))
-    row = row[: 1 + row[1:].any()]  # the second variable where the sine is of it, too
+    row = row[: 1 + row[1:].any()]
     for functions in ((np.sin, np.cos), (np.cos, np.sin))[: len(row)]:
         pairs = zip(functions, row, strict=False)
         factors = [multiplication_matrix(f, factor, basis.degree) for f, factor in pairs]
@@ -277,21 +270,20 @@ def _change(problem: WhitenedLoop, generator: sparse.csr_array) -> NDArray[np.fl
 
 
 def whitened(loop: Loop) -> WhitenedLoop:
-    """Return the loop in white coordinates, where it is stable and in lock."""
+    """Return the loop in white coordinates; raise UnstableLoopError if it is not in lock."""
     rate = np.abs(np.linalg.eigvals(loop.linearised_drift())).max()
     slopes = np.array(loop.equivalent_slopes())
     S, inverse, rounding = _white_coordinates(loop, slopes)
-
     rows = loop.arguments @ S
     deviations = np.linalg.norm(rows, axis=1)
-    # Far out of lock there are slopes again, because the noise averages the sine to nothing.
+    # Far out of lock there are slopes again: the noise averages the sine to zero.
     largest = deviations[loop.arguments[:, 1:].any(axis=1)].max(initial=0.0)
     if largest > LARGEST_DEVIATION:
         raise UnstableLoopError(
-            "the loop is not in lock: by statistical linearisation the argument of its sine has a "
-            f"standard deviation of {largest:.3g} rad"
+            "the loop is not in lock: by statistical linearisation the argument of its sine has "
+            f"the standard deviation {largest:.3g} rad, which must be at most pi/2"
         )
-    # The arguments of the sines that are not linear all the same span the first coordinates.
+    # The arguments of the sines that matter span the first coordinates.
     gains = inverse @ loop.gains / rate
     active = deviations**3 * np.linalg.norm(gains, axis=0) > _NEGLIGIBLE_REMAINDER
     rotation, arguments = np.linalg.qr(rows[active].T, mode="complete")
@@ -311,10 +303,8 @@ def whitened(loop: Loop) -> WhitenedLoop:
 
 
 def _white_coordinates(loop: Loop, slopes: Matrix) -> tuple[Matrix, Matrix, float]:
-    """Return S with P = S S', a left inverse, and how far from I the covariance is behind it.
-
-    What does not move has no coordinate. A triangular factor does not mix different rates.
-    """
+    """Return S with P = S S', a left inverse, and the distance from I of the covariance of xi."""
+    # A direction without noise has no coordinate. A triangular factor does not mix different rates.
     from_error, to_error = loop.error_coordinates()
     root = loop.stationary_root(slopes, from_error, to_error)
     deviations = np.linalg.norm(root, axis=1)

@@ -7,8 +7,8 @@ r"""The example of Section IV: adaptive homodyne estimation of a varying optical
 
 with the phase of the local oscillator at :math:`\hat\phi + \pi/2`. With :math:`e = \phi-\hat\phi`
 and :math:`\sin e = \beta e + f(e)`, the measurement
-:math:`\bar y = (I + 2\alpha\beta\hat\phi)/2\alpha\beta` is linear in :math:`\phi` but for
-:math:`f(e)/\beta`, with :math:`|f(e)| \le \gamma|e|` as long as the loop stays in the sector.
+:math:`\bar y = (I + 2\alpha\beta\hat\phi)/2\alpha\beta` is linear in :math:`\phi` except for
+:math:`f(e)/\beta`. In the sector, :math:`|f(e)| \le \gamma|e|`.
 """
 
 import math
@@ -28,17 +28,14 @@ from robsmooth.systems.system import UncertainSystem
 
 @dataclass(frozen=True)
 class HomodyneParameters:
-    r"""The parameters of Table I; `PAPER` has their values there.
+    r"""The parameters of Table I; `PAPER` has the values printed there.
 
     Attributes
     ----------
     lam, kappa : float
-        :math:`\lambda \ge 0, \kappa > 0`, decay rate (rad/s) and diffusion (rad^2/s) of the phase,
-        which is a random walk where it does not decay.
-    alpha : float
-        :math:`\alpha > 0`, amplitude of the coherent beam, s^(-1/2).
-    beta, gamma : float
-        :math:`\beta > 0`, :math:`\gamma` in (0, 1): tangent of the sine, half width of the sector.
+        :math:`\lambda \ge 0, \kappa > 0`, decay rate (rad/s) and diffusion (rad^2/s) of the phase.
+    alpha : float, positive, amplitude of the coherent beam, s^(-1/2)
+    beta, gamma : float, positive and in (0, 1), tangent of the sine and half width of the sector
 
     Examples
     --------
@@ -63,8 +60,8 @@ class HomodyneParameters:
     def uncertain_system(self) -> UncertainSystem:
         r"""Return the example in the form of Section II, as (eqsystem1).
 
-        One uncertainty with zero output, for the process noise (:math:`\Delta_1 = 0`), and one
-        nonlinearity, `channel` of :math:`\nu = 2\alpha\gamma\phi` less the filtered estimate of it.
+        It has an uncertainty with zero output, for the process noise (:math:`\Delta_1 = 0`), and a
+        nonlinearity: `channel` of :math:`\nu = 2\alpha\gamma\phi` less its filtered estimate.
         """
         drive, gain = math.sqrt(self.kappa), 1.0 / (2.0 * self.alpha * self.beta)
         B1, D21 = [[drive, 0.0]], [[0.0, gain]]
@@ -102,7 +99,7 @@ class HomodyneParameters:
 
     @property
     def sector_slope(self) -> float:
-        r"""The slope m of the sector's lower edge as the paper relates it, gamma = (1 - m)/2."""
+        r"""The slope m of the sector's lower edge by the paper's gamma = (1 - m)/2."""
         return 1.0 - 2.0 * self.gamma
 
     @property
@@ -111,10 +108,9 @@ class HomodyneParameters:
         return self.beta - self.gamma
 
     def sector_range(self, slope: float | None = None) -> float:
-        r"""Return the largest error (rad, at most pi) to which the sine stays in the sector.
+        r"""Return the largest error (rad, at most pi) with sin e from slope e to (beta + gamma) e.
 
-        That is :math:`\sin e` between slope :math:`\cdot e` and :math:`(\beta + \gamma)e`; with the
-        default, `lower_slope`, the sector is :math:`|f(e)| \le \gamma|e|`.
+        With the default slope, `lower_slope`, the sector is :math:`|f(e)| \le \gamma|e|`.
         """
         slope = self.lower_slope if slope is None else validation.real("slope", slope)
         if not slope < 1.0 <= self.beta + self.gamma:  # fails at zero already
@@ -125,23 +121,20 @@ class HomodyneParameters:
 
     @property
     def lipschitz_range(self) -> float:
-        r"""The largest error (rad) up to which f is Lipschitz with constant gamma.
-
-        Where :math:`|\cos e - \beta| \le \gamma` ends; zero where it does not hold at zero.
-        """
+        """The largest error (rad) up to which f is Lipschitz: |cos e - beta| <= gamma."""
         if abs(1.0 - self.beta) > self.gamma:
             return 0.0
         return math.acos(max(self.lower_slope, -1.0))
 
     def centred(self) -> "HomodyneParameters":
-        """Return those with the same lower edge and a sector that ends at 1, or as it is below."""
+        """Return the parameters with the same lower edge and an upper edge of at most 1."""
         if not self.lower_slope < 1.0:
             raise ValueError(f"beta - gamma must be below 1, got {self.lower_slope:g}")
         beta = min(self.beta, (1.0 + self.lower_slope) / 2)
         return replace(self, beta=beta, gamma=min(self.gamma, 1.0 - beta))
 
     def with_gain(self, gain: float) -> "HomodyneParameters":
-        r"""Return the parameters of a loop whose detector sees :math:`c\sin e`, noise unchanged."""
+        r"""Return the parameters for a detector that sees :math:`c\sin e`, noise unchanged."""
         gain = validation.positive("gain", gain)
         return replace(self, alpha=gain * self.alpha, beta=self.beta / gain)
 
@@ -151,8 +144,8 @@ def fraction_inside(error_range: float, variance: float) -> float:
 
     Parameters
     ----------
-    error_range, variance : float
-        In rad, as of `HomodyneParameters.sector_range` or `lipschitz_range`, and in rad^2.
+    error_range : float, rad, as `HomodyneParameters.sector_range` or `lipschitz_range`
+    variance : float, rad^2
 
     Returns
     -------

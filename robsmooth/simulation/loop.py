@@ -1,6 +1,6 @@
 r"""Plant and estimator as one nonlinear equation, and its steps.
 
-With :math:`z = [x; \hat x_p]` and the paper's channels, uncertainties, nonlinearities and copies,
+With :math:`z = [x; \hat x_p]` and the channels of uncertainties, nonlinearities and copies,
 
 .. math::
 
@@ -8,17 +8,14 @@ With :math:`z = [x; \hat x_p]` and the paper's channels, uncertainties, nonlinea
     \tilde\xi = \Delta\tilde\zeta + \rho(t, \tilde\zeta),
 
 where F, G, B and L are :math:`\mathbf A, B_\xi, \mathbf B` and :math:`C_\zeta` of
-`robsmooth.estimators.loop`, without the delay model's states. Below them are the rows of the
-measurement y, on which nothing depends. In :math:`R` are the references, rows of the estimator's
-state.
+`robsmooth.estimators.loop`, without the delay model's states, and R z are the references.
 
-:math:`\Delta` holds the constant uncertainties and, for each nonlinearity and each copy, the slope
-that is statistically equivalent to it in the loop (`robsmooth._numerics.linearisation`). What is
-left, and uncertainties that are functions, are in :math:`\rho`. Any slopes describe the same loop,
-but the nearer the linear loop, the better the start and the smaller the error of a step.
+:math:`\Delta` has the constant uncertainties and the statistically equivalent slopes of the
+nonlinearities and copies (`robsmooth._numerics.linearisation`). The remainders, and uncertainties
+that are functions, are in :math:`\rho`. Any slopes describe the same loop; these make the start
+better and the error of a step smaller.
 
-Many paths are stepped at once. With :math:`\rho_0 = \rho(t, Lz)`, and exactly but for the course of
-:math:`\rho` over a step,
+With :math:`\rho_0 = \rho(t, Lz)`, a step is exact except for the change of :math:`\rho` in it:
 
 .. math::
 
@@ -43,9 +40,7 @@ from numpy.random import SFC64, Generator, SeedSequence
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag, expm
 
-from robsmooth._numerics import linearisation
-from robsmooth._numerics.lyapunov import noise_root, stationary_root
-from robsmooth._numerics.modes import Modes, hardly_decays, rates, separations
+from robsmooth._numerics import linearisation, lyapunov, modes
 from robsmooth._numerics.steps import responses
 from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
@@ -57,12 +52,12 @@ from robsmooth.systems.functions import on_arrays
 
 Uncertainties = Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]]
 
-CHUNK = 64  # steps for which noise is drawn ahead, and between two looks for divergence
-GROWTH = 1e6  # of an output, from the first chunk on: divergence
-_LARGEST = 1e290  # of an output that is zero in the first chunk: it may grow without overflow
+CHUNK = 64  # steps for which noise is drawn ahead, and between two checks for divergence
+GROWTH = 1e6  # of an output over its size in the first chunk: divergence
+_LARGEST = 1e290  # of an output that is zero in the first chunk
 _SLOPE_TOLERANCE = 1e-6  # relative to the Lipschitz constant
-_SLOW = 1e-5  # of the fastest mode's rate: nobody waits for one that is slower
-_ZERO_DEVIATION = 1e-9  # a deviation below this, relative to its terms, is rounding
+_SLOW = 1e-5  # of the fastest mode's rate: a slower mode hardly decays
+_ZERO_DEVIATION = 1e-9  # relative to its terms: a smaller deviation is rounding
 
 
 class Function(NamedTuple):
@@ -71,12 +66,12 @@ class Function(NamedTuple):
     inputs: list[int]  # rows of xi-tilde
     outputs: list[int]  # rows of zeta-tilde
     function: Callable[[float, NDArray], NDArray]  # of t and (outputs, paths), (inputs, paths)
-    elementwise: bool  # whether each output makes its own input
+    elementwise: bool  # whether an input depends on one output
 
 
 @dataclass(frozen=True, eq=False)
 class NonlinearLoop:
-    """The equation of the module's docstring."""
+    """The equation in the module's docstring."""
 
     drift: Matrix  # (N + l, N): F and the rows of y below it
     inputs: Matrix  # (N + l, r + 2g): G, the same
@@ -86,7 +81,7 @@ class NonlinearLoop:
     readout: Matrix  # (3m, N): rows of w, of its filtered and of its smoothed estimate
     delta: Matrix  # (r + 2g, h + 2g): Delta
     functions: tuple[Function, ...]
-    lipschitz: Matrix  # (h + 2g,): bounds the input that an output makes: a constant, or one
+    lipschitz: Matrix  # (h + 2g,): a nonlinearity's constant, or one for an uncertainty
     delay: float = 0.0  # s
 
     @property
@@ -100,15 +95,15 @@ class NonlinearLoop:
         return self.drift + self.inputs @ self.delta @ self.arguments
 
     @cached_property
-    def _modes(self) -> Modes | None:
-        """The linear loop's modes that hardly decay, where the errors do not hold them, or None."""
+    def _modes(self) -> modes.Modes | None:
+        """The linear loop's modes that hardly decay and are not in the errors, or None."""
         A, B = self.linear_drift[: self.order], self.noise[: self.order]
-        if not hardly_decays(A, _SLOW):
+        if not modes.hardly_decays(A, _SLOW):
             return None
         w, filtered, smoothed = np.split(self.readout, 3)
-        with np.errstate(over="ignore", invalid="ignore"):  # of a loop that runs away
+        with np.errstate(over="ignore", invalid="ignore"):  # of an unstable loop
             estimates = np.vstack([filtered, smoothed @ expm(self.delay * A)])
-        for found in separations(A, B):
+        for found in modes.separations(A, B):
             if not found.seen_by(np.vstack([w, w]), estimates).any():
                 return found
         return None
@@ -117,26 +112,27 @@ class NonlinearLoop:
     def slowest_rate(self) -> float:
         """Decay rate of the slowest mode of the errors, 1/s; not positive if they are unstable."""
         A = self.linear_drift[: self.order] if self._modes is None else self._modes.A_rest
-        return rates(A)[0]
+        return modes.rates(A)[0]
 
     @cached_property
     def growth_rate(self) -> float:
-        """At which the system grows, though its errors do not, 1/s; zero where it does not."""
-        return 0.0 if self._modes is None else max(0.0, -rates(self._modes.A)[0])
+        """Rate at which the system grows while its errors do not, 1/s, or zero."""
+        return 0.0 if self._modes is None else max(0.0, -modes.rates(self._modes.A)[0])
 
     @cached_property
     def stationary_root(self) -> Matrix:
-        """A root of the stationary covariance of the linear loop; modes that drift are at zero."""
+        """A root of the stationary covariance of the linear loop, with zero for drifting modes."""
         A, B = self.linear_drift[: self.order], self.noise[: self.order]
-        if self._modes is None:
-            return stationary_root(A, B)
-        return self._modes.V_rest @ stationary_root(self._modes.A_rest, self._modes.W_rest @ B)
+        found = self._modes
+        if found is None:
+            return lyapunov.stationary_root(A, B)
+        return found.V_rest @ lyapunov.stationary_root(found.A_rest, found.W_rest @ B)
 
     def argument_rate(self) -> float:
-        """How fast the arguments of the functions move and act on each other, 1/s.
+        """Rate at which the functions' arguments, or outputs if there are none, move, 1/s.
 
-        The largest of the root mean square drift of an argument over its size, and of the gain from
-        one argument, through its function, to the drift of another; of the outputs without any.
+        It is the largest root mean square drift of an argument over its size, or gain from one
+        argument through its function to the drift of another.
         """
         root, N = self.stationary_root, self.order
         size = np.linalg.norm(self.arguments @ root, axis=1)
@@ -163,7 +159,7 @@ class NonlinearLoop:
 
 
 def nonlinear_loop(smoother: Estimator, uncertainties: Uncertainties = ()) -> NonlinearLoop:
-    """Join a plant and its estimator; see `simulate` for the arguments."""
+    """Return the loop of a plant and its estimator; see `simulate` for the arguments."""
     validation.instance("smoother", smoother, Estimator)
     plant, system = smoother.plant, smoother.plant.system
     delta, functions = _uncertainties(plant, uncertainties)
@@ -171,7 +167,7 @@ def nonlinear_loop(smoother: Estimator, uncertainties: Uncertainties = ()) -> No
     functions += _nonlinearities(smoother, outputs)
 
     n, measurements, g = system.n, system.l, system.g
-    kept = np.r_[:n, plant.n : len(drift)]  # nothing depends on the model of the delay
+    kept = np.r_[:n, plant.n : len(drift)]  # without the model of the delay
     measured = np.pad(plant.C2_tilde[:measurements], ((0, 0), (0, len(smoother.A_c))))
     bounds = [c.lipschitz for c in system.nonlinearities]
     joined = NonlinearLoop(
@@ -195,7 +191,7 @@ def nonlinear_loop(smoother: Estimator, uncertainties: Uncertainties = ()) -> No
 
 
 def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
-    """Return the loop with the equivalent slopes, iterated from zero while the loop is stable."""
+    """Return the loop with the equivalent slopes, iterated from zero while it is stable."""
     parts = [part for part in loop.functions if part.elementwise]
     rows = [row for part in parts for row in part.inputs]
     columns = [column for part in parts for column in part.outputs]
@@ -215,15 +211,14 @@ def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
         each = zip(functions, variances, strict=True)
         return np.array([linearisation.of_function(psi, variance) for psi, variance in each])
 
-    start, unit = np.zeros(len(rows)), loop.lipschitz[columns]
-    how = {"tolerance": _SLOPE_TOLERANCE, "unit": unit}
+    how = {"tolerance": _SLOPE_TOLERANCE, "unit": loop.lipschitz[columns]}
     with suppress(UnstableLoopError):
-        variances(linearisation.equivalent_slopes(start, variances, slopes, **how))
+        variances(linearisation.equivalent_slopes(np.zeros(len(rows)), variances, slopes, **how))
     return loop
 
 
 def _uncertainties(plant: AugmentedSystem, given: Uncertainties) -> tuple[Matrix, list[Function]]:
-    """Return the Delta of those uncertainties that are constants, and those that are functions."""
+    """Return the Delta of the constant uncertainties, and the functions of the others."""
     values = list(given) if np.iterable(given) else []
     constants = [0.0 if callable(value) else value for value in values]
     delta, functions = plant.structured_delta(constants or given), []
@@ -241,13 +236,13 @@ def _uncertainties(plant: AugmentedSystem, given: Uncertainties) -> tuple[Matrix
         if norm > 1.0 + 1e-12:
             raise ValueError(
                 f"uncertainties[{s}] must have norm at most 1 to be admissible, got {norm:.6g}; a "
-                "function (t, zeta) -> xi is simulated all the same"
+                "function (t, zeta) -> xi may have any"
             )
     return delta, functions
 
 
 def _nonlinearities(smoother: Estimator, arguments: Matrix) -> list[Function]:
-    """Return the functions of the nonlinearities, and of those copies that have any effect."""
+    """Return the functions of the nonlinearities, and of the copies that have an effect."""
     plant, system, functions = smoother.plant, smoother.plant.system, []
     g = system.g
     r, h = sum(plant.input_sizes) - 2 * g, sum(plant.output_sizes) - 2 * g
@@ -270,10 +265,7 @@ def _nonlinearities(smoother: Estimator, arguments: Matrix) -> list[Function]:
 
 
 class ExponentialIntegrator:
-    """The scheme of the module's docstring for one loop and step.
-
-    Where `measured`, y is integrated along with the state, and read out.
-    """
+    """The scheme in the module's docstring for one loop and step; `measured`: with y."""
 
     def __init__(self, loop: NonlinearLoop, step: float, measured: bool = False):
         N = loop.order
@@ -281,8 +273,8 @@ class ExponentialIntegrator:
         F = np.hstack([loop.linear_drift[:size], np.zeros((size, size - N))])
         self.loop, self.step = loop, step
         self.transition, self.first, self.second = responses(F, loop.inputs[:size], step)
-        self.transition[:, N:] = 0.0  # the integral of y begins anew with each step
-        self.noise = noise_root(F, loop.noise[:size], step)
+        self.transition[:, N:] = 0.0  # the integral of y begins at zero in each step
+        self.noise = lyapunov.noise_root(F, loop.noise[:size], step)
         # w, its two estimates, zeta-tilde, the reference in it, and the mean of dy/dt
         of_state = np.vstack([loop.readout, loop.arguments, loop.reference])
         self.readout = block_diag(of_state, np.eye(size - N) / step)
@@ -304,8 +296,8 @@ class ExponentialIntegrator:
     ) -> Iterator[tuple[int, NDArray[np.float64]]]:
         """Take `before` steps to time zero, and `steps` more, from a stationary start.
 
-        Yields how many steps from time zero the first of some is, and what `readout` gives after
-        each, (at most CHUNK, rows of `readout`, paths). A path that diverges is a RuntimeError.
+        Yields the number of the first step of a chunk, from time zero, and the outputs after each
+        step, (at most CHUNK, rows of `readout`, paths). Raises RuntimeError if a path diverges.
         """
         N, measured = self.loop.order, len(self.transition) - self.loop.order
         of_state = [_generator(seed, path, 0) for path in paths]
@@ -332,13 +324,13 @@ class ExponentialIntegrator:
                 largest = size.max(axis=(0, 2), where=np.isfinite(size), initial=0.0)[:, None]
                 limit = np.where(largest > 0.0, GROWTH * largest, _LARGEST)
             grown = limit * math.exp(self.loop.growth_rate * self.step * (before + start + count))
-            if not (size <= grown).all():  # nor is it with a NaN
+            if not (size <= grown).all():  # also with a NaN
                 step, _, column = np.argwhere(~(size <= grown))[0]
                 raise RuntimeError(
                     f"path {paths[column]} of seed {seed} diverges: by "
                     f"{(start + step + 1) * self.step:.4g} s an output is not a number or beyond "
                     f"{GROWTH:g} times its size at the start; the loop is not stable, or the step, "
-                    f"{self.step:.4g} s, too long for it"
+                    f"{self.step:.4g} s, is too long for it"
                 )
             yield start + 1, records
 
@@ -348,7 +340,7 @@ def _generator(seed: int, path: int, stream: int) -> Generator:
 
 
 def _normals(generators: Sequence[Generator], count: int, width: int) -> NDArray[np.float64]:
-    """Draw (count, width, paths): each path's numbers are in the order of time."""
+    """Draw (count, width, paths), the numbers of a path in the order of time."""
     drawn = np.empty((len(generators), count, width))
     for generator, part in zip(generators, drawn, strict=True):
         generator.standard_normal(out=part)

@@ -68,7 +68,6 @@ def test_without_a_client_calls_are_computed_here_one_after_another():
     assert next(results) == 10
     assert done == [0]
     assert list(results) == [11, 12]
-    assert workers(None) == 1
 
 
 def test_dask_is_not_imported_before_a_cluster_is_asked_for():

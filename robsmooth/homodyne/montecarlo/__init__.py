@@ -1,8 +1,8 @@
 """Monte Carlo simulation of the nonlinear loop (Section IV-E).
 
-**How long a step may be.** The unit is the loop's response time: that in which its sines respond to
-themselves, 2.2 us with the paper's values. With these, the relative bias of the mean square errors
-is, by the exact ones of `stationary_errors`,
+**How long a step may be.** The unit of a step is the loop's response time, in which its sines
+respond to themselves: 2.2 us with the paper's values. With these, the relative bias of the mean
+square errors is, against `stationary_errors`,
 
 ========================  ========  ==========  ==============
 protocol and step         filtered  smoothed    taken
@@ -16,13 +16,13 @@ protocol and step         filtered  smoothed    taken
 "ergodic", 10             +16%      less        with a warning
 ========================  ========  ==========  ==============
 
-for the Kalman-Bucy filter, the paper's designs and those of `minimize_bound` with orders 0 to 4, of
-which the smoothed column has the worst. The standard errors of a default run are 0.65% ("paper")
-and 0.01% ("ergodic"). The paper's protocol refuses steps with which the Euler-Maruyama scheme is
-unstable, from 2 without a lag, and from 0.26 for a lag of 3.1 us with a delay model of order 4.
+The smoothed column has the worst of the Kalman-Bucy filter, the paper's designs and those of
+`minimize_bound` with orders 0 to 4. The standard errors of a default run are 0.65% ("paper") and
+0.01% ("ergodic"). The paper's protocol refuses steps with which the Euler-Maruyama scheme is
+unstable: from 2 without a lag, and from 0.26 for a lag of 3.1 us and a delay model of order 4.
 
-Where a loop slips, the ergodic protocol has too few slips: with ten times the paper's diffusion
-their rate is 11% too low with the default step, 15% with 1/4 and 43% with 1/2.
+The ergodic protocol has too few slips: with ten times the paper's diffusion their rate is 11% too
+low with the default step, 15% with 1/4 and 43% with 1/2.
 """
 
 from robsmooth.homodyne.montecarlo.run import LossOfLockWarning, MonteCarloResult, monte_carlo

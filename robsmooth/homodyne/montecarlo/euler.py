@@ -7,11 +7,10 @@ One step of a path, with the `Coefficients`:
     \varphi &\leftarrow \varphi + a\varphi + q\,g_2,\\
     \hat x &\leftarrow \hat x + F\hat x + b_c\sin(c\hat x) + b_s[\sin(\varphi - r\hat x) + w g_1] .
 
-`BLOCK` paths are simulated side by side in vector registers. The order n is passed as the length of
-a tuple, `order`, hence known when the kernel is compiled: the sums over states are unrolled, the
-loop over paths is vectorised, and the state of a path stays in registers for a step. Each order is
-compiled once and kept on disk. What is called is inlined by numba: compiled again at each level it
-is linked into, it would lose registers.
+`BLOCK` paths are simulated side by side in vector registers. The order n is the length of the tuple
+`order`, which the compiler knows: it unrolls the sums over states, vectorises the loop over paths,
+and keeps the state of a path in registers for a step. Each order is compiled once and kept on disk.
+Numba inlines the callees, because linked ones use registers worse.
 """
 
 from collections import namedtuple
@@ -23,26 +22,15 @@ from numba.extending import register_jitable
 
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
-from robsmooth.homodyne.montecarlo.noise import (
-    BLOCK,
-    DRAWS,
-    SOURCES,
-    TURN,
-    WORDS,
-    fill_gaussians,
-    fma,
-    seed_paths,
-    sine,
-    slip,
-)
+from robsmooth.homodyne.montecarlo import noise
+from robsmooth.homodyne.montecarlo.noise import BLOCK, DRAWS, SOURCES, TURN, WORDS, fma, sine, slip
 
 CHUNK = 32  # steps for which noise is drawn ahead (32 KiB), and between two looks at the lock
 OUTPUTS = 3  # of a path: squared filtered and smoothed error at the end, and cycle slips
 FILTERED, SMOOTHED, SLIPS = range(OUTPUTS)
 UNDAMPED = 1e-12  # of a mode's rate: less damping is rounding
 
-
-# Of a step; in a kernel, the indices at which they begin in a flat array of all.
+# Of a step; in a kernel, where each begins in the flat array of all.
 Coefficients = namedtuple(
     "Coefficients", "increments reference copy sine_gain copy_gain noise decay diffusion"
 )
@@ -50,7 +38,7 @@ Coefficients = namedtuple(
 
 @register_jitable
 def indices(n):
-    """Return the indices of the coefficients, constants in a kernel."""
+    """Return where the coefficients begin; in a kernel these are constants."""
     v = n * n  # where the vectors begin
     s = v + 4 * n  # and the scalars
     return Coefficients(0, v, v + n, v + 2 * n, v + 3 * n, s, s + 1, s + 2)
@@ -58,7 +46,7 @@ def indices(n):
 
 def coefficients_of(loop: Loop, step: float) -> Coefficients:
     """Return the coefficients of a step, in s."""
-    root = np.sqrt(step)
+    root, tiny = np.sqrt(step), np.finfo(np.float32).tiny
     coefficients = Coefficients(
         step * loop.drift[1:, 1:],  # (n, n), F
         -loop.arguments[0, 1:],  # (n,), r
@@ -68,17 +56,12 @@ def coefficients_of(loop: Loop, step: float) -> Coefficients:
         decay=step * loop.drift[0, 0],  # a
         diffusion=root * loop.noise[0, 0],  # q
     )
-    # Rounding noise, some of it denormal in single precision: processors are slow with those.
-    tiny = np.finfo(np.float32).tiny
+    # processors are slow with numbers that are denormal in single precision
     return Coefficients(*(np.where(np.abs(part) < tiny, 0.0, part) for part in coefficients))
 
 
 def longest_stable_step(loop: Loop) -> float:
-    r"""Return the step from which on the scheme lets a mode grow that decays, s, or infinity.
-
-    It multiplies a mode of the linearised loop with the eigenvalue :math:`\lambda` by
-    :math:`1 + \lambda h` in a step.
-    """
+    """Return the least step, s, that lets a decaying mode grow, |1 + lambda step| > 1, or inf."""
     modes = np.linalg.eigvals(loop.linearised_drift())
     decaying = modes[modes.real < -UNDAMPED * np.abs(modes)]
     return float((-2.0 * decaying.real / np.abs(decaying) ** 2).min(initial=np.inf))
@@ -89,7 +72,7 @@ def euler_steps(order, coefficients, steps, state, gaussians):
     """Advance a block by `steps` steps with the noise of `fill_gaussians`."""
     n = len(order)
     at = indices(n)
-    noise = coefficients[at.noise]
+    shot_noise = coefficients[at.noise]
     decay, diffusion = coefficients[at.decay], coefficients[at.diffusion]
     for step in range(steps):
         draw = step * DRAWS * BLOCK
@@ -105,7 +88,7 @@ def euler_steps(order, coefficients, steps, state, gaussians):
                     copied = fma(coefficients[at.copy + j], x[j], copied)
             phase = fma(decay, phase, phase)
             state[path] = fma(diffusion, gaussians[draw + BLOCK + path], phase)
-            measured = fma(noise, gaussians[draw + path], sine(error))
+            measured = fma(shot_noise, gaussians[draw + path], sine(error))
             predicted = sine(copied)
             for i in range(n):
                 y = x[i]
@@ -123,7 +106,7 @@ def advance(order, coefficients, readout, steps, state, generator, gaussians, tu
     done = 0
     while done < steps:
         count = min(CHUNK, steps - done)
-        fill_gaussians(generator, count, gaussians)
+        noise.fill_gaussians(generator, count, gaussians)
         euler_steps(order, coefficients, count, state, gaussians)
         done += count
         for path in range(BLOCK):
@@ -137,7 +120,7 @@ def advance(order, coefficients, readout, steps, state, generator, gaussians, tu
 
 @njit
 def collect(order, readout, state, delayed, result):
-    """Write the squared errors: against the phase, and against the phase `delayed`, a delay ago."""
+    """Write the squared errors against the phase now, and against `delayed`, that a delay ago."""
     n = len(order)
     for path in range(BLOCK):
         filtered, smoothed = np.float64(state[path]), np.float64(delayed[path])
@@ -155,11 +138,10 @@ def simulate_block(order, coefficients, readout, schedule, seed, first_path, res
     before, delay = schedule
     generator = np.empty(WORDS * BLOCK, np.uint32)
     gaussians = np.empty(CHUNK * DRAWS * BLOCK, np.float32)
-    state = np.zeros((1 + len(order)) * BLOCK, coefficients.dtype)  # the phase, and the estimator's
+    state = np.zeros((1 + len(order)) * BLOCK, coefficients.dtype)  # phase, then estimator
     delayed = np.empty(BLOCK, state.dtype)
     turns = np.zeros(BLOCK)
-
-    seed_paths(seed, first_path, generator)
+    noise.seed_paths(seed, first_path, generator)
     result[:] = 0
     advance(order, coefficients, readout, before, state, generator, gaussians, turns, result)
     delayed[:] = state[:BLOCK]
@@ -169,12 +151,11 @@ def simulate_block(order, coefficients, readout, schedule, seed, first_path, res
 
 @kept(parallel=True, nogil=True)
 def simulate_blocks(order, coefficients, readout, schedule, seed, first, results, code=SOURCES):
-    """Simulate consecutive blocks from `first` on: block b holds the paths from b BLOCK on.
+    """Simulate consecutive blocks: block b has the paths from b BLOCK on.
 
-    The readout has the rows of the filtered and the smoothed estimate and of the oscillator's
-    phase; the schedule the steps before the phase is recorded, and those of the delay. Each block
-    writes its own part of the results, (blocks, OUTPUTS * BLOCK), so they depend neither on threads
-    nor on how blocks are shared out over calls.
+    The rows of the readout are the filtered and the smoothed estimate and the oscillator's phase.
+    The schedule has the steps before the delayed phase is recorded, and those of the delay. The
+    results, (blocks, OUTPUTS * BLOCK), depend neither on threads nor on the split into calls.
     """
     for block in prange(results.shape[0]):
         path = np.uint64(first + block) * np.uint64(BLOCK)

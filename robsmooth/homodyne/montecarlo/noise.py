@@ -1,8 +1,9 @@
-r"""What the kernels share: cycle slips, sines, and noise for many paths at once.
+r"""Cycle slips, sines and noise, for the kernels of both protocols.
 
-Each path owns a xoshiro128+ generator [1]_ whose state is a splitmix64 hash of (seed, path index),
-so its noise depends on these two numbers alone. A step takes two of its 32-bit words, :math:`a` and
-:math:`b`, and turns them into two independent standard normal variables (Box and Muller [2]_),
+Each path has a xoshiro128+ generator (D. Blackman and S. Vigna, ACM Trans. Math. Softw. 47(4),
+2021). Its state is a splitmix64 hash of (seed, path index), so the noise depends on these two
+numbers alone. A step turns two 32-bit words, a and b, into two independent standard normal
+variables (G. E. P. Box and M. E. Muller, Ann. Math. Stat. 29(2), 1958),
 
 .. math::
 
@@ -14,16 +15,9 @@ where the top bit of :math:`b` is the sign and the other bits give :math:`\theta
 
 The paths of a *block* are simulated side by side: a flat array has rows of `BLOCK` numbers, one for
 each path, and the compiler turns the loops over paths into vector instructions. Logarithm, sine and
-cosine are minimax polynomials, because calls to the mathematical library would not be. They use
-integer operations, explicit fused multiply-adds, products and square roots: a result is the same to
-the last bit on every machine with such instructions.
-
-References
-----------
-.. [1] D. Blackman and S. Vigna, "Scrambled linear pseudorandom number generators", ACM
-   Transactions on Mathematical Software 47 (4), 2021.
-.. [2] G. E. P. Box and M. E. Muller, "A note on the generation of random normal deviates", Annals
-   of Mathematical Statistics 29 (2), 1958.
+cosine are minimax polynomials, because calls of a library would prevent that. With integer
+operations, explicit fused multiply-adds, products and square roots only, the results have the same
+bits on every machine that has these.
 """
 
 import hashlib
@@ -41,33 +35,23 @@ DRAWS = 2  # Gaussians a step
 GENERATOR = "xoshiro128+ seeded by splitmix64(seed, path), Box-Muller in float32"
 
 TURN = 2 * np.pi
-SLIP = 0.75 * TURN  # this far from the point that it was locked to, a loop is at the next one
+SLIP = 0.75 * TURN  # from the lock point; half a turn would count a single passage several times
 
-# A default argument of each kernel, which has it compiled anew when this module, compiled into it,
-# changes: numba itself looks at the kernel's own file only.
+# A default argument of each kernel: it is compiled anew when this module changes. Numba itself
+# looks only at the kernel's own file.
 SOURCES = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 MIX_2 = np.uint64(0x94D049BB133111EB)
-
 U1, U9, U11, U21 = (np.uint32(shift) for shift in (1, 9, 11, 21))
 
 MINUS_TWO_LN_2 = -2 * math.log(2)
 HALF_TURN_M32 = math.pi / 2**32
 SQRT_HALF_BITS = np.int32(np.float32(math.sqrt(0.5)).view(np.int32))
 SQRT_HALF_BITS_31 = np.int32(SQRT_HALF_BITS + (31 << 23))
-MANTISSA_BITS = np.int32(23)
-MANTISSA = np.int32(2**23 - 1)
-HALF = np.float32(0.5)
-TOP_BIT = np.uint32(1 << 31)
 
-SINE_FLOAT32 = (
-    -0.166666570964985,
-    0.008333017291442748,
-    -0.0001980661519421222,
-    2.600054754413543e-06,
-)
+SINE_FLOAT32 = (-0.166666571, 0.00833301729, -0.000198066152, 2.60005475e-06)
 SINE_FLOAT64 = (
     -0.16666666606466835,
     0.008333330495666445,
@@ -79,10 +63,7 @@ SINE_FLOAT64 = (
 
 @njit
 def slip(away):
-    """By how many turns a path has slipped, from how far it is from where it was locked: 0 or +-1.
-
-    The quarter turn beyond the middle keeps a single passage from being counted more than once.
-    """
+    """Return by how many turns, 0 or +-1, a path has slipped that is `away` from its lock point."""
     return (1.0 if away > SLIP else 0.0) - (1.0 if away < -SLIP else 0.0)
 
 
@@ -98,7 +79,7 @@ def fma(typingctx, a, b, c):
 
 
 def multiple(builder, x, period, mantissa):
-    r"""Code for the integer nearest to x / period: with that in its lowest bits, and as a float.
+    r"""Return code for the integer nearest to x / period, in the lowest bits, and as a float.
 
     Adding :math:`1.5\cdot 2^m`, with m bits of mantissa, rounds to an integer.
     """
@@ -149,8 +130,8 @@ def whole_turns(typingctx, x):
 def minus_two_log(v):
     """-2 log(v / 2^31) of a float32 v between 1/2 and 2^31, to a relative 3e-7."""
     bits = np.int32(np.float32(v).view(np.int32) - SQRT_HALF_BITS_31)  # 31 less in the exponent
-    exponent = np.int32(bits >> MANTISSA_BITS)
-    mantissa = np.int32(np.int32(bits & MANTISSA) + SQRT_HALF_BITS).view(np.float32)
+    exponent = np.int32(bits >> np.int32(23))
+    mantissa = np.int32(np.int32(bits & np.int32(2**23 - 1)) + SQRT_HALF_BITS).view(np.float32)
     f = np.float32(1) - mantissa  # in (1 - sqrt(2), 1 - sqrt(1/2)]
     p = fma(f, 0.20695991919743753, 0.32557981860386714)
     p = fma(f, p, 0.3440311727098379)
@@ -164,7 +145,8 @@ def minus_two_log(v):
 @njit
 def flip_sign(value, bits):
     """A float32, negated where the top bit of the uint32 `bits` is set."""
-    return np.uint32(np.float32(value).view(np.uint32) ^ np.uint32(bits & TOP_BIT)).view(np.float32)
+    sign = np.uint32(bits & np.uint32(1 << 31))
+    return np.uint32(np.float32(value).view(np.uint32) ^ sign).view(np.float32)
 
 
 @njit
@@ -240,7 +222,7 @@ def fill_gaussians(generator, steps, noise):
             generator[2 * BLOCK + path] = s2
             generator[3 * BLOCK + path] = s3
 
-            uniform = np.float32(np.float32(np.int32(a >> U1)) + HALF)
+            uniform = np.float32(np.float32(np.int32(a >> U1)) + np.float32(0.5))
             radius = np.sqrt(minus_two_log(uniform))
             angle = np.float32(np.int32(b << U1)) * np.float32(HALF_TURN_M32)
             noise[start + path] = radius * flip_sign(cos_quarter(angle), b)

@@ -1,4 +1,4 @@
-"""The two protocols of `monte_carlo`: what is simulated, and what is made of it."""
+"""The two protocols of `monte_carlo`: the plan of a simulation, and the errors from its outputs."""
 
 import math
 from dataclasses import dataclass, replace
@@ -9,9 +9,8 @@ import numba
 import numpy as np
 
 from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
-from robsmooth._support import validation
+from robsmooth._support import cluster, validation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.cluster import ALONE, worker_threads
 from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop, decay_rate
 from robsmooth.homodyne.montecarlo import euler, splitting
@@ -19,26 +18,25 @@ from robsmooth.homodyne.montecarlo.noise import BLOCK
 from robsmooth.simulation.statistics import control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
-
 PAPER_DURATION, PAPER_STEP = 1e-3, 1e-8
 ERGODIC_TIME_CONSTANTS = 250  # default duration, in units of the estimator's slowest mode
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response through its sines
-WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode, before sampling begins
+WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode
 
-# Steps in response times of the loop, by the biases that `robsmooth.homodyne.montecarlo` states.
-SILENT_EULER = 1 / 40  # two standard errors of a default run
-SILENT_SPLITTING = 1 / 4  # less than one, but already 15% of the slips
-STABLE_PART = 0.5  # of the longest step for which the Euler-Maruyama scheme is stable: the default
+# Steps without a warning, in response times; `robsmooth.homodyne.montecarlo` states the biases.
+SILENT_EULER = 1 / 40  # a bias of two standard errors of a default run
+SILENT_SPLITTING = 1 / 4  # less than one, but 15% of the slips
+STABLE_PART = 0.5  # of the longest stable Euler-Maruyama step: the default
 
-FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, below which there are no control variates
+FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, for control variates
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What the paths of any protocol depend on, together with their index."""
+    """All numbers that the paths depend on, besides their index."""
 
-    runs: int  # the last block is simulated whole, but only its first paths are returned
+    runs: int  # the last block is simulated whole; only its first paths count
     seed: int
     precision: str
     step: float  # s
@@ -58,15 +56,12 @@ class Simulation:
         return -(-self.runs // BLOCK)
 
     def simulate(self, first: int, count: int) -> Matrix:
-        """Simulate blocks `first` to ``first + count - 1``: (count, outputs, BLOCK).
-
-        The last output of a path is the number of its cycle slips.
-        """
+        """Simulate `count` blocks from `first` on: (count, outputs, BLOCK), cycle slips last."""
         real, n = PRECISIONS[self.precision], self.readout.shape[1]
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
-        threads = worker_threads() or numba.get_num_threads()
+        threads = cluster.worker_threads() or numba.get_num_threads()
         numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # of this thread
-        with ALONE:
+        with cluster.ALONE:
             self.kernel.simulate_blocks(
                 *self.compiled_for,
                 (real(0),) * n,
@@ -80,10 +75,7 @@ class Simulation:
         return results[:, : self.kernel.SLIPS + 1]
 
     def reduce(self, outputs: Matrix) -> Matrix:
-        """Return the variables, (variables, paths), of the outputs without the slips.
-
-        The first two are the squared errors; so are the last two, with less variance if possible.
-        """
+        """Return the squared errors of the outputs, (2, paths); ergodic: and with less variance."""
         return outputs
 
 
@@ -95,7 +87,7 @@ class PaperSimulation(Simulation):
 
     @classmethod
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
-        """Fill in the published numbers, or a shorter step for a faster loop than the paper's."""
+        """Fill in the published numbers, with a shorter step for a faster loop."""
         duration = duration or max(PAPER_DURATION, loop.delay)
         response, longest = loop.response_time(), euler.longest_stable_step(loop)
         default = min(PAPER_STEP, SILENT_EULER * response, STABLE_PART * longest)
@@ -115,9 +107,8 @@ class PaperSimulation(Simulation):
             warm_up=0.0,
             duration=steps * step,
             steps=steps,
-            readout=loop.readout,
             coefficients=euler.coefficients_of(loop, step),
-            schedule=(steps - delay, delay),  # before the delayed phase is recorded, and after
+            schedule=(steps - delay, delay),
         )
 
 
@@ -125,15 +116,15 @@ class PaperSimulation(Simulation):
 class ErgodicSimulation(Simulation):
     """The time-averaging protocol: Strang's splitting, with a linear control variate."""
 
-    control: Matrix  # (3,), means of the control's squared errors and of the filtered one's square
-    weights: Matrix  # (2, 3), of these for the two errors: other machines' BLAS has other last bits
+    control: Matrix  # (3,), means of the control's squared errors, and of the square of the first
+    weights: Matrix  # (2, 3), of these in the two errors; kept, for BLAS differs between machines
 
     kernel = splitting
     default_runs = 1024
 
     @classmethod
     def plan(cls, loop: Loop, duration: float | None, step: float | None, **numbers) -> Self:
-        """Fill in numbers by the time constants of the linearised loop, which must be stable."""
+        """Fill in numbers from the time constants of the linearised loop, which must be stable."""
         slopes = splitting.control_slopes(loop)
         slowest = decay_rate(loop.linearised_drift(*slopes)[1:, 1:])
         duration = duration or max(ERGODIC_TIME_CONSTANTS / slowest, loop.delay)
@@ -150,14 +141,12 @@ class ErgodicSimulation(Simulation):
             warm_up=warm_up * step,
             duration=steps * step,
             steps=warm_up + steps,
-            readout=loop.readout,
             coefficients=splitting.coefficients_of(loop, step, slopes),
             schedule=(warm_up, delay, steps),
             control=np.array([filtered, lagged, 3 * filtered**2]),  # it is Gaussian
             weights=np.zeros((2, 3)),
         )
-        # from a pilot of other paths in lock
-        outputs = simulation.simulate(PILOT_BLOCK, 1)[0]
+        outputs = simulation.simulate(PILOT_BLOCK, 1)[0]  # of other paths
         in_lock = outputs[:, outputs[splitting.SLIPS] == 0]
         if in_lock.shape[1] < FEWEST_IN_PILOT:
             return simulation
@@ -166,17 +155,17 @@ class ErgodicSimulation(Simulation):
 
     @property
     def compiled_for(self) -> tuple:
-        """The Gaussians of a step, and the copy of the nonlinearity where it has any effect."""
+        """The Gaussians of a step, and the copy of the nonlinearity if it has an effect."""
         runs_copy = self.coefficients.copy.any() and self.coefficients.copy_gain.any()
         return (np.float32(0),) * self.coefficients.root.shape[1], (0,) * int(runs_copy)
 
     def reduce(self, outputs: Matrix) -> Matrix:
-        """Return the errors, and the errors less what chance did to the control."""
+        """Return the errors, and the errors less the weighted excess of the control."""
         errors = outputs[splitting.ERRORS]
         excess = outputs[splitting.CONTROLS] - self.control[:, None]
-        # Not by BLAS, whose last bits depend on how many paths there are, and on its threads.
-        chance = (self.weights[:, :, None] * excess).sum(axis=1)
-        return np.vstack([errors, errors - chance])
+        # The last bits of BLAS depend on the number of paths and on its threads.
+        weighted = (self.weights[:, :, None] * excess).sum(axis=1)
+        return np.vstack([errors, errors - weighted])
 
 
 PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper": PaperSimulation}
@@ -192,22 +181,21 @@ def plan(
     seed: int = 0,
     precision: str = "mixed",
 ) -> Simulation:
-    """Check the numbers, fill in defaults, say what is to be simulated, and warn of long steps."""
+    """Check the numbers, fill in defaults, and warn of a long step."""
     if numba.config.DISABLE_JIT:
-        raise RuntimeError(
-            "monte_carlo needs numba's compiler, which NUMBA_DISABLE_JIT switches off: unset it"
-        )
+        raise RuntimeError("monte_carlo needs numba's compiler: unset NUMBA_DISABLE_JIT")
     kind = PROTOCOLS[protocol]
     runs = kind.default_runs if runs is None else validation.integer("runs", runs, low=1)
     if duration is not None:
         duration = validation.positive("duration", duration)
         if duration < loop.delay:
-            delay = f"the smoother's delay, {loop.delay:g} s"
-            raise ValueError(f"duration must be at least {delay}, got {duration:g}")
+            least = f"the smoother's delay, {loop.delay:g} s"
+            raise ValueError(f"duration must be at least {least}, got {duration:g}")
     if step is not None:
         step = validation.positive("step", step)
     seed = validation.integer("seed", seed, low=0)
     if seed >= 2**64:
         raise ValueError(f"seed must be below 2**64, got {seed}")
     validation.choice("precision", precision, tuple(PRECISIONS))
-    return kind.plan(loop, duration, step, runs=runs, seed=seed, precision=precision)
+    numbers = {"runs": runs, "seed": seed, "precision": precision, "readout": loop.readout}
+    return kind.plan(loop, duration, step, **numbers)

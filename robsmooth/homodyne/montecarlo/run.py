@@ -1,7 +1,6 @@
 """Run the Monte Carlo: check the arguments, simulate group by group, merge in order.
 
-A *group* is as many blocks as a thread simulates and sums up at a time; its sums are merged here.
-Groups depend on nothing but the simulation, and so do the last bits of the result.
+A *group* of blocks has its own sums. It depends on the simulation alone; so do the last bits.
 """
 
 import hashlib
@@ -29,14 +28,14 @@ if TYPE_CHECKING:
     from distributed import Client
 
 STEPS_OF_A_GROUP = 400_000_000  # path-steps: about half a second
-BLOCKS_OF_A_GROUP = 256  # at most: bounds the memory
-GROUPS_OF_A_CALL = 20  # on a cluster, at most: a client keeps up with some 100 calls a second
-CALLS_OF_A_THREAD = 8  # on a cluster, at least: its threads then end at about the same time
+BLOCKS_OF_A_GROUP = 256  # at most, for the memory
+GROUPS_OF_A_CALL = 20  # on a cluster, at most: a client serves some 100 calls a second
+CALLS_OF_A_THREAD = 8  # on a cluster, at least: threads then end at about the same time
 CHECKPOINT_EVERY = 2.0  # s
 
 
 class LossOfLockWarning(RuntimeWarning):
-    """Some of the paths slipped: their errors, but not those in lock, depend on the duration.
+    """Some paths slipped: their errors depend on the duration, those in lock do not.
 
     Examples
     --------
@@ -53,16 +52,14 @@ class MonteCarloResult:
     Attributes
     ----------
     smoothed, filtered : MeanSquare
-        Over all paths, rad^2; with the error of whole turns of a path that has slipped.
+        Over all paths, rad^2; a path that has slipped counts with its error of whole turns.
     smoothed_in_lock, filtered_in_lock : MeanSquare
-        The same over the paths that never slipped, without control variates.
-    slips, slipped_paths : int
-        How many times a path has gone over to the next point where the loop locks; how many have.
-    runs, path_steps : int
-        Independent paths, and the steps of all of them, the warm-up included.
+        Over the paths that never slipped, rad^2, without control variates.
+    slips, slipped_paths : int, changes to the next point where the loop locks; paths with any
+    runs, path_steps : int, independent paths; steps of all of them, the warm-up included
     protocol, seed, precision : str, int, str, as asked for
     duration, warm_up, step, wall_time : float
-        What of a path is sampled, what is simulated before, a step, and the time it took, s.
+        Time of a path that is sampled, time before, step, and computing time, s.
     provenance : dict, everything else that the numbers depend on, in a JSON form
 
     Examples
@@ -97,9 +94,9 @@ class MonteCarloResult:
         return self.slips / (self.path_steps * self.step)
 
     def to_dict(self) -> dict[str, Any]:
-        """All fields as a dict that the json module writes; a number that is none becomes None."""
+        """All fields as a dict that the json module writes; NaN becomes None."""
 
-        def finite(fields):  # what is no number is not itself
+        def finite(fields):  # NaN does not equal itself
             return {name: None if value != value else value for name, value in fields}
 
         return asdict(self, dict_factory=finite)
@@ -136,58 +133,50 @@ def monte_carlo(
 ) -> MonteCarloResult:
     r"""Simulate an estimator in the homodyne loop of Section IV and measure its errors.
 
-    The numbers are the same, to the last bit, for any number of threads, which are as many as numba
-    is set to, on a cluster, and after an interruption; the noise of a path depends on the seed and
-    its index alone.
+    The result is the same, to the last bit, for any number of threads (numba's setting), on a
+    cluster, and after an interruption. The noise of a path depends on the seed and its index alone.
 
     Parameters
     ----------
-    parameters : HomodyneParameters, the loop; the estimator may be made for other ones
+    parameters : HomodyneParameters, of the loop; the estimator may be made for others
     smoother : Estimator, of one output and one measurement, with one copy or none
     protocol : {"ergodic", "paper"}
         "paper" is the published simulation: Euler-Maruyama from zero, the squared errors at the end
         of each run. "ergodic" gives the stationary errors in far less time: it averages along each
         path, with steps of the second order and the linearised loop as a control variate.
-    runs : int, optional
-        Independent paths. Default: 50 000 ("paper") or 1024 ("ergodic").
+    runs : int, optional, independent paths; 50 000 ("paper") or 1024 ("ergodic") by default
     duration : float, optional
         Of a path, without the warm-up, s; rounded to whole steps. Default: 1 ms ("paper") or 250
         times the slowest time constant of the linearised estimator ("ergodic").
     step : float, optional
-        s; must divide the smoother's delay into whole steps. Default: the largest such step that is
-        at most 0.01 us ("paper") or a fifth of the loop's response time ("ergodic").
+        s; must divide the smoother's delay. Default: the largest such step that is at most 0.01 us
+        ("paper") or a fifth of the loop's response time ("ergodic").
     seed : int, at least 0 and below 2^64
-    precision : {"mixed", "single"}
-        Of the state: double or single. Noise is always drawn in single precision.
-    client : distributed.Client, optional
-        A Dask cluster to compute on, see `robsmooth.workbench.connect`. Default: this machine.
-    checkpoint : path, optional
-        A file that is written every few seconds, from which the same call resumes.
+    precision : {"mixed", "single"}, of the state: double or single; noise is drawn in single
+    client : distributed.Client, optional, of a Dask cluster; see `robsmooth.workbench.connect`
+    checkpoint : path, optional, of a file from which the same call resumes
     progress : bool, show a progress bar
     oscillator : {"filtered", "smoothed", "copy", "none"}
-        What the local oscillator's phase u follows: an estimate; the argument of the copy,
-        :math:`\tilde\nu/2\alpha\gamma`, so that the copy's output is zero; or nothing: the
-        nonlinearity is then :math:`f(\varphi)`, as the words of Section IV-E have it, and not
-        :math:`f(\varphi - u)`, as Section IV-A derives it. Slips are then of the filtered estimate.
-    copy : bool, run the estimator's copy of the nonlinearity; without, its input is zero
+        The local oscillator's phase u: an estimate; the argument of the copy,
+        :math:`\tilde\nu/2\alpha\gamma`, so that the copy's output is zero; or zero. With zero the
+        nonlinearity is :math:`f(\varphi)`, as in the words of Section IV-E, and not
+        :math:`f(\varphi - u)`, as in Section IV-A; slips are then of the filtered estimate.
+    copy : bool, run the estimator's copy of the nonlinearity; otherwise its output is zero
     shot_noise : float, power of the photocurrent's noise, :math:`s` in :math:`\sqrt s\,dW`
 
     Warns
     -----
     LossOfLockWarning, LongStepWarning
-        Where a path slipped, or the step is above 1/40 ("paper") or 1/4 ("ergodic") of the loop's
-        response time.
+        Where a path slipped; where a step is above 1/40 ("paper") or 1/4 ("ergodic") response time.
 
     Raises
     ------
     ValueError
-        For a step with which the Euler scheme is unstable ("paper"), or a checkpoint of another
-        call (CheckpointError), before anything is simulated.
+        For an unstable Euler step ("paper"), or a checkpoint of another call (CheckpointError).
     UnstableLoopError, RuntimeError
-        Where the linearised loop is not stable ("ergodic"); where a path overflows, or numba's
-        compiler is switched off.
+        Where the linearised loop is unstable ("ergodic"); where a path overflows, or numba is off.
     ConnectionError, OSError
-        Where the cluster is lost, or the checkpoint cannot be written.
+        Where the cluster is lost; where the checkpoint cannot be written.
 
     Examples
     --------
@@ -221,7 +210,7 @@ def monte_carlo(
             stacklevel=2,
         )
     return MonteCarloResult(
-        smoothed=tally.all.mean_square(-1, plain=1),  # the last two are the best
+        smoothed=tally.all.mean_square(-1, plain=1),
         filtered=tally.all.mean_square(-2, plain=0),
         filtered_in_lock=tally.locked.mean_square(0),
         smoothed_in_lock=tally.locked.mean_square(1),
@@ -237,7 +226,7 @@ def monte_carlo(
 def _tally(
     simulation: Simulation, journal: Journal | None, client, progress: bool, parameters: dict
 ) -> Tally:
-    """Simulate the blocks that the journal does not have, wherever, and merge them in order."""
+    """Simulate the blocks that the journal does not have, and merge them in order."""
     tally, first = Tally(), 0
     if journal and journal.last:
         tally, first = Tally.from_state(*journal.last["tally"]), journal.last["blocks"]
@@ -251,7 +240,7 @@ def _tally(
     size, end = groups * group, simulation.blocks
     calls = ((start, min(size, end - start)) for start in range(first, end, size))  # first, count
     saved = time.perf_counter()
-    # what was done before counts for the progress, but not for the rate
+    # paths of the journal count for the progress, not for the rate
     extent = {"total": simulation.runs, "initial": tally.all.count, "unit": "path"}
     with progress_bar(**extent, unit_scale=True, shown=progress) as bar:
         for tallies in cluster.in_order(simulate, calls, client):
@@ -259,8 +248,7 @@ def _tally(
                 tally += each
             first = min(first + size, end)
             bar.update(tally.all.count - bar.n)
-            due = time.perf_counter() - saved > CHECKPOINT_EVERY or first == end
-            if journal and due:
+            if journal and (time.perf_counter() - saved > CHECKPOINT_EVERY or first == end):
                 journal.append({"blocks": first, "tally": tally.state()})
                 saved = time.perf_counter()
     return tally
@@ -269,7 +257,7 @@ def _tally(
 def _tallies(
     simulation: Simulation, group: int, parameters: dict, first: int, count: int
 ) -> list[Tally]:
-    """Simulate `count` blocks, here or on a worker, and sum up each group of them."""
+    """Simulate `count` blocks and sum up each group."""
     results, tallies = simulation.simulate(first, count), []
     for offset in range(0, count, group):
         path = (first + offset) * BLOCK

@@ -1,14 +1,14 @@
-r"""The compiled loop of the ergodic protocol: a second-order scheme beside its linear control.
+r"""The compiled loop of the ergodic protocol: a second-order scheme with a linear control.
 
-Statistically linearised, the loop is :math:`dz = Az\,dt + dn` for :math:`z = (\varphi, \hat x)`. A
-step of that over a time h is taken exactly,
+The statistically linearised loop is :math:`dz = Az\,dt + dn` for :math:`z = (\varphi, \hat x)`. Its
+step over a time h is exact,
 
 .. math::
 
     L_h: z \leftarrow \Phi z + \eta,\qquad \Phi = e^{Ah},\quad
     \operatorname{cov}\eta = \int_0^h e^{As}Qe^{A's}\,ds,
 
-and what the sines differ from their slopes is a kick,
+and the sines less their slopes are a kick,
 
 .. math::
 
@@ -19,13 +19,13 @@ with :math:`e = \varphi - r\hat x` and :math:`v = c\hat x`. Strang's composition
 :math:`K_{h/2}L_hK_{h/2}` is of second order in h, and exact where the loop is linear. Steps are
 taken as :math:`L_hK_h`; a sample is read after a further :math:`K_{h/2}`, which is not kept.
 
-A path that has slipped is linearised about the point at which it is locked now: with T the multiple
-of :math:`2\pi` nearest to e, the kick has :math:`e - T` in place of :math:`\rho_s e`'s e, and
-:math:`-\rho_sT\int_0^h e^{As}\,ds\,b_s` is added to the exact step.
+A path that has slipped is linearised about the point where it is locked now: with T the multiple of
+:math:`2\pi` nearest to e, the kick has :math:`\rho_s(e - T)` for :math:`\rho_s e`, and the exact
+step adds :math:`-\rho_sT\int_0^h e^{As}\,ds\,b_s`.
 
-The same noise drives the linear loop :math:`y \leftarrow \Phi y + \eta` from its stationary law:
-the control variate, whose moments are known. The state of a block is :math:`\varphi`, the
-estimator's part of y, and :math:`d = \hat x - y`, which starts at zero and has no noise of its own.
+The control variate is the linear loop :math:`y \leftarrow \Phi y + \eta` with the same noise, from
+its stationary law: its moments are known. The state of a block is :math:`\varphi`, the estimator's
+part of y, and :math:`d = \hat x - y`, which starts at zero and has no noise of its own.
 """
 
 from collections import namedtuple
@@ -40,19 +40,8 @@ from robsmooth._numerics.steps import responses
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
-from robsmooth.homodyne.montecarlo.noise import (
-    BLOCK,
-    DRAWS,
-    SOURCES,
-    TURN,
-    WORDS,
-    fill_gaussians,
-    fma,
-    seed_paths,
-    sine,
-    slip,
-    whole_turns,
-)
+from robsmooth.homodyne.montecarlo import noise
+from robsmooth.homodyne.montecarlo.noise import BLOCK, DRAWS, SOURCES, TURN, WORDS, fma, sine, slip
 
 CHUNK = 8  # steps for which noise is drawn ahead
 # Of a path: time averages of the loop and of its control, cycle slips, turns away.
@@ -60,15 +49,14 @@ FILTERED, SMOOTHED, CONTROL_FILTERED, CONTROL_SMOOTHED, CONTROL_FOURTH, SLIPS, T
 OUTPUTS = TURNS + 1
 ERRORS, CONTROLS = slice(FILTERED, CONTROL_FILTERED), slice(CONTROL_FILTERED, SLIPS)
 
-
-# Of a step with m Gaussians; in a kernel, the indices at which they begin in a flat array of all.
+# Of a step with m Gaussians; in a kernel, where each begins in the flat array of all.
 Coefficients = namedtuple(
     "Coefficients",
     "transition root sine_gain copy_gain reference copy sine_response copy_response push "
     "slopes curvatures quarter_turn start",
 )
-# Where the rows of BLOCK numbers begin in a block's state: n for y, n for d. The kick has terms of
-# first and second order along h b_s and h b_c; `delayed` is the phase a delay ago; turns are T.
+# Where the rows of BLOCK numbers begin in a block's state. Control and difference, y and d, have n.
+# The kick has terms of first and second order along h b_s and h b_c; turns are T.
 Rows = namedtuple(
     "Rows",
     "phase control difference sine_first sine_second copy_first copy_second delayed turns end",
@@ -77,7 +65,7 @@ Rows = namedtuple(
 
 @register_jitable
 def indices(n, m):
-    """Return the indices of the coefficients, constants in a kernel."""
+    """Return where the coefficients begin; in a kernel these are constants."""
     root = (1 + n) * (1 + n)
     v = root + (1 + n) * m  # where the vectors begin
     s = v + 7 * n  # and the scalars
@@ -87,21 +75,19 @@ def indices(n, m):
 
 @register_jitable
 def rows_of(n):
-    """Return the indices of the rows, constants in a kernel."""
+    """Return where the rows begin; in a kernel these are constants."""
     b, kick = BLOCK, (1 + 2 * n) * BLOCK
     last = (kick + 3 * b, kick + 4 * b, kick + 5 * b, kick + 6 * b)
     return Rows(0, b, (1 + n) * b, kick, kick + b, kick + 2 * b, *last)
 
 
 def coefficients_of(loop: Loop, step: float, slopes: tuple[float, float]) -> Coefficients:
-    """Return the coefficients of a step, in s, the control with these slopes."""
+    """Return the coefficients of a step, in s; the slopes are those of the control."""
     drift = loop.linearised_drift(*slopes)
     transition, push, _ = responses(drift, -slopes[0] * loop.gains[:, :1], step)
-    noise = noise_root(drift, loop.noise, step)
-    pairs = -(-(1 + loop.order) // DRAWS)  # a Gaussian for each state
-    root = np.zeros((1 + loop.order, pairs * DRAWS))
-    # Not the triangular root itself: with that, a seed would have other paths.
-    root[:, : 1 + loop.order] = square_root(noise @ noise.T)
+    triangle = noise_root(drift, loop.noise, step)
+    root = square_root(triangle @ triangle.T)  # the triangle would give other paths for a seed
+    root = np.pad(root, ((0, 0), (0, -len(root) % DRAWS)))  # Gaussians come in pairs
     gains, arguments = step * loop.gains[1:].T, loop.arguments[:, 1:] * [[-1], [1]]
     return Coefficients(
         transition,  # (1 + n, 1 + n), Phi
@@ -118,7 +104,7 @@ def coefficients_of(loop: Loop, step: float, slopes: tuple[float, float]) -> Coe
 
 
 def control_slopes(loop: Loop) -> tuple[float, float]:
-    """Slopes of the sines in the control, whose means are exact for any: the equivalent ones."""
+    """Return the equivalent slopes, or one: the means of the control are exact for any slopes."""
     try:
         return loop.equivalent_slopes()
     except UnstableLoopError:
@@ -143,8 +129,8 @@ def find_kick(pair, copy, order, coefficients, state):
             e = fma(-coefficients[at.reference + j], x, e)
             if len(copy) > 0:
                 v = fma(coefficients[at.copy + j], x, v)
-        # Half of the kick ends a step, with that T; half starts the next, with a new one.
-        turns = whole_turns(e)
+        # Half of the kick ends a step, with its T; half starts the next, with a new T.
+        turns = noise.whole_turns(e)
         s = fma(-sine_slope, fma(turns + state[row.turns + path], -0.5, e), sine(e))
         state[row.turns + path] = turns
         state[row.sine_first + path] = s
@@ -161,7 +147,7 @@ def find_kick(pair, copy, order, coefficients, state):
 
 @njit
 def split_step(pair, copy, order, coefficients, gaussians, state):
-    """Advance a block by the kick that was found, and by the exact step after it."""
+    """Advance a block by the kick of `find_kick` and the exact step."""
     n, m = len(order), len(pair)
     row, at = rows_of(n), indices(n, m)
     for path in range(BLOCK):
@@ -197,7 +183,7 @@ def split_step(pair, copy, order, coefficients, gaussians, state):
 
 @njit
 def collect(pair, copy, order, coefficients, readout, state, result):
-    """Add the errors of a block and of its control after half a kick; note cycle slips."""
+    """Add the errors of a block and of its control after half a kick; count cycle slips."""
     n = len(order)
     row, at = rows_of(n), indices(n, len(pair))
     for path in range(BLOCK):
@@ -241,10 +227,9 @@ def simulate_block(pair, copy, order, coefficients, readout, schedule, seed, fir
     gaussians = np.empty(CHUNK * m * BLOCK, np.float32)
     state = np.zeros(row.end, coefficients.dtype)
     history = np.zeros((delay + 1, BLOCK), state.dtype)  # the phase at the last steps, a ring
-
     result[:] = 0
-    seed_paths(seed, first_path, generator)
-    fill_gaussians(generator, m // DRAWS, gaussians)
+    noise.seed_paths(seed, first_path, generator)
+    noise.fill_gaussians(generator, m // DRAWS, gaussians)
     for i in range(1 + n):
         for j in range(1 + n):
             for path in range(BLOCK):
@@ -254,21 +239,19 @@ def simulate_block(pair, copy, order, coefficients, readout, schedule, seed, fir
 
     last = warm_up + steps
     for chunk in range(1 + last // CHUNK):
-        fill_gaussians(generator, CHUNK * (m // DRAWS), gaussians)
-        # The last sample is taken at the start of a step, which is then made for nothing.
+        noise.fill_gaussians(generator, CHUNK * (m // DRAWS), gaussians)
+        # The last sample is at the start of a step, whose end is not used.
         for step in range(min(CHUNK, 1 + last - chunk * CHUNK)):
             find_kick(pair, copy, order, coefficients, state)
             now = chunk * CHUNK + step
             record, delayed = history[now % (delay + 1)], history[(now + 1) % (delay + 1)]
-            for path in range(BLOCK):
-                record[path] = state[row.phase + path]
-                state[row.delayed + path] = delayed[path]
+            record[:] = state[row.phase : row.phase + BLOCK]
+            state[row.delayed : row.delayed + BLOCK] = delayed
             if now >= warm_up:
                 collect(pair, copy, order, coefficients, readout, state, result)
             draws_of_step = gaussians[step * m * BLOCK :]
             split_step(pair, copy, order, coefficients, draws_of_step, state)
-    for i in range(SLIPS * BLOCK):
-        result[i] /= steps + 1
+    result[: SLIPS * BLOCK] /= steps + 1
 
 
 @kept(parallel=True, nogil=True)
@@ -277,9 +260,9 @@ def simulate_blocks(
 ):
     """Simulate consecutive blocks, as `euler.simulate_blocks` does.
 
-    The schedule has the steps of the warm-up, of the delay, which is no longer, and those that are
-    sampled, at both ends. Of `pair` and `copy`, only the lengths count: the Gaussians of a step,
-    and the sines besides the first, one or none.
+    The schedule has the steps of the warm-up, of the delay, at most as many, and those whose ends
+    are sampled. The lengths of `pair` and `copy` are the numbers of Gaussians of a step, and of
+    sines besides the first, one or none.
     """
     for block in prange(results.shape[0]):
         path = np.uint64(first + block) * np.uint64(BLOCK)
