@@ -121,7 +121,7 @@ assert rs.smooth_record(discrete, "record.csv", "w.tsv", time=False, header=Fals
 assert rs.smooth_record(discrete, np.ones((10, 1))).shape == (10, 1)
 rs.save(smoother, "smoother.toml")
 loaded = rs.load(Path("smoother.toml"), functions={})
-assert_type(loaded, rs.UncertainSystem | rs.AugmentedSystem | rs.Estimator)
+assert_type(loaded, rs.UncertainSystem | rs.AugmentedSystem | rs.Estimator | rs.DiscreteSmoother)
 
 # --- errors of an estimator -----------------------------------------------------------------------
 
