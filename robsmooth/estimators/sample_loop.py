@@ -5,7 +5,7 @@ The state :math:`x_k` at the beginning of sample k and the sample obey
 .. math::
 
     x_{k+1} = \Phi x_k + d_k + w_k, \qquad y_k = H x_k + h_k + v_k, \qquad
-    \operatorname{cov}\begin{bmatrix}w\\v\end{bmatrix} = \begin{bmatrix}Q & S\\ S' & R\end{bmatrix},
+    \operatorname{cov}\begin{bmatrix}w\\v\end{bmatrix} = \begin{bmatrix}Q & S\\ S' & R\end{bmatrix}.
 
 The innovation :math:`e_k = y_k - h_k - H\hat x_k` has the covariance :math:`\Sigma = HPH' + R`, and
 
@@ -16,7 +16,8 @@ The innovation :math:`e_k = y_k - h_k - H\hat x_k` has the covariance :math:`\Si
 
 At the end of sample k, the smoothed estimate of the state :math:`x_j` is :math:`\hat x_j + P_jr`,
 and its covariance :math:`P_j - P_jNP_j`. The samples from k back to j give r and N, from
-:math:`r = 0,\ N = 0` on (P. de Jong, J. Am. Stat. Assoc. 84(408), 1989):
+:math:`r = 0,\ N = 0` on (P. de Jong, "Smoothing and interpolation with the state-space model",
+J. Am. Stat. Assoc. 84(408), 1989):
 
 .. math::
 
