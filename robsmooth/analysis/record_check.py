@@ -2,19 +2,14 @@
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2, norm
 
-from robsmooth._support import validation
-from robsmooth._support.extras import extra
+from robsmooth._support import plots, validation
 from robsmooth._support.validation import Frozen
 from robsmooth.estimators.discrete import DiscreteSmoother
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _LEVEL = 0.01  # false-alarm rate of the three tests together
 _LAGS = 20  # samples, the longest lag of the correlations
@@ -81,11 +76,9 @@ class RecordCheck(Frozen):
             f"p_mean_square={self.p_mean_square:.2g}, p_white={self.p_white:.2g})"
         )
 
-    def plot(self) -> "tuple[Axes, Axes]":
+    def plot(self) -> "tuple[plots.Axes, plots.Axes]":
         """Draw the mean squares along the record and the correlations; matplotlib is needed."""
-        with extra("plot", "a plot"):
-            from matplotlib import pyplot as plt
-        figure, (along, between) = plt.subplots(1, 2, figsize=(7.0, 3.0), layout="constrained")
+        along, between = plots.new_axes(1, 2, figsize=(7.0, 3.0))
         squares = np.array_split(self.innovations**2, min(50, len(self.innovations)))
         counts = np.array([np.isfinite(part).sum() for part in squares], dtype=float)
         counts[counts == 0.0] = np.nan
@@ -100,7 +93,8 @@ class RecordCheck(Frozen):
         between.axhspan(*norm.interval(1.0 - _LEVEL), **within)
         between.plot(lags, self.correlations.reshape(len(lags), -1), "k.")
         between.set(xlabel="lag (samples)", ylabel="in standard deviations", title="correlations")
-        figure.legend(*between.get_legend_handles_labels(), loc="outside lower center")
+        labelled = between.get_legend_handles_labels()
+        between.figure.legend(*labelled, loc="outside lower center")
         return along, between
 
 

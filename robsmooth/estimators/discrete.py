@@ -141,16 +141,12 @@ class DiscreteSmoother(Exports):
         return self._engine.estimate("filtered") + self._w
 
     def times(self, rows: int, output: str = "smoothed") -> Floats:
-        """Return the times to which the last `rows` estimates belong.
+        """Return the (rows,) times of the last estimates, s since the last `reset`.
 
         Parameters
         ----------
         rows : int, at most `samples`
         output : {"smoothed", "filtered"}
-
-        Returns
-        -------
-        (rows,) array, s since the last `reset`
         """
         rows = validation.integer("rows", rows, low=0)
         if self._engine.memory.counts[3]:
@@ -200,16 +196,12 @@ class DiscreteSmoother(Exports):
         inputs: ArrayLike | None = None,
         interval: float | None = None,
     ) -> Floats:
-        """Take one sample.
+        """Take one sample; return the smoothed estimate (m,) at its end (`filtered` has the other).
 
         Parameters
         ----------
         y, reference, inputs : (l,), (g,) and (p,) arrays, a row of those of `run`; y may be a float
         interval : float, optional, the length of the sample's interval, s; `dt` by default
-
-        Returns
-        -------
-        (m,) array, the smoothed estimate at the interval's end; `filtered` has the other
         """
         row, known = _plain(y, self.l), _plain(reference, self.g)
         is_plain = row is not None and (reference is None or known is not None)
@@ -285,17 +277,13 @@ class DiscreteSmoother(Exports):
         return (found[:, 0], spread[:, 0]) if return_std else found[:, 0]
 
     def bank(self, y: ArrayLike, lags: Sequence[int], **beside: Unpack[Beside]) -> Floats:
-        """Take samples, and return the estimates at many lags in one pass.
+        """Take samples; return the (N, len(lags), m) estimates at many lags in one pass.
 
         Parameters
         ----------
         y, **beside : the record, and reference, inputs and intervals, as in `run`
         lags : sequence of int
             In samples, ascending, at most the delay; counted back from the row's own.
-
-        Returns
-        -------
-        (N, len(lags), m) array
         """
         longest = self._exact("bank").samples_back
         if not isinstance(lags, Iterable):
@@ -323,18 +311,14 @@ class DiscreteSmoother(Exports):
         return found + self._w, spread
 
     def innovations(self, y: ArrayLike, **beside: Unpack[Beside]) -> Floats:
-        """Return the normalised innovations of a record: white, of variance one, by the model.
+        """Return the (N, l) normalised innovations of a record: white, of variance one.
 
-        An innovation is a sample less its prediction. Those of one sample are made uncorrelated,
-        and are divided by their standard deviations.
+        An innovation is a sample less its prediction, NaN where that is missing. Those of one
+        sample are made uncorrelated, and are divided by their standard deviations.
 
         Parameters
         ----------
         y, **beside : the record, and reference, inputs and intervals, as in `run`
-
-        Returns
-        -------
-        (N, l) array, with NaN where a measurement is missing
 
         See Also
         --------

@@ -170,7 +170,7 @@ class AugmentedSystem(Frozen):
         uncertainties: Sequence[ArrayLike] | Matrix = (),
         nonlinearities: Sequence[float] | Matrix = (),
     ) -> Matrix:
-        """Return the block-diagonal Delta with xi-tilde = Delta zeta-tilde, as in Section IV-C.
+        """Return the (r + 2g, h + 2g) block-diagonal Delta, xi-tilde = Delta zeta-tilde.
 
         Parameters
         ----------

@@ -128,6 +128,8 @@ class UncertainSystem(Frozen):
             dx &= Ax\,dt + BQ^{1/2}(\xi_0\,dt + dW_0), \\
             dy &= (1 + \delta)Cx\,dt + DQ^{1/2}(\xi_0\,dt + dW_0) + R^{1/2}(\xi_1\,dt + dW_1).
 
+        `dataclasses.replace` adds further channels.
+
         Parameters
         ----------
         plant : control.StateSpace or TransferFunction, scipy.signal.lti
@@ -142,11 +144,6 @@ class UncertainSystem(Frozen):
         gain_uncertainty : float or (l,) array, optional
             The largest size of :math:`\delta`, for each measurement: 0.2 where gains are known to
             20%. It adds a channel for each. Default: none.
-
-        Returns
-        -------
-        UncertainSystem
-            `dataclasses.replace` adds further channels.
 
         Raises
         ------
@@ -198,13 +195,10 @@ class UncertainSystem(Frozen):
     def to_statespace(self) -> "control.StateSpace":
         """Return the linear part as a python-control object, with its channels open.
 
-        Returns
-        -------
-        control.StateSpace
-            Inputs: the white noises ``W[0]``, ... of unit intensity, the uncertainties
-            ``xi_0[0]``, ... and the nonlinearities' values ``mu[0]``, ... Outputs: ``w[0]``, ... to
-            estimate, the measurement dy/dt ``y[0]``, ..., the uncertainties' bounds
-            ``zeta_0[0]``, ... and the nonlinearities' arguments ``nu[0]``, ...
+        Inputs: the white noises ``W[0]``, ... of unit intensity, the uncertainties ``xi_0[0]``, ...
+        and the nonlinearities' values ``mu[0]``, ... Outputs: ``w[0]``, ... to estimate, the
+        measurement dy/dt ``y[0]``, ..., the uncertainties' bounds ``zeta_0[0]``, ... and the
+        nonlinearities' arguments ``nu[0]``, ...
 
         Examples
         --------
