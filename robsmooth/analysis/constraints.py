@@ -60,10 +60,8 @@ class AnalysisBound(Frozen):
     feedback: Matrix
 
     def __repr__(self) -> str:
-        return (
-            f"AnalysisBound(mean_square={self.mean_square:.5g}, gap={self.gap:.1g}, "
-            f"fraction={self.fraction:.3g})"
-        )
+        errors = f"mean_square={self.mean_square:.5g}, gap={self.gap:.1g}"
+        return f"AnalysisBound({errors}, fraction={self.fraction:.3g})"
 
 
 @one_thread
@@ -80,8 +78,7 @@ def analysis_bound(
 
     Parameters
     ----------
-    smoother, output, loop, copy_noise
-        As in `error_covariance`.
+    smoother, output, loop, copy_noise : as in `error_covariance`
 
     References
     ----------

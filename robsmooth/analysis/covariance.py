@@ -40,10 +40,7 @@ _STARTS = 16  # corners of the admissible set to search from, besides its centre
 def closed_loop(
     estimator: Estimator, Delta: Matrix, loop: str = "theory", reference: loops.Reference = None
 ) -> tuple[Matrix, Matrix]:
-    """Return A and B of dX = A X dt + B dW, X = [x_p; x_hat], for one Delta or (N, ., .) of them.
-
-    The arguments are those of `error_covariance`.
-    """
+    """Return A and B of dX = A X dt + B dW, X = [x_p; x_hat], for one Delta or (N, ., .) many."""
     A, B, inputs, outputs = loops.matrices(estimator, loop, reference)
     return A + inputs @ Delta @ outputs, B
 
@@ -55,9 +52,8 @@ def _check_norm(plant: AugmentedSystem, Delta: Matrix) -> None:
     norm = float(np.linalg.norm(Delta / weights, 2)) if Delta.size else 0.0
     if norm > 1.0 + _NORM_ERROR:
         raise ValueError(
-            f"Delta must have norm at most 1 to be admissible, got {norm:.6g} (columns of "
-            "nonlinearities count divided by their Lipschitz constants); "
-            "allow_inadmissible=True computes it all the same"
+            "Delta must have norm at most 1, with columns of nonlinearities divided by their "
+            f"Lipschitz constants, got {norm:.6g}; allow_inadmissible=True lifts this limit"
         )
 
 
@@ -122,13 +118,11 @@ def error_covariance(
         The error of the smoothed estimate one lag back, of the filtered one now, or the one that a
         `RobustSmoother` bounds: the filtered one where its cost is "filtered", else that of w-hat
         against the output of the delay model.
-    loop : {"theory", "real"}
-        With or without the fictitious noise of the copies, which the paper's theory adds.
+    loop : {"theory", "real"}, with or without the fictitious noise of the copies
     allow_inadmissible : bool, whether a Delta with norm above one is allowed
     reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
         What is subtracted from the nonlinearities' arguments, as in `simulate`; None in the paper.
-    copy_noise : bool, optional
-        In place of `loop`: True for "theory", False for "real".
+    copy_noise : bool, optional, in place of `loop`: True for "theory", False for "real"
 
     Returns
     -------
@@ -214,8 +208,7 @@ def delta_sweep(
     nonlinearities : (N,) array
         The paper's Delta_2 in [-1, 1], the same for every nonlinearity and its copy; the
         uncertainties are zero.
-    output, loop
-        As in `error_covariance`, which has the exceptions, too.
+    output, loop : as in `error_covariance`, which has the exceptions, too
 
     Returns
     -------
@@ -249,8 +242,7 @@ class WorstCase(Frozen):
 
     Attributes
     ----------
-    Delta : (r + 2g, h + 2g) array
-        The uncertainty; channels without an effect have zero blocks.
+    Delta : (r + 2g, h + 2g) array, with zero blocks for channels without an effect
     mean_square, nominal : float
         The mean square error under it and without uncertainty, in the squared unit of w; infinity
         where an admissible uncertainty, or none, makes the loop unstable.
@@ -289,8 +281,7 @@ def worst_case(smoother: Estimator, output: str = "smoothed", loop: str = "theor
 
     Parameters
     ----------
-    smoother, output, loop
-        As in `error_covariance`.
+    smoother, output, loop : as in `error_covariance`
 
     Examples
     --------

@@ -71,10 +71,8 @@ class RecordCheck(Frozen):
         return f"The record does not agree with the model. Of the innovations: {'; '.join(found)}."
 
     def __repr__(self) -> str:
-        return (
-            f"RecordCheck(mean_square={self.mean_square:.4g}, p_mean={self.p_mean:.2g}, "
-            f"p_mean_square={self.p_mean_square:.2g}, p_white={self.p_white:.2g})"
-        )
+        p = f"p_mean={self.p_mean:.2g}, p_mean_square={self.p_mean_square:.2g}"
+        return f"RecordCheck(mean_square={self.mean_square:.4g}, {p}, p_white={self.p_white:.2g})"
 
     def plot(self) -> "tuple[plots.Axes, plots.Axes]":
         """Draw the mean squares along the record and the correlations; matplotlib is needed."""
@@ -115,8 +113,7 @@ def check_record(
     smoother : DiscreteSmoother
         Of a classical or a tuned design, made by ``estimator.discretize(dt)``. Its state stays. The
         noises of a tuned design's model are not the plant's.
-    y, reference, inputs
-        The record, as in `DiscreteSmoother.run`.
+    y, reference, inputs : the record, as in `DiscreteSmoother.run`
 
     Raises
     ------

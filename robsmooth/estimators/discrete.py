@@ -48,14 +48,12 @@ class DiscreteSmoother(Exports):
 
     Attributes
     ----------
-    dt, delay : float
-        Length of a sample's interval, and the delay of the smoothed estimate (also ``lag``), s.
+    dt, delay : float, s, the length of a sample's interval, and the delay (also ``lag``)
     exact : bool, whether the smoother is that of a nominal system, with an exact delay
     instants : bool, whether a sample is taken at its interval's end, and is no mean
     l, m, g, p : int, numbers of measurements, outputs, nonlinearities and known inputs
     compiled : bool
-        Whether compiled code alone runs, unless NUMBA_DISABLE_JIT is set. A copy's function that
-        numba cannot compile is slower by a factor of a hundred and more.
+        Whether only compiled code runs (unless NUMBA_DISABLE_JIT is set): else 100 times slower.
     samples : int, taken since the last `reset`
 
     See Also
@@ -247,8 +245,7 @@ class DiscreteSmoother(Exports):
             constant over each interval; zero by default. In homodyne detection it is
             :math:`2\alpha\gamma` times the phase of the local oscillator. `SamplePaths` has it.
         output : {"smoothed", "filtered"}, which estimates to return
-        inputs : (N, p) array, optional
-            The means of the known inputs over the intervals, where the system has any.
+        inputs : (N, p) array, optional, the means of the system's known inputs over the intervals
         intervals : (N,) array, optional
             The lengths of the rows' intervals, s, where they are not `dt`; rounded to 1e-9 dt.
         return_std : bool

@@ -125,8 +125,7 @@ def parameter_study(
         Of the smoother, s; of the delay's Pade model; half widths of the sector.
     noises : sequence of float
         Power of the shot noise relative to that of `parameters`; alpha is divided by its root.
-    runs, seed, client, checkpoint, progress
-        As in `monte_carlo` of the ergodic protocol, which has the exceptions, too.
+    runs, seed, client, checkpoint, progress : as in `monte_carlo`, which has the exceptions, too
 
     Examples
     --------

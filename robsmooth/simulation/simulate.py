@@ -86,9 +86,8 @@ def simulate(
     >>> bool(abs(result.smoothed.mean_square - exact) < 4 * result.smoothed.standard_error)
     True
     """
-    joined = loops.nonlinear_loop(smoother, uncertainties)
     progress = validation.boolean("progress", progress)
-    run = _Run(smoother.plant, joined, runs, duration, step, seed)
+    run = _Run(smoother, uncertainties, runs, duration, step, seed)
     checks = np.zeros((3, len(run.plant.M_i)))
     errors = statistics.Moments()
     path_steps = run.runs * (run.before + run.steps)
@@ -106,7 +105,7 @@ def simulate(
         filtered=errors.mean_square(0),
         constraints=constraints,
         violated=violated,
-        equivalent_delta=joined.delta,
+        equivalent_delta=run.integrator.loop.delta,
         runs=run.runs,
         path_steps=path_steps,
         duration=run.steps * run.step,
@@ -133,7 +132,7 @@ def sample_paths(
     Parameters
     ----------
     smoother, uncertainties, runs, duration, step, seed
-        As in `simulate`, which has the exceptions, too; a fifth of its default duration.
+        As in `simulate`, which has the exceptions, too; `duration` is a fifth by default.
 
     Examples
     --------
@@ -142,8 +141,7 @@ def sample_paths(
     >>> rs.sample_paths(kalman, runs=2, duration=1e-4)
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
-    joined = loops.nonlinear_loop(smoother, uncertainties)
-    run = _Run(smoother.plant, joined, runs, duration, step, seed, measured=True)
+    run = _Run(smoother, uncertainties, runs, duration, step, seed, measured=True)
     parts = list(run.records(range(run.runs)))
     names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
     times, *series = (np.concatenate([part[name] for part in parts]) for name in ("time", *names))
@@ -156,15 +154,16 @@ class _Run:
 
     def __init__(
         self,
-        plant: AugmentedSystem,
-        loop: loops.NonlinearLoop,
+        smoother: Estimator,
+        uncertainties: loops.Uncertainties,
         runs: int,
         duration: float | None,
         step: float | None,
         seed: int,
         measured: bool = False,
     ):
-        self.plant, delay = plant, plant.delay
+        loop = loops.nonlinear_loop(smoother, uncertainties)
+        self.plant, delay = smoother.plant, smoother.plant.delay
         self.runs = validation.integer("runs", runs, low=1)
         self.seed = validation.integer("seed", seed, low=0)
         if duration is None:

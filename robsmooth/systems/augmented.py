@@ -46,8 +46,7 @@ class AugmentedSystem(Frozen):
         Channel inputs into the state; channel outputs from the state and from the estimator.
     C2_tilde, D21_tilde, D21_bar : (l + g, n), (l + g, r + 2g) and (l + g, q + g) arrays
         State, channel inputs and noise in the extended measurement: y, then the copies' outputs.
-    M_i, N_i : tuples of k + 3g arrays
-        The matrices of the quadratic constraints on the channel inputs and outputs.
+    M_i, N_i : tuples of k + 3g arrays, the constraints' matrices of channel inputs and outputs
 
     Examples
     --------
@@ -126,8 +125,7 @@ class AugmentedSystem(Frozen):
 
     def M(self, multipliers: ArrayLike) -> Matrix:
         """Return M(lambda), the sum of lambda_i M_i."""
-        if len(multipliers) != len(self.M_i):
-            given = len(multipliers)
+        if (given := len(multipliers)) != len(self.M_i):
             raise ValueError(f"multipliers must have {len(self.M_i)} entries, got {given}")
         zero = np.zeros([sum(self.input_sizes)] * 2)
         return sum(map(np.multiply, multipliers, self.M_i), zero)
@@ -178,10 +176,6 @@ class AugmentedSystem(Frozen):
             The blocks; a float is on the diagonal of its block. Default: zeros.
         nonlinearities : sequence of g floats, optional
             The slopes of the nonlinearities and their copies. Default: zeros.
-
-        Returns
-        -------
-        (r + 2g, h + 2g) array
 
         Examples
         --------

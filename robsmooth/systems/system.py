@@ -32,10 +32,8 @@ class UncertainSystem(Frozen):
     Parameters
     ----------
     A : (n, n) array, drift, 1/s
-    B1 : (n, q) array
-        Process noise intensity; `W` are independent standard Wiener processes.
-    C0 : (m, n) array
-        The outputs to estimate, :math:`w = C_0 x`.
+    B1 : (n, q) array, process noise intensity; `W` are independent standard Wiener processes
+    C0 : (m, n) array, the outputs to estimate, w = C0 x
     C2 : (l, n) array
         The measurement, :math:`dy = C_2 x\,dt + \dots`
     D21 : (l, q) array, measurement noise intensity
