@@ -96,7 +96,7 @@ class Candidate:
     refused: str = ""
 
     def error(self, against: str) -> float:
-        """Return the error that is to be least."""
+        """Return the error to minimise."""
         return getattr(self.judgement, _ERRORS[against])
 
 
@@ -205,7 +205,7 @@ def best_smoother(
 
     Examples
     --------
-    A sensor's gain is known to 5%, the decay of what it measures to 10%:
+    A sensor's gain is known to 5%, the decay rate of its signal to 10%:
 
     >>> import robsmooth as rs
     >>> decay = rs.Uncertainty(B=[[1.0]], C=[[0.1]], D=[[0.0]])

@@ -58,7 +58,7 @@ def _check_norm(plant: AugmentedSystem, Delta: Matrix) -> None:
 
 
 def _stationary_error(A: Matrix, B: Matrix, estimator: Estimator, output: str) -> Matrix:
-    """Return the (..., m, m) stationary covariance of one of the errors, of one A or of several."""
+    """Return the (..., m, m) stationary covariance of an error, for one A or several."""
     truth, estimate, delay = loops.error_rows(estimator, output)
     n, n_c = estimator.plant.n, len(estimator.A_c)
     T = np.eye(n + n_c)  # an estimator of another order has no such error

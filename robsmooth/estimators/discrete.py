@@ -353,7 +353,7 @@ class DiscreteSmoother(Exports):
     def _given(
         self, y: Any, reference: Any = None, inputs: Any = None, intervals: Any = None
     ) -> Samples:
-        """Return samples and what is beside them, checked."""
+        """Return a record as checked samples, with references, inputs and intervals."""
         y = checked("y", y, self.l)
         refuse("y must be finite, or nan where it is missing", y, np.isinf(y))
         reference = self._beside("reference", reference, self.g, len(y))
@@ -373,7 +373,7 @@ class DiscreteSmoother(Exports):
         return Samples(y, reference, inputs, intervals if len(y) else None)
 
     def _beside(self, name: str, given: ArrayLike | None, columns: int, rows: int) -> Floats:
-        """Return what is beside y, checked; zero by default."""
+        """Return the checked reference or inputs of a record, zero by default."""
         if given is None:
             return np.zeros((rows, columns))
         result = checked(name, given, columns)

@@ -131,8 +131,8 @@ class Estimator(Frozen):
             "model" the estimator's own equations, which are faster. By default "exact" where there
             is a nominal system: for the classical and the tuned designs.
         mean, offset : (n,) and (l,) arrays, optional
-            The mean of the system's state, kept up by something that is not modelled, and what is
-            added to the measurements. Zero by default.
+            The mean of the system's state, due to an effect that is not modelled, and a constant
+            that is added to the measurements. Zero by default.
         samples : {"means", "instants"}
             A sample is the mean of dy/dt over its interval. Or, for exact delays, it is taken at
             the interval's end, and only its noise, of variance :math:`D_{21}D_{21}'/dt`, is a mean.

@@ -127,7 +127,7 @@ def sample_paths(
     step: float | None = None,
     seed: int = 0,
 ) -> statistics.SamplePaths:
-    """Return the first of the paths that `simulate` averages, with what was measured.
+    """Return the first of the paths that `simulate` averages, with their measurements.
 
     Parameters
     ----------

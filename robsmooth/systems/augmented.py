@@ -253,7 +253,7 @@ def _growth(system: UncertainSystem, model: DelayModel) -> Matrix:
 
 
 def check_is_plant(plant: AugmentedSystem) -> None:
-    """Check the type of what is given as a plant."""
+    """Check the type of a plant."""
     hint = "; augment(system, delay, order) makes one"
     validation.instance("plant", plant, AugmentedSystem, hint)
 

@@ -50,7 +50,7 @@ class Uncertainty(Frozen):
 
 @dataclass(frozen=True, eq=False, init=False)
 class Nonlinearity(Frozen):
-    r"""One scalar nonlinearity :math:`\mu_i = \psi_i(\nu_i)`, of which the estimator runs a copy.
+    r"""One scalar nonlinearity :math:`\mu_i = \psi_i(\nu_i)`; the estimator runs a copy of it.
 
     Parameters
     ----------

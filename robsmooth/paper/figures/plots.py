@@ -160,7 +160,7 @@ def shade(
     """Shade (M, N) values over (N,) x and (M,) y by levels; hatch NaN with the label `missing`."""
     norm = BoundaryNorm(levels, 256, extend="max")
     shading = axes.contourf(x, y, _spread(values), levels, norm=norm, extend="max")
-    hatch(axes, x, y, np.isnan(values) - 0.5, missing, zorder=1.5)  # on what is spread
+    hatch(axes, x, y, np.isnan(values) - 0.5, missing, zorder=1.5)  # above the spread values
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     axes.grid(visible=False)
     return shading
