@@ -189,7 +189,7 @@ def best_smoother(
         Made by `augment`.
     against : {"admissible", "constant"}
         The error to minimise: the certified worst, under every admissible uncertainty (it may vary
-        in time and depend on the past), or the worst under constant ones, as unknown parameters.
+        in time and depend on the past), or the worst under constant ones (unknown parameters).
     output : {"smoothed", "filtered"}, the estimate to judge
     progress : bool, whether to show a bar
 

@@ -74,7 +74,7 @@ def analysis_bound(
 ) -> AnalysisBound:
     """Return the largest error that the constraints on the uncertainty allow an estimator.
 
-    The smoothed error is against a Pade model of order 10 of the delayed w.
+    The smoothed error is against a Pade model of order 10: the true delay has no finite state.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def analysis_bound(
     problem, g = certificate.ConstraintProblem(opened, smoother.plant), smoother.plant.system.g
     fraction, theta = certificate.largest_fraction(problem)
     if fraction < 1.0 and g:
-        # the constraints of a nonlinearity or of a copy alone may have no effect
+        # the input of a nonlinearity, or of a copy, may have no effect by itself
         differences = np.repeat([True, False], [len(smoother.plant.M_i) - 2 * g, 2 * g])
         reduced = certificate.ConstraintProblem(opened, smoother.plant, differences)
         larger, found = certificate.largest_fraction(reduced)

@@ -118,7 +118,7 @@ def error_covariance(
         The error of the smoothed estimate one lag back, of the filtered one now, or the one that a
         `RobustSmoother` bounds: the filtered one where its cost is "filtered", else that of w-hat
         against the output of the delay model.
-    loop : {"theory", "real"}, with or without the fictitious noise of the copies
+    loop : {"theory", "real"}, with the copies' fictitious noise, as in the paper, or without
     allow_inadmissible : bool, whether a Delta with norm above one is allowed
     reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
         What is subtracted from the nonlinearities' arguments, as in `simulate`; None in the paper.
@@ -225,8 +225,7 @@ def delta_sweep(
     slopes = validation.array("nonlinearities", nonlinearities, ndim=1)
     plant = smoother.plant
     if not plant.system.g:
-        advice = "error_covariance has the error under its uncertainties"
-        raise ValueError(f"smoother must be of a system with nonlinearities to sweep: {advice}")
+        raise ValueError("smoother must be of a system with nonlinearities; see error_covariance")
     pattern = plant.structured_delta((), [1.0] * plant.system.g)
     _check_norm(plant, np.abs(slopes).max(initial=0.0) * pattern)
     size = slopes.size * (plant.n + len(smoother.A_c)) ** 2
@@ -245,7 +244,7 @@ class WorstCase(Frozen):
     Delta : (r + 2g, h + 2g) array, with zero blocks for channels without an effect
     mean_square, nominal : float
         The mean square error under it and without uncertainty, in the squared unit of w; infinity
-        where an admissible uncertainty, or none, makes the loop unstable.
+        where the loop is not stable.
 
     Examples
     --------

@@ -156,7 +156,7 @@ def check_record(
 
 
 def _correlations(values: Floats, seen: NDArray[np.bool_], lag: int) -> Floats:
-    """Return the correlations at a lag, of any size of innovations; NaN where pairs are too few."""
+    """Return the correlations at a lag, NaN where pairs are too few."""
     pairs = seen[lag:].T.astype(float) @ seen[:-lag]
     size = np.sqrt((values**2).sum(axis=0) / seen.sum(axis=0))
     few = (pairs < _PAIRS * values.shape[1]) | (5 * lag > len(values))

@@ -327,8 +327,8 @@ class DiscreteSmoother(Exports):
         if isinstance(self._engine, ExactFilter):
             return self._engine
         raise ValueError(
-            f"{name} is for an exact smoother, of a classical or a tuned design: this one runs a "
-            "model of its delay"
+            f"{name} is for an exact smoother, of a classical or a tuned design without "
+            "delay='model': this one runs a model of its delay"
         )
 
     def _take(

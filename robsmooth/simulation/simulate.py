@@ -67,7 +67,7 @@ def simulate(
     InadmissibleWarning
         Where a constraint of the theory, (eqIQC1) to (eqIQC4), is violated at times.
     LongStepWarning
-        Where the step is above 1/4 of the response time and the loop is not linear.
+        Where the step is above 1/4 of the response time, unless the loop is linear with constants.
 
     Raises
     ------

@@ -30,7 +30,7 @@ class MeanSquare:
     mean_square, standard_error : float
         In the squared unit of the estimated quantity: rad^2 for a phase. The second is NaN for a
         single path.
-    variance_reduction : float, the factor of paths saved by control variates
+    variance_reduction : float, paths needed without control variates, over those with them
 
     Examples
     --------

@@ -68,7 +68,7 @@ class Nonlinearity(Frozen):
         needs none.
     reference : {None, "filtered", "smoothed"}
         The estimate :math:`r_i` of :math:`\nu_i` fed back to the detector: the nonlinearity acts on
-        :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. Only `simulate` uses it.
+        :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. Designs do not use it.
     sector : (float, float), optional
         The least and the largest slope :math:`(\psi_i(a) - \psi_i(b))/(a - b)`. `UncertainSystem`
         moves their mean to A and C2, and keeps the rest of the function. With a reference and a B
@@ -111,8 +111,8 @@ class Nonlinearity(Frozen):
         if sector is not None:
             slopes = validation.array("Nonlinearity sector", sector, ndim=1).tolist()
             if len(slopes) != 2 or not slopes[0] < slopes[1]:
-                rule = "Nonlinearity sector must be two slopes, the least and the largest"
-                raise ValueError(f"{rule}, got {sector!r}")
+                rule = "two slopes, the least and the largest"
+                raise ValueError(f"Nonlinearity sector must be {rule}, got {sector!r}")
             sector = tuple(slopes)
             if lipschitz not in (None, max(map(abs, sector))):
                 raise TypeError("Nonlinearity must have a lipschitz or a sector, got both")
