@@ -2,16 +2,15 @@ r"""The algebraic Riccati equation, solved by scipy and certified before its ans
 
 .. math:: A'X + XA + Q - X S X = 0
 
-with symmetric `Q` and `S` of any sign; wanted is the stabilising solution, for which
-:math:`A - SX` is stable. `scipy.linalg.solve_continuous_are` can return nonsense past the boundary
-where no such solution exists. So its answer is the start of Newton's method, and the result counts
-only with its certificate: a small residual, a small last step, which estimates the error, and a
-stable closed loop.
+with symmetric `Q` and `S` of any sign. The stabilising solution makes :math:`A - SX` stable.
+`scipy.linalg.solve_continuous_are` can return nonsense where none exists. So its answer is the
+start of Newton's method, and the result counts only with its certificate: a small residual, a small
+last step, which estimates the error, and a stable closed loop.
 
-No result depends on the units of time, signals or states: the data are first brought to units in
-which they are of order one. Each state has one that balances the Hamiltonian matrix. Time is in
-units of :math:`1/(|A| + \sqrt{|Q||S|})` and `X` in those of :math:`|Q|/(a + \sqrt{|Q||S|})`, where
-`a` is the decay rate of the slowest mode of `A`, or zero where `A` is not stable.
+Results do not depend on the units of time, signals or states: the data are scaled to order one. The
+units of the states balance the Hamiltonian matrix. Time is in units of
+:math:`1/(|A| + \sqrt{|Q||S|})` and `X` in those of :math:`|Q|/(a + \sqrt{|Q||S|})`, where `a` is
+the decay rate of the slowest mode of `A`, or zero where `A` is not stable.
 """
 
 from dataclasses import dataclass, field
@@ -25,22 +24,22 @@ from robsmooth._support.validation import Frozen, Matrix
 
 RESIDUAL_TOLERANCE = 1e-8
 ERROR_TOLERANCE = 1e-6
-_NEARLY_LINEAR = 1e-5  # the square of this, relative, is what the quadratic part changes
+_NEARLY_LINEAR = 1e-5  # the square root of the relative effect of the quadratic part
 _REFINEMENTS = 20
 _ROUNDING = 1e-15  # a step smaller than this, relative to the solution, is the last
 _EMPTY = 1e-14  # directions of S below this, relative to its norm, are rounding
 
 
 class RiccatiError(ArithmeticError):
-    """The equation has no stabilising solution, as far as the certificate can tell."""
+    """No stabilising solution passes the certificate."""
 
 
 @dataclass(frozen=True, eq=False)
 class RiccatiSolution(Frozen):
     r"""A stabilising solution X (n, n) with its certificate.
 
-    The residual is relative to :math:`2|A||X| + |Q| + |S||X|^2`, smallest eigenvalue and estimated
-    error of X to its norm, in the units of the states that balance the equation.
+    In the balancing units of the states. The residual is relative to
+    :math:`2|A||X| + |Q| + |S||X|^2`, smallest eigenvalue and error are relative to the norm of X.
     """
 
     X: Matrix = field(repr=False)
@@ -52,7 +51,7 @@ class RiccatiSolution(Frozen):
 
 @one_thread
 def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
-    """Return the stabilising solution; a RiccatiError says that none passes the certificate."""
+    """Return the stabilising solution; a RiccatiError where none passes the certificate."""
     Q, S = (Q + Q.T) / 2, (S + S.T) / 2
     decay = -np.linalg.eigvals(A).real.max()
     (A, Q, S), first = _rescaled(A, Q, S, decay)  # before the states are balanced, and again after
@@ -63,8 +62,8 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     (A, Q, S), again = _rescaled(A, Q, S, decay * first[0])
     time, unit = first * again
 
-    # Zero is the better start where the quadratic part is next to nothing. It may also lead to the
-    # solution where the pencil is too inaccurate, for time constants that lie far apart.
+    # Zero is the better start where the quadratic part is negligible, and another start where the
+    # pencil is inaccurate, for time constants that differ by orders of magnitude.
     linear = np.sqrt(np.abs(Q).max()) * np.sqrt(np.abs(S).max()) <= _NEARLY_LINEAR * decay * time
     failure = None
     for from_zero in (linear, not linear):
@@ -79,7 +78,7 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
 
 
 def _rescaled(A: Matrix, Q: Matrix, S: Matrix, decay: float) -> tuple[tuple, np.ndarray]:
-    """Return the data in units of time and of X, powers of two because these scale exactly."""
+    """Return the data in units of time and of X, powers of two, which scale exactly."""
     size = np.abs(Q).max()
     speed = np.sqrt(size) * np.sqrt(np.abs(S).max())
     rate = speed + max(decay, 0.0)
@@ -89,7 +88,7 @@ def _rescaled(A: Matrix, Q: Matrix, S: Matrix, decay: float) -> tuple[tuple, np.
 
 
 def _pencil(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return what scipy finds, by the ordered eigenvalues of the extended pencil."""
+    """Return the solution of scipy, by the ordered eigenvalues of the extended pencil."""
     weights, directions = np.linalg.eigh(S)
     used = np.abs(weights) > _EMPTY * np.abs(weights).max()
     if not used.any():
@@ -99,7 +98,7 @@ def _pencil(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
 
 
 def _refine(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> tuple[Matrix, float]:
-    """Follow Newton's method while it helps; return the solution and the size of the last step."""
+    """Iterate Newton's method until rounding; return the solution and the last step's size."""
     X, error = (X + X.T) / 2, np.inf
     for _ in range(_REFINEMENTS):
         closed = A - S @ X

@@ -1,4 +1,4 @@
-"""Packages that only a part of robsmooth needs, and what to say where one is missing."""
+"""Packages that only a part of robsmooth needs, and the error where one is missing."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,26 +6,24 @@ from typing import Any
 
 
 class MissingExtraError(ImportError):
-    """A part of robsmooth was asked for whose packages are not installed."""
+    """A package that a part of robsmooth needs is not installed."""
 
 
 @contextmanager
 def extra(name: str, part: str) -> Iterator[None]:
-    """Say which extra `part` needs, where an import in the block finds no package."""
+    """Raise an error that names the extra for `part`, where an import in the block fails."""
     try:
         yield
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         if package in ("", "robsmooth"):
             raise
-        raise MissingExtraError(
-            f"{part} needs the package {package}: pip install 'robsmooth[{name}]'",
-            name=error.name,
-        ) from None
+        message = f"{part} needs the package {package}: pip install 'robsmooth[{name}]'"
+        raise MissingExtraError(message, name=error.name) from None
 
 
 def pyarrow() -> Any:
-    """Return PyArrow, which the extra ``records`` brings."""
+    """Return PyArrow, of the extra ``records``."""
     with extra("records", "a data frame, CSV or Parquet"):
         import pyarrow.csv
         import pyarrow.parquet

@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and a file that is locked has one user at a time."""
+"""Files that are written whole or not at all, and locks."""
 
 import json
 import os
@@ -12,11 +12,10 @@ from pathlib import Path
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], kept: str = "") -> Iterator[Path]:
-    """Give a path beside `path` to write to; on success what was written there replaces `path`.
+    """Yield a path beside `path` to write to; on success the file there replaces `path`.
 
-    Whatever ends the block early, `path` is left as it was. The temporary is removed then, unless
-    there is a suffix with which it is `kept`. A symbolic link stays one, and the permissions of a
-    file that is there are kept.
+    After a failure `path` is as it was, and the temporary file is removed, unless it is `kept`
+    under the path with this suffix. Symbolic links and permissions are preserved.
     """
     path = Path(os.path.realpath(path))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -47,12 +46,11 @@ def write_json(path: str | os.PathLike[str], value: object) -> None:
 
 @contextmanager
 def exclusive_lock(path: str | os.PathLike) -> Iterator[sqlite3.Connection]:
-    """Open the SQLite database at a path, and keep everything else from opening it meanwhile.
+    """Open the SQLite database at a path, or make it with its folders, and lock it.
 
-    An empty or missing file is an empty database; its folders are made. The system takes the lock
-    back when the process ends, however it ends. Nothing else in the process may open the file
-    meanwhile: on POSIX systems to close it again gives up the lock. BlockingIOError where something
-    else has it, sqlite3.Error where the file cannot be opened or has other content.
+    The lock ends with the process at the latest. This process must not open the file again: on
+    POSIX systems the lock ends when that is closed. BlockingIOError where the file is locked,
+    sqlite3.Error where it cannot be opened or has other content.
     """
     path = Path(path).absolute()  # ":memory:" is the name of a file, too
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Curves that are told apart in grey and by the colour-blind, in axes of any style."""
+"""Curves in axes of any style, distinct in grey and for the colour-blind."""
 
 import itertools
 from collections.abc import Iterable, Mapping
@@ -16,24 +16,21 @@ if TYPE_CHECKING:
 MEAN_SQUARE = "mean square error\n(squared unit of $w$)"
 STYLE = Path(__file__).with_name("robsmooth.mplstyle")
 
-# What is drawn in several figures looks the same in all of them: its place in the style's cycle.
+# Places in the style's cycle: the same curve looks the same in all figures.
 _PLACES: dict[str | int, int] = {  # a number is the order of a delay's model
-    # solid blue, and broken red, as the paper has them
+    # solid blue, and broken red, as in the paper
     **dict.fromkeys(("filtered", "NGCF", 1), 0),
     **dict.fromkeys(("smoothed", "smoother", "robust smoother", 2), 1),
     **dict.fromkeys(("classical smoother", 4), 2),
     3: 4,
 }
-# The truth under its estimates, or an ideal: a band, pale enough not to be taken for one of them.
+# A pale band for the truth or an ideal, under the estimates.
 _BAND = {"color": "0.78", "linestyle": "-", "linewidth": 2.5}
 _BANDS = ("true", "exact optimum", "both optimal, linear loop")
 
 
 def styles(names: Iterable[str | int]) -> list[dict[str, Any]]:
-    """Return the colour and dashes of each estimate or order.
-
-    Names without a place in the cycle get what is left of it in turn.
-    """
+    """Return the look of each estimate or order; other names get the rest of the cycle in turn."""
     import matplotlib as mpl
 
     properties = mpl.rc_params_from_file(STYLE, use_default_template=False)["axes.prop_cycle"]
@@ -46,20 +43,17 @@ def styles(names: Iterable[str | int]) -> list[dict[str, Any]]:
     ]
 
 
-def new_axes() -> "Axes":
-    """Return axes of pyplot, which a notebook and ``plt.show()`` show."""
+def new_axes(*grid: int, **settings: Any) -> Any:
+    """Return new axes of pyplot, or a grid of them; the arguments are those of `subplots`."""
     with extra("plot", "a plot"):
         from matplotlib import pyplot as plt
-    return plt.subplots(layout="constrained")[1]
+    return plt.subplots(*grid, layout="constrained", **settings)[1]
 
 
 def draw_curves(
     axes: "Axes | None", x: ArrayLike, curves: Mapping[str | int, ArrayLike], **labels: str
 ) -> "Axes":
-    """Draw curves by name, over one x or each over its own, into axes or into new ones.
-
-    A number in place of a name is the order of a delay's model. New axes have a legend.
-    """
+    """Draw curves by name or order, over one x or each over its own; new axes have a legend."""
     drawn = axes or new_axes()
     x = np.broadcast_to(x, (len(curves), np.shape(x)[-1]))
     for each, (name, y), look in zip(x, curves.items(), styles(curves), strict=True):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Cell = str | int | float | None
 
-# What is read as a number: it may have an error, a unit or a per cent sign.
+# A number, perhaps with an error, a unit or a per cent sign.
 _NUMBER = re.compile(r"[-+−]?(\d[\d.,]*(e[-+]?\d+)?|inf|nan)(\s?[%±µ].*)?")
 
 
@@ -37,9 +37,9 @@ class Table:
     def of_records(
         cls, records: Iterable[Mapping[str, Cell]], caption: str, digits: int = 4
     ) -> "Table":
-        """Return the table of rows that map column headers to cells; one may lack some of them."""
+        """Return the table of rows that map column headers to cells; cells may be absent."""
         records = list(records)
-        fullest_first = sorted(records, key=len, reverse=True)  # it has the columns in their order
+        fullest_first = sorted(records, key=len, reverse=True)  # it has the order of the columns
         columns = tuple(dict.fromkeys(column for record in fullest_first for column in record))
         rows = [tuple(record.get(column) for column in columns) for record in records]
         return cls(columns, rows, caption, digits)
@@ -63,8 +63,7 @@ class Table:
         rows = ("".join(map(self._html_cell, row, styles)) for row in self.rows)
         body = "\n".join(f"<tr>{row}</tr>" for row in rows)
         caption = f"<caption>{_html(self.caption)}</caption>\n" if self.caption else ""
-        # MathJax puts formulas for screen readers behind those that are seen: the box is not to
-        # scroll where only they are wider than the table
+        # The formulas that MathJax hides for screen readers do not make the box scroll.
         hidden = 'style="overflow: hidden"'
         return (
             f'<div style="overflow-x: auto">\n<table class="tex2jax_process" {hidden}>\n{caption}'
@@ -76,7 +75,7 @@ class Table:
     def csv(self) -> str:
         """Return the table as comma-separated values, numbers to twelve digits."""
         text = io.StringIO()
-        full = replace(self, digits=12)  # the last few of sixteen differ from machine to machine
+        full = replace(self, digits=12)  # further digits differ between machines
         writer = csv.writer(text, lineterminator="\n")
         writer.writerows([self.columns, *full._printed_rows()])
         return text.getvalue()
@@ -113,7 +112,7 @@ def data_frame(axes: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> "Dat
 
 
 def _numeric(column: Sequence[str]) -> bool:
-    """Tell whether a column's printed cells are numbers, as far as there are any."""
+    """Return whether a column has numbers, and only these."""
     found = [cell for cell in column if cell]
     return bool(found) and all(_NUMBER.fullmatch(cell) for cell in found)
 

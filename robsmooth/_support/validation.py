@@ -1,4 +1,4 @@
-"""Checks of what a user passes in: each returns the clean value or raises one clear sentence."""
+"""Checks of arguments: each returns the clean value or raises one clear sentence."""
 
 import math
 import numbers
@@ -14,7 +14,7 @@ T = TypeVar("T", bound=np.generic)
 
 
 def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
-    """Return `value` as an array of real numbers, of any of their types, with NaN where masked."""
+    """Return `value` as an array of real numbers of any type, with NaN where masked."""
     for each in _parts(value):
         if hasattr(each, "magnitude") or hasattr(each, "to_value"):  # of pint, astropy or unyt
             remedy = ".to(...).magnitude or .to_value(...) has them"
@@ -28,17 +28,15 @@ def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
     if result.dtype.kind == "c":
         raise ValueError(f"{name} must be real, got complex entries: its .real is")
     if result.dtype.kind not in "iuf" and result.size:
-        raise TypeError(
-            f"{name} must be an array of numbers, got entries of type {result.dtype}: "
-            "np.array(..., dtype=float) makes numbers of them where that is meant"
-        )
+        got = f"entries of type {result.dtype}: np.array(..., dtype=float) makes numbers of them"
+        raise TypeError(f"{name} must be an array of numbers, got {got}")
     if not any(map(np.ma.is_masked, _parts(value))):
         return result
     return np.where(np.ma.getmaskarray(np.ma.array(value)), np.nan, result)
 
 
 def _parts(value: ArrayLike) -> list[Any]:
-    """Return a value and, of a list, its members, which may have a mask or a unit of their own."""
+    """Return a value and the members of a list, which may have their own masks or units."""
     return [value, *value] if isinstance(value, list | tuple) else [value]
 
 
@@ -82,14 +80,13 @@ def real(
     without = (-INF, INF, *without)
     if not low <= result <= high or result in without:
         left, right = "(" if low in without else "[", ")" if high in without else "]"
-        raise ValueError(
-            f"{name} must be finite and in {left}{low:g}, {high:g}{right}, got {result!r}"
-        )
+        allowed = f"finite and in {left}{low:g}, {high:g}{right}"
+        raise ValueError(f"{name} must be {allowed}, got {result!r}")
     return result
 
 
 def frozen(value: NDArray[T]) -> NDArray[T]:
-    """Return the array read-only for good, as a view of a copy that is."""
+    """Return the array as a view of a read-only copy, which cannot be made writeable."""
     if value.flags.writeable:
         value = value.copy("K")
         value.flags.writeable = False
@@ -97,7 +94,7 @@ def frozen(value: NDArray[T]) -> NDArray[T]:
 
 
 class Frozen:
-    """A dataclass whose arrays are read-only, those of its copies and pickles, too."""
+    """A dataclass with read-only arrays, also in its copies and pickles."""
 
     def __post_init__(self) -> None:
         self.__setstate__(vars(self))
@@ -107,7 +104,7 @@ class Frozen:
 
 
 def _all_frozen(value: Any) -> Any:
-    """Return a value with the arrays in it read-only."""
+    """Return a value with read-only arrays."""
     if isinstance(value, np.ndarray):
         return frozen(value)
     if isinstance(value, tuple):
@@ -133,14 +130,14 @@ def integer(name: str, value: int, *, low: int) -> int:
 
 
 def boolean(name: str, value: bool) -> bool:
-    """Return `value` as a bool, which it must be."""
+    """Return `value` as a bool."""
     if not isinstance(value, bool | np.bool_):
         raise TypeError(f"{name} must be True or False, got {value!r}")
     return bool(value)
 
 
 def instance(name: str, value: object, kind: type, hint: str = "") -> None:
-    """Check that `value` is a `kind`; the hint says how to come by one."""
+    """Check that `value` is a `kind`; the hint says how to make one."""
     if not isinstance(value, kind):
         kind, given = kind.__name__, type(value).__name__
         article = "an" if kind[0] in "AEIOU" else "a"

@@ -26,7 +26,7 @@ from robsmooth.systems.augmented import AugmentedSystem, check_is_plant
 
 _ERRORS = {"admissible": "certified", "constant": "worst_constant"}
 _WORSE = 1.01  # times the filtered error
-_WORTHWHILE = 0.01  # of the classical smoother's error: a design that gains less is not chosen
+_WORTHWHILE = 0.01  # the least gain, of the classical error, for which another design is chosen
 _CLASSICAL = "classical"
 _PAPER = "paper's V, "
 
@@ -39,8 +39,8 @@ class Judgement:
     ----------
     nominal, worst_constant, certified : float
         Mean square errors in a real loop, in the squared unit of w: without uncertainty, under the
-        worst constant one, and the least that no admissible one exceeds; infinity where the error
-        grows without bound, or nothing is certified.
+        worst constant one, and the least upper bound under all admissible ones. Infinity where the
+        error grows without bound, or no bound is found.
 
     Examples
     --------
@@ -66,8 +66,7 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     Parameters
     ----------
     estimator : Estimator
-    output : {"smoothed", "filtered"}
-        The error: of the smoothed estimate against the truly delayed w, or of the filtered one.
+    output : {"smoothed", "filtered"}, the estimate to judge; w is delayed exactly
 
     Examples
     --------
@@ -83,35 +82,35 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     if constant.mean_square == 0.0:  # nothing drives w, whatever the uncertainty
         return Judgement(0.0, 0.0, 0.0)
     certified = math.inf
-    with suppress(UnstableLoopError):  # what an uncertainty sees grows without bound
+    with suppress(UnstableLoopError):  # an uncertainty's argument grows without bound
         certified = analysis_bound(estimator, output, loop="real").mean_square
     return Judgement(constant.nominal, constant.mean_square, certified)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One of the estimators that `best_smoother` compares, or None and why it was refused."""
+    """An estimator that `best_smoother` compares; None, and the reason, where it was refused."""
 
     estimator: Estimator | None = None
     judgement: Judgement = Judgement(math.inf, math.inf, math.inf)
     refused: str = ""
 
     def error(self, against: str) -> float:
-        """Return the error that is to be least."""
+        """Return the error to minimise."""
         return getattr(self.judgement, _ERRORS[against])
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The best smoother of a plant, and what it was compared with: see `best_smoother`.
+    """The best smoother of a plant, and all candidates: see `best_smoother`.
 
     Attributes
     ----------
     estimator : Estimator
         The best: the classical smoother where no other is better by more than 1%.
-    name : str, which of the candidates it is
+    name : str, the key of the best in `candidates`
     candidates : dict of str to `Candidate`
-        With an `estimator` (None where it is `refused`, and why) and its `judgement`.
+        Each with its `estimator` and `judgement`; `refused` says why there is no estimator.
     against, output : str, as given
 
     Examples
@@ -160,7 +159,7 @@ class Choice:
             return f"Use the {self.name} smoother: only designs for the uncertainty are safe here."
         left, nominal = best / classical, found[0].judgement.nominal / found[1].judgement.nominal
         what = "Robustness" if left < (1.0 - _WORTHWHILE) * nominal else "A closer fit to the delay"
-        digits = max(2, math.ceil(-math.log10(left)))  # so that no rest is rounded to none
+        digits = max(2, math.ceil(-math.log10(left)))  # a small rest is not rounded to zero
         return (
             f"{what} buys {100.0 * (1.0 - left):.{digits}g}% here: the {kind} error falls from "
             f"{classical:.4g} (classical) to {best:.4g} ({self.name})."
@@ -189,17 +188,10 @@ def best_smoother(
     plant : AugmentedSystem
         Made by `augment`.
     against : {"admissible", "constant"}
-        Which error is to be least: the certified worst under all that the constraints on the
-        uncertainty allow (it may vary in time, and depend on the past), or the worst under
-        constant uncertainties, such as parameters that are not known.
-    output : {"smoothed", "filtered"}
-        Which estimate is wanted.
+        The error to minimise: the certified worst, under every admissible uncertainty (it may vary
+        in time and depend on the past), or the worst under constant ones (unknown parameters).
+    output : {"smoothed", "filtered"}, the estimate to judge
     progress : bool, whether to show a bar
-
-    Returns
-    -------
-    Choice
-        With the best estimator, the table of all candidates, and a sentence on what to use.
 
     Raises
     ------
@@ -209,11 +201,11 @@ def best_smoother(
     Warns
     -----
     CoarseDelayWarning
-        Where the classical smoother's error is above its filter's, without uncertainty.
+        Where the classical smoother's nominal error is above that of its filter.
 
     Examples
     --------
-    A sensor's gain is known to 5%, the decay of what it measures to 10%:
+    A sensor's gain is known to 5%, the decay rate of its signal to 10%:
 
     >>> import robsmooth as rs
     >>> decay = rs.Uncertainty(B=[[1.0]], C=[[0.1]], D=[[0.0]])
@@ -227,7 +219,7 @@ def best_smoother(
     validation.choice("against", against, tuple(_ERRORS))
     validation.choice("output", output, COSTS)
     validation.boolean("progress", progress)
-    Drift.of(plant)  # says what there is no estimator for
+    Drift.of(plant)  # raises where there is no estimator
     candidates, failures = {}, {}
     designs = _designs(plant, against, output).items()
     for name, make in progress_bar(designs, unit="design", shown=progress):
@@ -250,7 +242,7 @@ def best_smoother(
 
 
 def _warn_of_coarse_delay(classical: Candidate) -> None:
-    """Warn where waiting makes the nominal error larger: a smoother with an exact delay cannot."""
+    """Warn where the smoothed nominal error is above the filtered one: the delay model errs."""
     estimator, smoothed = classical.estimator, classical.judgement.nominal
     assert estimator is not None
     Delta = estimator.plant.structured_delta()
@@ -258,9 +250,8 @@ def _warn_of_coarse_delay(classical: Candidate) -> None:
     if smoothed > _WORSE * filtered:
         warnings.warn(
             f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: the "
-            f"delay's model of order {estimator.plant.order} is too coarse for this signal; a "
-            "higher order or a shorter delay helps, and in discrete time the classical smoother "
-            "needs no model",
+            f"delay's model of order {estimator.plant.order} is too coarse; take a higher order or "
+            "a shorter delay (in discrete time the classical smoother needs no model)",
             CoarseDelayWarning,
             stacklevel=4,
         )
@@ -269,7 +260,7 @@ def _warn_of_coarse_delay(classical: Candidate) -> None:
 def _designs(
     plant: AugmentedSystem, against: str, output: str
 ) -> dict[str, Callable[[], Estimator]]:
-    """Return what makes each of the candidates, the classical smoother first."""
+    """Return a function for each candidate that designs it, the classical smoother first."""
     classical = baselines.fixed_lag_smoother, plant.system, plant.delay, plant.order
     designs = {
         _CLASSICAL: partial(*classical, copies=plant.system.g > 0),

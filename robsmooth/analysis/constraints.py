@@ -1,10 +1,9 @@
 r"""The exact worst case of a given estimator under the paper's constraints.
 
-How large can the error of a *given* estimator become? The bound of
-`robsmooth.estimators.certificate` holds for all multipliers :math:`\theta`. The least one is not
-only a bound: inputs may be mixed by a coin tossed at the start, so that the mean energies that can
-be reached form a convex set, and there is no duality gap. The worst input spends energy where and
-when it does most harm. Its own energies are the gradient: at the minimum it meets the constraints.
+The bound of `robsmooth.estimators.certificate` holds for all multipliers :math:`\theta`. The least
+one is attained: an input may be chosen at random at the start, so the mean energies that can be
+reached form a convex set, and there is no duality gap. The energies of the worst input are the
+gradient of the bound: at the minimum they meet the constraints.
 
 A design's V is this bound with :math:`\theta = \tau\lambda` and more noise: :math:`2V =
 \operatorname{tr} B_\xi M(\lambda)^{-1}B_\xi'P`, where :math:`M(\lambda)^{-1} \ge JJ'` and
@@ -19,12 +18,7 @@ from numpy.typing import NDArray
 
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Frozen, Matrix
-from robsmooth.estimators.certificate import (
-    ConstraintProblem,
-    largest_fraction,
-    least_certificate,
-    model_loop,
-)
+from robsmooth.estimators import certificate
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import open_loop, scaled, which_loop
 from robsmooth.systems.augmented import augment
@@ -34,22 +28,22 @@ _DELAY_ORDER = 10
 
 @dataclass(frozen=True, eq=False)
 class AnalysisBound(Frozen):
-    """The least bound on an estimator's error, and what attains it: see `analysis_bound`.
+    """The least bound on an estimator's error, and the input that attains it.
 
     Attributes
     ----------
     mean_square : float
-        Above the mean square error under every admissible uncertainty, in the squared unit of w;
+        Bound on the mean square error under every admissible uncertainty, in the squared unit of w;
         infinity where no multipliers give a bound.
     gap : float
-        The share of `mean_square` that no admissible input was shown to reach, to first order.
+        The relative distance from `mean_square` to the error under an admissible input, to first
+        order.
     fraction : float
         The share of the uncertainty for which there is a bound: 0 for a loop unstable without it.
-    multipliers : (k + 3g,) array
+    multipliers : (k + 3g,) array, empty without a bound
         theta, s (unit of w)^2; infinity for a constraint that allows its input no energy.
-    feedback : (r + 2g, N) array
-        The worst input as a feedback of the states X, those of the delay's model among them. Both
-        are empty where there is no bound.
+    feedback : (r + 2g, N) array, empty without a bound
+        The worst input as a feedback of the states X, those of the delay's model included.
 
     Examples
     --------
@@ -66,10 +60,8 @@ class AnalysisBound(Frozen):
     feedback: Matrix
 
     def __repr__(self) -> str:
-        return (
-            f"AnalysisBound(mean_square={self.mean_square:.5g}, gap={self.gap:.1g}, "
-            f"fraction={self.fraction:.3g})"
-        )
+        errors = f"mean_square={self.mean_square:.5g}, gap={self.gap:.1g}"
+        return f"AnalysisBound({errors}, fraction={self.fraction:.3g})"
 
 
 @one_thread
@@ -82,13 +74,11 @@ def analysis_bound(
 ) -> AnalysisBound:
     """Return the largest error that the constraints on the uncertainty allow an estimator.
 
-    Where `output` is "smoothed", it is that against a Pade model of order 10 of the delayed w: the
-    true delay has no finite state.
+    The smoothed error is against a Pade model of order 10: the true delay has no finite state.
 
     Parameters
     ----------
-    smoother, output, loop, copy_noise
-        As in `error_covariance`.
+    smoother, output, loop, copy_noise : as in `error_covariance`
 
     References
     ----------
@@ -107,20 +97,20 @@ def analysis_bound(
     if opened.delay > 0.0:
         plant = smoother.plant
         finer = augment(plant.system, plant.delay, _DELAY_ORDER, J_21=plant.J_21)
-        opened = model_loop(replace(smoother, plant=finer), loop)
+        opened = certificate.model_loop(replace(smoother, plant=finer), loop)
     opened, x = scaled(opened)
-    problem, g = ConstraintProblem(opened, smoother.plant), smoother.plant.system.g
-    fraction, theta = largest_fraction(problem)
+    problem, g = certificate.ConstraintProblem(opened, smoother.plant), smoother.plant.system.g
+    fraction, theta = certificate.largest_fraction(problem)
     if fraction < 1.0 and g:
-        # what the constraints of a nonlinearity or a copy by itself let in may have no effect
+        # the input of a nonlinearity, or of a copy, may have no effect by itself
         differences = np.repeat([True, False], [len(smoother.plant.M_i) - 2 * g, 2 * g])
-        reduced = ConstraintProblem(opened, smoother.plant, differences)
-        larger, found = largest_fraction(reduced)
+        reduced = certificate.ConstraintProblem(opened, smoother.plant, differences)
+        larger, found = certificate.largest_fraction(reduced)
         if larger > fraction:
             fraction, problem, theta = larger, reduced, found
     if fraction < 1.0:
         return AnalysisBound(math.inf, math.nan, fraction, np.empty(0), np.empty((0, 0)))
-    theta = least_certificate(problem, theta)
+    theta = certificate.least_certificate(problem, theta)
     point = problem.at(theta)
     return AnalysisBound(
         mean_square=point.mean_square,

@@ -1,7 +1,7 @@
 r"""Closed loop, stationary error covariance, and the worst constant uncertainty (Section III-A).
 
 The smoothed error of the loop (eqclosed) has the covariance (eqCo), whose terms nearly cancel where
-the estimate is good. What is computed here is the same in two terms that cannot be negative,
+the estimate is good. Here it is the sum of two terms that cannot be negative,
 
 .. math::
 
@@ -9,8 +9,8 @@ the estimate is good. What is computed here is the same in two terms that cannot
              + C_s \mathbf W C_s', \qquad
     \mathbf W = \mathbf P - e^{\mathbf A\delta}\mathbf P e^{\mathbf A'\delta}:
 
-what the state one lag back contributes, and the noise since then. The state is
-:math:`[x_p;\; x_p - \hat x_p]`, so that a small error is small from the start.
+from the state one lag back, and from the noise since then. The state is
+:math:`[x_p;\; x_p - \hat x_p]`: a small error is no difference of large numbers.
 """
 
 from collections.abc import Iterable
@@ -27,51 +27,39 @@ from robsmooth._support import plots, tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Frozen, Matrix
+from robsmooth.estimators import loop as loops
 from robsmooth.estimators.constant import mean_square, worst_delta
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import (
-    Reference,
-    drifting_error,
-    error_rows,
-    matrices,
-    open_loop,
-    scaled,
-    which_loop,
-)
 from robsmooth.systems.augmented import AugmentedSystem
 
-_BATCH = 200_000  # entries of the drifts of a sweep that are worked on at once
+_BATCH = 200_000  # entries of drift matrices that a sweep has in memory at once
 _NORM_ERROR = 1e-12
 _STARTS = 16  # corners of the admissible set to search from, besides its centre
 
 
 def closed_loop(
-    estimator: Estimator, Delta: Matrix, loop: str = "theory", reference: Reference = None
+    estimator: Estimator, Delta: Matrix, loop: str = "theory", reference: loops.Reference = None
 ) -> tuple[Matrix, Matrix]:
-    """Return A and B of dX = A X dt + B dW, X = [x_p; x_hat], for one Delta or (N, ., .) of them.
-
-    The arguments are those of `error_covariance`.
-    """
-    A, B, inputs, outputs = matrices(estimator, loop, reference)
+    """Return A and B of dX = A X dt + B dW, X = [x_p; x_hat], for one Delta or (N, ., .) many."""
+    A, B, inputs, outputs = loops.matrices(estimator, loop, reference)
     return A + inputs @ Delta @ outputs, B
 
 
 def _check_norm(plant: AugmentedSystem, Delta: Matrix) -> None:
-    """Refuse a norm above one, in which the nonlinearities' Lipschitz constants are units."""
+    """Refuse a norm above one; nonlinearities are in units of their Lipschitz constants."""
     constants = [c.lipschitz for c in plant.system.nonlinearities]
     weights = np.array([1.0] * (Delta.shape[1] - 2 * len(constants)) + 2 * constants)
     norm = float(np.linalg.norm(Delta / weights, 2)) if Delta.size else 0.0
     if norm > 1.0 + _NORM_ERROR:
         raise ValueError(
-            f"Delta must have norm at most 1 to be admissible, got {norm:.6g} (columns of "
-            "nonlinearities count divided by their Lipschitz constants); "
-            "allow_inadmissible=True computes it all the same"
+            "Delta must have norm at most 1, with columns of nonlinearities divided by their "
+            f"Lipschitz constants, got {norm:.6g}; allow_inadmissible=True lifts this limit"
         )
 
 
 def _stationary_error(A: Matrix, B: Matrix, estimator: Estimator, output: str) -> Matrix:
-    """Return the (..., m, m) stationary covariance of one of the errors, of one A or of several."""
-    truth, estimate, delay = error_rows(estimator, output)
+    """Return the (..., m, m) stationary covariance of an error, for one A or several."""
+    truth, estimate, delay = loops.error_rows(estimator, output)
     n, n_c = estimator.plant.n, len(estimator.A_c)
     T = np.eye(n + n_c)  # an estimator of another order has no such error
     if n == n_c:
@@ -84,7 +72,7 @@ def _stationary_error(A: Matrix, B: Matrix, estimator: Estimator, output: str) -
             raise
     if A.ndim > 2:
         return np.array([_stationary_error(each, B, estimator, output) for each in A])
-    result, error = drifting_error(A, B, truth, estimate, delay)
+    result, error = loops.drifting_error(A, B, truth, estimate, delay)
     check_certainty("the error covariance", result, error)
     return result
 
@@ -113,7 +101,7 @@ def error_covariance(
     output: str = "smoothed",
     loop: str = "theory",
     allow_inadmissible: bool = False,
-    reference: Reference = None,
+    reference: loops.Reference = None,
     *,
     copy_noise: bool | None = None,
 ) -> Matrix:
@@ -125,18 +113,16 @@ def error_covariance(
     Delta : (r + 2g, h + 2g) array
         :math:`\tilde\xi = \Delta\tilde\zeta`, of norm at most one with the outputs of the
         nonlinearities weighted by their Lipschitz constants. That is necessary to be admissible,
-        not sufficient: a bound is for those that `AugmentedSystem.structured_delta` makes.
+        not sufficient: bounds hold for those that `AugmentedSystem.structured_delta` makes.
     output : {"smoothed", "filtered", "guaranteed"}
-        The error of the smoothed estimate one lag back, of the filtered one now, or that which the
-        bound of a `RobustSmoother` is for: the filtered one where its cost is, and else the error
-        of w-hat against the output of the delay model.
-    loop : {"theory", "real"}
-        Whether the design's fictitious noise drives the copies, as in the paper; really none does.
-    allow_inadmissible : bool, whether a Delta with norm above one is let through
+        The error of the smoothed estimate one lag back, of the filtered one now, or the one that a
+        `RobustSmoother` bounds: the filtered one where its cost is "filtered", else that of w-hat
+        against the output of the delay model.
+    loop : {"theory", "real"}, with the copies' fictitious noise, as in the paper, or without
+    allow_inadmissible : bool, whether a Delta with norm above one is allowed
     reference : {"system", "filtered", "smoothed"}, (g, n_c) array or None
-        What is taken off the nonlinearities' arguments, as in `simulate`; the paper has none.
-    copy_noise : bool, optional
-        Another way to say `loop`, also in its place: True for "theory", False for "real".
+        What is subtracted from the nonlinearities' arguments, as in `simulate`; None in the paper.
+    copy_noise : bool, optional, in place of `loop`: True for "theory", False for "real"
 
     Returns
     -------
@@ -162,13 +148,13 @@ def error_covariance(
     Delta = validation.matrix("Delta", Delta, (plant.B1_tilde.shape[1], len(plant.C1_tilde)))
     if not allow_inadmissible:
         _check_norm(plant, Delta)
-    A, B = closed_loop(smoother, Delta, which_loop(loop, copy_noise), reference)
+    A, B = closed_loop(smoother, Delta, loops.which_loop(loop, copy_noise), reference)
     return _stationary_error(A, B, smoother, output)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeltaSweep(Frozen, NDArrayOperatorsMixin):
-    """The (N, m, m) covariances that `delta_sweep` finds at (N,) slopes: used as an array."""
+    """The (N, m, m) covariances of `delta_sweep` at (N,) slopes; it can be used as an array."""
 
     nonlinearities: NDArray[np.float64]
     covariances: NDArray[np.float64]
@@ -222,8 +208,7 @@ def delta_sweep(
     nonlinearities : (N,) array
         The paper's Delta_2 in [-1, 1], the same for every nonlinearity and its copy; the
         uncertainties are zero.
-    output, loop
-        As in `error_covariance`, and what it raises, too.
+    output, loop : as in `error_covariance`, which has the exceptions, too
 
     Returns
     -------
@@ -240,8 +225,7 @@ def delta_sweep(
     slopes = validation.array("nonlinearities", nonlinearities, ndim=1)
     plant = smoother.plant
     if not plant.system.g:
-        advice = "error_covariance has the error under its uncertainties"
-        raise ValueError(f"smoother must be of a system with nonlinearities to sweep: {advice}")
+        raise ValueError("smoother must be of a system with nonlinearities; see error_covariance")
     pattern = plant.structured_delta((), [1.0] * plant.system.g)
     _check_norm(plant, np.abs(slopes).max(initial=0.0) * pattern)
     size = slopes.size * (plant.n + len(smoother.A_c)) ** 2
@@ -257,8 +241,7 @@ class WorstCase(Frozen):
 
     Attributes
     ----------
-    Delta : (r + 2g, h + 2g) array
-        The uncertainty; channels without an effect have zero blocks.
+    Delta : (r + 2g, h + 2g) array, with zero blocks for channels without an effect
     mean_square, nominal : float
         The mean square error under it and without uncertainty, in the squared unit of w; infinity
         where the loop is not stable.
@@ -297,13 +280,7 @@ def worst_case(smoother: Estimator, output: str = "smoothed", loop: str = "theor
 
     Parameters
     ----------
-    smoother, output, loop
-        As in `error_covariance`.
-
-    Returns
-    -------
-    WorstCase
-        With an infinite mean square where an admissible uncertainty makes the loop unstable.
+    smoother, output, loop : as in `error_covariance`
 
     Examples
     --------
@@ -312,7 +289,7 @@ def worst_case(smoother: Estimator, output: str = "smoothed", loop: str = "theor
     >>> rs.worst_case(ngcf, "filtered")
     WorstCase(mean_square=0.2053, nominal=0.12483)
     """
-    opened, _ = scaled(open_loop(smoother, output, loop))
+    opened, _ = loops.scaled(loops.open_loop(smoother, output, loop))
     _, Delta = worst_delta(opened, _STARTS)
 
     def error(Delta: Matrix) -> float:

@@ -1,9 +1,8 @@
-"""Lag and order: what waiting longer and a better model of the delay gain, and which to choose.
+"""The error over the lag and over the order of the delay model, and the choice of both.
 
-With an exact delay, waiting longer never hurts: the optimum falls from the error of filtering to
-that of two-sided smoothing. With a delay model of finite order there is a best lag: beyond it the
-estimate is one of something else than the signal a lag ago. All errors here are those of a real
-loop, without the fictitious noise of the copies.
+With an exact delay, the optimal error falls with the lag, from that of filtering to that of
+two-sided smoothing. With a delay model of finite order there is a best lag: beyond it the model's
+misfit outweighs the gain. All errors are of a real loop, without the copies' fictitious noise.
 """
 
 import math
@@ -29,9 +28,9 @@ Design = Callable[[UncertainSystem, float, int], Estimator]
 Floats = NDArray[np.float64]
 
 _MOST_ORDER = 8  # that `choose_lag` tries
-_LEAST_GAIN = 1e-6  # of that from filtering to two-sided smoothing: a longer lag gains no more
-_LAGS = np.geomspace(1e-3, 2.0, 20)  # that are tried, in units of that lag
-_LAG_TOLERANCE = 1e-4  # of the best lag; the error's is of the order of its square
+_LEAST_GAIN = 1e-6  # of the gain from filtering to two-sided smoothing: the rest at the longest lag
+_LAGS = np.geomspace(1e-3, 2.0, 20)  # that are tried, in units of the longest lag
+_LAG_TOLERANCE = 1e-4  # relative, of the best lag; the error's is of the order of its square
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +41,8 @@ class LagSweep(Frozen):
     ----------
     lags, orders : (L,) and (O,) arrays, as given
     nominal, worst : (O, L) arrays
-        Without uncertainty; under the worst constant one, infinity where that is not stable.
-    optimal : (L,) array, the exact optimum: no linear smoother's nominal error is lower
+        Without uncertainty, and under the worst constant one; infinity where that is not stable.
+    optimal : (L,) array, the least nominal error of any linear smoother
 
     Examples
     --------
@@ -94,7 +93,7 @@ def lag_sweep(
     Parameters
     ----------
     system : UncertainSystem
-    lags : sequence of float, in seconds, not negative
+    lags : sequence of float, at least zero, s
     orders : sequence of int, of the delay's Pade model
     design : callable, optional
         Makes an `Estimator` of system, lag and order. Default: the nominal system's fixed-lag
@@ -140,7 +139,7 @@ def best_lag(system: UncertainSystem, order: int) -> tuple[float, float]:
 
     Returns
     -------
-    lag, error : float, in seconds, and in the squared unit of w
+    lag, error : float, s, and the squared unit of w
 
     Raises
     ------
@@ -162,11 +161,11 @@ def best_lag(system: UncertainSystem, order: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class LagChoice:
-    """The lag and the order that `choose_lag` chooses.
+    """The lag and the order that `choose_lag` chooses; both are zero where the filter suffices.
 
     Attributes
     ----------
-    lag, order : float, in seconds, and int, of the delay's Pade model
+    lag, order : float, s, and int, of the delay's Pade model
     error, target : float
         The classical smoother's nominal mean square error, and its limit, in the squared unit of w.
 
@@ -195,20 +194,14 @@ def choose_lag(
     system : UncertainSystem
     target : float, optional, the nominal mean square error to meet, in the squared unit of w
     fraction : float, optional
-        In its place: the share, from 0 to 1, of the gain from optimal filtering to two-sided
-        smoothing.
-
-    Returns
-    -------
-    LagChoice
-        With lag and order zero where the filter meets the target.
+        Instead: the share, in [0, 1), of the gain from optimal filtering to two-sided smoothing.
 
     Raises
     ------
     InfeasibleDesignError
         As in `best_lag`, and where no order up to 8 meets the target.
     ValueError
-        Where no smoother can.
+        Where no linear smoother meets it.
 
     Examples
     --------
@@ -230,7 +223,7 @@ def choose_lag(
     else:
         raise InfeasibleDesignError(
             "The target",
-            f"no order up to {_MOST_ORDER} has a lag with an error of at most {target:.6g}; the "
+            f"no order up to {_MOST_ORDER} has an error of at most {target:.6g} at any lag; the "
             f"least that was found is {least:.6g}",
         )
     error, first = partial(_classical_error, system, order), (errors <= target).argmax()
@@ -253,7 +246,7 @@ def _classical_error(system: UncertainSystem, order: int, lag: float) -> float:
 
 
 def _target(system: UncertainSystem, target: float | None, fraction: float | None) -> float:
-    """Return the mean square error to meet; refuse what no smoother meets."""
+    """Return the mean square error to meet; refuse one that no smoother meets."""
     if (target is None) == (fraction is None):
         raise ValueError("choose_lag takes either a target or a fraction of the possible gain")
     filtering, two_sided = _optimal_error(system, 0.0), _optimal_error(system, math.inf)
@@ -270,12 +263,11 @@ def _target(system: UncertainSystem, target: float | None, fraction: float | Non
 
 
 def _longest_lag(system: UncertainSystem) -> float:
-    """Return a lag beyond which the exact optimum gains next to nothing, up to a factor of two."""
+    """Return a lag, up to a factor of two, beyond which the optimum falls by next to nothing."""
     filtering, two_sided = _optimal_error(system, 0.0), _optimal_error(system, math.inf)
     if not two_sided < (1.0 - _LEAST_GAIN) * filtering:
-        raise InfeasibleDesignError(
-            "Smoothing", f"it gains nothing: the error is {filtering:.6g} with any lag"
-        )
+        detail = f"it gains nothing: the error is {filtering:.6g} with any lag"
+        raise InfeasibleDesignError("Smoothing", detail)
     lag = 1.0 / np.abs(baselines.kalman_bucy(system).poles).max()
     while _optimal_error(system, lag) - two_sided > _LEAST_GAIN * (filtering - two_sided):
         lag *= 2.0
@@ -283,7 +275,7 @@ def _longest_lag(system: UncertainSystem) -> float:
 
 
 def _errors_of_lags(system: UncertainSystem, order: int, longest: float) -> tuple[Floats, Floats]:
-    """Return lags from zero on, with the best one among them, and the classical errors."""
+    """Return lags from zero on, the best one included, and the classical errors."""
     error = partial(_classical_error, system, order)
     lags = np.append(0.0, _LAGS * longest)
     errors = np.array([error(lag) for lag in lags])

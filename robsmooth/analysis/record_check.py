@@ -1,46 +1,40 @@
-"""Whether a measured record is one of the system that a smoother is made for."""
+"""A test of a measured record against the model of a smoother."""
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2, norm
 
-from robsmooth._support import validation
-from robsmooth._support.extras import extra
+from robsmooth._support import plots, validation
 from robsmooth._support.validation import Frozen
 from robsmooth.estimators.discrete import DiscreteSmoother
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-_LEVEL = 0.01  # how often one of the three tests is wrong about a record of the model
-_LAGS = 20  # samples, up to which correlations are looked at
-_PAIRS = 50  # for each measurement: at a lag with fewer, correlations are not looked at
+_LEVEL = 0.01  # false-alarm rate of the three tests together
+_LAGS = 20  # samples, the longest lag of the correlations
+_PAIRS = 50  # of samples, the fewest for a correlation, times the number of measurements
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class RecordCheck(Frozen):
-    r"""What the normalised innovations of a record say of its model: see `check_record`.
+    r"""The normalised innovations of a record, and their tests: see `check_record`.
 
     Attributes
     ----------
     innovations : (N, l) array
-        By the model they are white, of mean zero and variance one; NaN where a measurement misses.
+        By the model they are white, of mean zero and variance one; NaN for a missing measurement.
     mean_square : float
-        Their mean square, or the mean normalised innovation squared, by the model 1: above it the
-        record has more noise, or moves more, than the model says.
+        The mean normalised innovation squared, by the model 1: above it the record has more noise,
+        or moves more, than the model says.
     correlations : (lags, l, l) array
-        Entry (d, i, j) is that of measurement i with measurement j, d + 1 samples before, in its
-        own standard deviations: by the model normal, of mean zero and variance one. NaN at a lag
-        with too few pairs of samples.
+        Entry (d, i, j) is that of measurement i with measurement j, d + 1 samples before, in
+        standard deviations: by the model normal, of mean zero and variance one. NaN at a lag with
+        too few pairs of samples.
     p_mean, p_mean_square, p_white : float
-        How probable a record of the model is to be as far off as this one, or further: in the
-        innovations' mean, in their mean square, and in their correlations; NaN where the record is
-        too short to tell.
+        p-values of the innovations' mean, mean square and correlations: the probability that a
+        record of the model is at least as far off. NaN where the record is too short.
     dt : float, s
 
     Examples
@@ -63,15 +57,13 @@ class RecordCheck(Frozen):
 
     @property
     def sentence(self) -> str:
-        """What the record says of the model; it is wrong about one in a hundred that agree."""
+        """The result in words; its false-alarm rate is 1%."""
         found = []
         if self.p_mean < _LEVEL / 3.0:
-            found.append("their mean is not zero (an offset, or a known input that is left out)")
+            found.append("their mean is not zero (an offset, or a known input left out)")
         if self.p_mean_square < _LEVEL / 3.0:
             more = "larger" if self.mean_square > 1.0 else "smaller"
-            found.append(
-                f"they are {more} than it says, by {math.sqrt(self.mean_square):.3g} times"
-            )
+            found.append(f"they are {more} than it says, by {self.mean_square**0.5:.3g} times")
         if self.p_white < _LEVEL / 3.0:
             found.append("they are correlated in time (a rate, a gain or a state is wrong)")
         if not found:
@@ -79,16 +71,12 @@ class RecordCheck(Frozen):
         return f"The record does not agree with the model. Of the innovations: {'; '.join(found)}."
 
     def __repr__(self) -> str:
-        return (
-            f"RecordCheck(mean_square={self.mean_square:.4g}, p_mean={self.p_mean:.2g}, "
-            f"p_mean_square={self.p_mean_square:.2g}, p_white={self.p_white:.2g})"
-        )
+        p = f"p_mean={self.p_mean:.2g}, p_mean_square={self.p_mean_square:.2g}"
+        return f"RecordCheck(mean_square={self.mean_square:.4g}, {p}, p_white={self.p_white:.2g})"
 
-    def plot(self) -> "tuple[Axes, Axes]":
+    def plot(self) -> "tuple[plots.Axes, plots.Axes]":
         """Draw the mean squares along the record and the correlations; matplotlib is needed."""
-        with extra("plot", "a plot"):
-            from matplotlib import pyplot as plt
-        figure, (along, between) = plt.subplots(1, 2, figsize=(7.0, 3.0), layout="constrained")
+        along, between = plots.new_axes(1, 2, figsize=(7.0, 3.0))
         squares = np.array_split(self.innovations**2, min(50, len(self.innovations)))
         counts = np.array([np.isfinite(part).sum() for part in squares], dtype=float)
         counts[counts == 0.0] = np.nan
@@ -103,7 +91,8 @@ class RecordCheck(Frozen):
         between.axhspan(*norm.interval(1.0 - _LEVEL), **within)
         between.plot(lags, self.correlations.reshape(len(lags), -1), "k.")
         between.set(xlabel="lag (samples)", ylabel="in standard deviations", title="correlations")
-        figure.legend(*between.get_legend_handles_labels(), loc="outside lower center")
+        labelled = between.get_legend_handles_labels()
+        between.figure.legend(*labelled, loc="outside lower center")
         return along, between
 
 
@@ -116,21 +105,20 @@ def check_record(
 ) -> RecordCheck:
     """Compare a record with the model that a smoother is made for, by its innovations.
 
-    What the filter does not foresee of a record of its model is white noise of known size. Three
-    tests look at its mean, at its mean square and at its correlations in time.
+    The innovations of a record of the model are white noise of known size. Three tests are of their
+    mean, their mean square and their correlations in time.
 
     Parameters
     ----------
     smoother : DiscreteSmoother
-        Of a classical or a tuned design, made by ``estimator.discretize(dt)``. Its state stays. A
-        tuned design has a model of its own, whose noises are other than the plant's.
-    y, reference, inputs
-        The record, as in `DiscreteSmoother.run`.
+        Of a classical or a tuned design, made by ``estimator.discretize(dt)``. Its state stays. The
+        noises of a tuned design's model are not the plant's.
+    y, reference, inputs : the record, as in `DiscreteSmoother.run`
 
     Raises
     ------
     ValueError
-        For a smoother that runs a model of its delay, and so has no innovations.
+        For a smoother with a delay model, which has no innovations, and for a record too short.
 
     Examples
     --------
@@ -149,8 +137,8 @@ def check_record(
     seen = np.isfinite(z)
     if len(z) <= _LAGS or not seen.any(axis=0).all():
         raise ValueError(
-            f"y must have more than {_LAGS} rows, and some samples of each measurement, got "
-            f"{len(z)} rows with {seen.sum(axis=0).tolist()} samples"
+            f"y must have more than {_LAGS} rows and samples of each measurement, got {len(z)} "
+            f"rows with {seen.sum(axis=0).tolist()} samples"
         )
     values, count = np.where(seen, z, 0.0), seen.sum(axis=0)
     total = (values**2).sum()
@@ -168,7 +156,7 @@ def check_record(
 
 
 def _correlations(values: Floats, seen: NDArray[np.bool_], lag: int) -> Floats:
-    """Return those at a lag, whatever the innovations' size; NaN where too few pairs are there."""
+    """Return the correlations at a lag, NaN where pairs are too few."""
     pairs = seen[lag:].T.astype(float) @ seen[:-lag]
     size = np.sqrt((values**2).sum(axis=0) / seen.sum(axis=0))
     few = (pairs < _PAIRS * values.shape[1]) | (5 * lag > len(values))

@@ -1,7 +1,7 @@
 """An estimator in discrete time, for a measured record.
 
-Classical designs run as exact filters and smoothers (`robsmooth.estimators.exact`), all others as
-the equations in continuous time that they are (`robsmooth.estimators.held`).
+Classical and tuned designs run as exact filters and smoothers (`robsmooth.estimators.exact`),
+all others by their equations in continuous time (`robsmooth.estimators.held`).
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -22,13 +22,13 @@ from robsmooth.systems.system import covariance_root
 Floats = NDArray[np.float64]
 Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
-_FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of samples that are as most are
-SHORTEST = 1e-6  # times dt
-_ROWS = 4096  # of samples with lengths of their own, whose matrices are in memory at a time
+_FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of the samples of `step`'s short way
+SHORTEST = 1e-6  # interval, times dt
+_ROWS = 4096  # of samples with their own intervals, whose matrices are in memory at a time
 
 
 class Beside(TypedDict, total=False):
-    """What may stand beside the samples of a record: see `DiscreteSmoother.run`."""
+    """What a record may have beside its samples: see `DiscreteSmoother.run`."""
 
     reference: ArrayLike | None
     inputs: ArrayLike | None
@@ -36,28 +36,25 @@ class Beside(TypedDict, total=False):
 
 
 class DiscreteSmoother(Exports):
-    r"""An estimator that is fed the samples of a record, one by one or many at a time.
+    r"""An estimator that takes the samples of a record, one by one or many at a time.
 
-    Made by ``estimator.discretize(dt)``. Sample k, from zero since the start or the last `reset`,
-    is the mean of :math:`dy/dt` over the interval from ``k * dt`` to ``(k + 1) * dt``. Its row of
-    the output is the estimate at the interval's end, the smoothed one of w at
-    ``(k + 1) * dt - delay``.
+    Made by ``estimator.discretize(dt)``. Sample k, counted from zero since the last `reset`, is the
+    mean of :math:`dy/dt` over the interval from ``k * dt`` to ``(k + 1) * dt``. Its row of the
+    output is the estimate at the interval's end: of w at ``(k + 1) * dt``, less the delay where it
+    is smoothed.
 
     The state is kept between calls: a record in pieces gives the same rows, to the last bit, as in
     one. A call that fails leaves the state as it was.
 
     Attributes
     ----------
-    dt, delay : float
-        Length of a sample's interval, and the delay of the smoothed estimate (also ``lag``), s.
-    exact : bool
-        Whether the delay is exact, for the smoother is that of a nominal system in discrete time.
+    dt, delay : float, s, the length of a sample's interval, and the delay (also ``lag``)
+    exact : bool, whether the smoother is that of a nominal system, with an exact delay
     instants : bool, whether a sample is taken at its interval's end, and is no mean
     l, m, g, p : int, numbers of measurements, outputs, nonlinearities and known inputs
     compiled : bool
-        Whether samples are taken by compiled code alone, unless NUMBA_DISABLE_JIT is set. A copy's
-        function that numba cannot compile is slower by a factor of a hundred and more.
-    samples : int, taken since the start or the last `reset`
+        Whether only compiled code runs (unless NUMBA_DISABLE_JIT is set): else 100 times slower.
+    samples : int, taken since the last `reset`
 
     See Also
     --------
@@ -92,9 +89,8 @@ class DiscreteSmoother(Exports):
             validation.choice("delay", delay, ("exact", "model"))
         if delay == "exact" and estimator.nominal is None:
             raise ValueError(
-                "delay 'exact' is for classical and tuned designs, which smooth the innovations of "
-                "a nominal system; this one is a filter of the plant with its delay model, and "
-                "runs as delay='model'"
+                "delay 'exact' is for classical and tuned designs, which have a nominal system; "
+                "this one is a filter of the plant with its delay model: delay='model'"
             )
         self.exact: bool = estimator.nominal is not None and delay != "model"
         mean = np.zeros(system.n) if mean is None else mean
@@ -133,7 +129,7 @@ class DiscreteSmoother(Exports):
 
     @property
     def state(self) -> Floats:
-        """The state now, a copy: an exact filter's estimate of the system's, or the estimator's."""
+        """A copy of the state: an exact filter's estimate of the system's, or the estimator's."""
         return self._engine.state + (self._mean if self.exact else 0.0)
 
     @property
@@ -147,16 +143,12 @@ class DiscreteSmoother(Exports):
         return self._engine.estimate("filtered") + self._w
 
     def times(self, rows: int, output: str = "smoothed") -> Floats:
-        """Return the times to which the last `rows` estimates belong.
+        """Return the (rows,) times of the last estimates, s since the last `reset`.
 
         Parameters
         ----------
         rows : int, at most `samples`
         output : {"smoothed", "filtered"}
-
-        Returns
-        -------
-        (rows,) array, s from the start or the last `reset`
         """
         rows = validation.integer("rows", rows, low=0)
         if self._engine.memory.counts[3]:
@@ -178,14 +170,13 @@ class DiscreteSmoother(Exports):
         Parameters
         ----------
         state : (n,) array, optional
-            What to begin with: for an exact smoother the mean of the system's state, else the
-            estimator's state. By default nothing is known but the model.
-        samples : int, those before, where a record is gone on with
+            For an exact smoother the mean of the system's state, else the estimator's state. By
+            default that of the model.
+        samples : int, those before, where a record is continued
         covariance : (n, n) array, optional
-            Of the system's state, for an exact smoother: how well the mean is known. By default
-            that of the model, where modes that do not decay are not known at all: estimates are NaN
-            until the samples tell enough of them. Where copies run, a filter in lock knows them as
-            well as it ever will.
+            Of the system's state, for an exact smoother. By default that of the model, where modes
+            that do not decay are unknown: estimates are NaN until the samples determine them. With
+            copies the default is the filter's own covariance, in lock.
         """
         samples = validation.integer("samples", samples, low=0)
         n = self._engine.states
@@ -207,17 +198,12 @@ class DiscreteSmoother(Exports):
         inputs: ArrayLike | None = None,
         interval: float | None = None,
     ) -> Floats:
-        """Take one sample.
+        """Take one sample; return the smoothed estimate (m,) at its end (`filtered` has the other).
 
         Parameters
         ----------
         y, reference, inputs : (l,), (g,) and (p,) arrays, a row of those of `run`; y may be a float
-        interval : float, optional
-            The length of the sample's interval, s, `dt` by default
-
-        Returns
-        -------
-        (m,) array, the smoothed estimate at the interval's end; `filtered` has the other
+        interval : float, optional, the length of the sample's interval, s; `dt` by default
         """
         row, known = _plain(y, self.l), _plain(reference, self.g)
         is_plain = row is not None and (reference is None or known is not None)
@@ -259,33 +245,30 @@ class DiscreteSmoother(Exports):
         y : (N, l) array, or (N,) where l is one
             Row by row the mean of dy/dt over an interval; NaN, or masked, where it is missing.
         reference : (N, g) array, optional
-            What a detector takes off the nonlinearities' arguments, which act on :math:`\nu - r`,
-            and the copies on :math:`\tilde\nu - r`, with `r` held over each interval. In homodyne
-            detection that is :math:`2\alpha\gamma` times the phase of the local oscillator.
-            `SamplePaths` has it beside y. Zero by default, whatever `simulate` takes by this name.
+            Nonlinearities act on :math:`\nu - r`, and copies on :math:`\tilde\nu - r`, with r
+            constant over each interval; zero by default. In homodyne detection it is
+            :math:`2\alpha\gamma` times the phase of the local oscillator. `SamplePaths` has it.
         output : {"smoothed", "filtered"}, which estimates to return
-        inputs : (N, p) array, optional
-            The means of the known inputs over the intervals, where the system has any.
+        inputs : (N, p) array, optional, the means of the system's known inputs over the intervals
         intervals : (N,) array, optional
-            The lengths of the rows' intervals, s, where they are not `dt`; rounded to 1e-9 dt. The
-            matrices of each length are exact, and made once for those that come again.
+            The lengths of the rows' intervals, s, where they are not `dt`; rounded to 1e-9 dt.
         return_std : bool
-            Whether to return the standard deviations of the errors, too. An exact smoother knows
-            them for its nominal system: they grow in a gap, and at both ends of a record.
+            Whether to return the errors' standard deviations, too: those of the nominal system, by
+            an exact smoother. They are larger in a gap, and at both ends of a record.
 
         Returns
         -------
         (N, m) array
             Estimates at the ends of the intervals; `times` has the times that they belong to. An
-            exact smoother has NaN where the model and the samples do not tell enough: before the
-            start of a record of a system that drifts, or whose state at the start is given, and
-            where an unstable mode has grown through a long gap.
+            exact smoother has NaN where model and samples do not determine them: before the start
+            of a record of a system that drifts, or whose state at the start is given, and where an
+            unstable mode has grown through a long gap.
         (N, m) array, their standard deviations, with `return_std`
 
         Raises
         ------
         ArithmeticError
-            Where the state leaves the range of floats.
+            Where the state exceeds the range of floats.
         """
         if validation.boolean("return_std", return_std):
             self._exact("return_std")
@@ -295,18 +278,13 @@ class DiscreteSmoother(Exports):
         return (found[:, 0], spread[:, 0]) if return_std else found[:, 0]
 
     def bank(self, y: ArrayLike, lags: Sequence[int], **beside: Unpack[Beside]) -> Floats:
-        """Take samples, and return the estimates at many lags in one pass.
+        """Take samples; return the (N, len(lags), m) estimates at many lags in one pass.
 
         Parameters
         ----------
         y, **beside : the record, and reference, inputs and intervals, as in `run`
         lags : sequence of int
-            In samples, ascending, at most the delay. A lag of d belongs to d intervals before the
-            end of the row's.
-
-        Returns
-        -------
-        (N, len(lags), m) array
+            In samples, ascending, at most the delay; counted back from the row's own.
         """
         longest = self._exact("bank").samples_back
         if not isinstance(lags, Iterable):
@@ -319,7 +297,7 @@ class DiscreteSmoother(Exports):
     def two_sided(self, y: ArrayLike, **beside: Unpack[Beside]) -> Pair:
         """Return the estimates that use a whole record: fixed-interval smoothing.
 
-        The record begins as `reset` last said. The samples taken and the state stay as they are.
+        The record begins as the last `reset` set it. `samples` and `state` are not changed.
 
         Parameters
         ----------
@@ -334,22 +312,18 @@ class DiscreteSmoother(Exports):
         return found + self._w, spread
 
     def innovations(self, y: ArrayLike, **beside: Unpack[Beside]) -> Floats:
-        """Return the normalised innovations of a record: white, of variance one, by the model.
+        """Return the (N, l) normalised innovations of a record: white, of variance one.
 
-        An innovation is what a sample differs by from what the filter expects of it. Those of a
+        An innovation is a sample less its prediction, NaN where that is missing. Those of one
         sample are made uncorrelated, and are divided by their standard deviations.
 
         Parameters
         ----------
         y, **beside : the record, and reference, inputs and intervals, as in `run`
 
-        Returns
-        -------
-        (N, l) array, with NaN where a measurement is missing
-
         See Also
         --------
-        robsmooth.check_record : tells whether they are what the model says.
+        robsmooth.check_record : tests them against the model.
         """
         return self._exact("innovations").innovations(self._given(y, **beside))
 
@@ -383,7 +357,7 @@ class DiscreteSmoother(Exports):
     def _given(
         self, y: Any, reference: Any = None, inputs: Any = None, intervals: Any = None
     ) -> Samples:
-        """Return samples, and what stands beside them, after their check."""
+        """Return a record as checked samples, with references, inputs and intervals."""
         y = checked("y", y, self.l)
         refuse("y must be finite, or nan where it is missing", y, np.isinf(y))
         reference = self._beside("reference", reference, self.g, len(y))
@@ -403,7 +377,7 @@ class DiscreteSmoother(Exports):
         return Samples(y, reference, inputs, intervals if len(y) else None)
 
     def _beside(self, name: str, given: ArrayLike | None, columns: int, rows: int) -> Floats:
-        """Return what stands beside y, zero by default."""
+        """Return the checked reference or inputs of a record, zero by default."""
         if given is None:
             return np.zeros((rows, columns))
         result = checked(name, given, columns)
@@ -413,7 +387,7 @@ class DiscreteSmoother(Exports):
         return result
 
     def _checkpoint(self) -> tuple[Any, int]:
-        """Return what `_restore` goes back to."""
+        """Return the state for `_restore`."""
         with self._lock:
             return self._engine.copied(), self.samples
 
@@ -428,7 +402,7 @@ class DiscreteSmoother(Exports):
 
 
 def _plain(given: Any, size: int) -> Floats | None:
-    """Return a sample as an array where it is what most are: floats in no array of another kind."""
+    """Return a sample as an array if it is a float, a list or an array of `size` floats."""
     row = np.asarray(given) if type(given) in _PLAIN else None
     usual = row is not None and row.dtype is _FLOAT and row.size == size and row.ndim < 2
     return row.reshape(-1) if usual else None
@@ -449,7 +423,7 @@ def checked(name: str, given: ArrayLike, columns: int) -> Floats:
 
 
 def refuse(rule: str, values: Floats, wrong: NDArray[np.bool_]) -> None:
-    """Raise a ValueError that names the first entry that is wrong, if one is."""
+    """Raise a ValueError that names the first wrong entry."""
     if wrong.any():
         row, column = divmod(int(wrong.argmax()), wrong.shape[1])
         raise ValueError(f"{rule}, got {values[row, column]} at row {row}, column {column}")

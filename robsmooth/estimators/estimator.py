@@ -5,8 +5,7 @@ r"""What every estimator here has in common: the form of (eqcontrol).
     d\hat x_p = A_c \hat x_p\,dt + \tilde B_c\,d\tilde y, \qquad \tilde u = \tilde C_c \hat x_p,
     \qquad \tilde y = [y; \tilde\mu],\quad \tilde u = [\hat w; \tilde\nu],
 
-with the copies :math:`\tilde\mu_i = \psi_i(\tilde\nu_i)` closing the loop around it. A linear
-filter is the case where the copies' gains are zero.
+and the copies :math:`\tilde\mu_i = \psi_i(\tilde\nu_i)`. A linear filter has zero gains for them.
 """
 
 from collections.abc import Callable, Iterable
@@ -33,16 +32,16 @@ class Estimator(Frozen):
 
     Attributes
     ----------
-    plant : AugmentedSystem, the system and the delay that it is for
-    A_c : (n_c, n_c) array, its drift, 1/s; n_c is the plant's order for all designs here
-    B_c : (n_c, l + g) array, its gains: columns for y, then for the copies' outputs mu-tilde
-    C_c : (m + g, n_c) array, its outputs: rows of w-hat, then of the copies' arguments nu-tilde
+    plant : AugmentedSystem
+    A_c : (n_c, n_c) array, drift, 1/s
+    B_c : (n_c, l + g) array, gains: columns for y, then for the copies' outputs mu-tilde
+    C_c : (m + g, n_c) array, outputs: rows of w-hat, then of the copies' arguments nu-tilde
     C_a, C_f : (m, n_c) arrays
         The read-outs of the smoothed estimate of w one delay back and of the filtered one of w now;
-        the latter is w-hat for every design but one whose cost is on the smoothed error.
-    cost : {None, "filtered", "smoothed"}, which error has a guarantee, where one has
+        the latter is w-hat unless the cost is on the smoothed error.
+    cost : {None, "filtered", "smoothed"}, the error that has a guarantee
     nominal : pair of UncertainSystem or None
-        The systems that a classical design runs as its model, and has its gain for.
+        Of a classical design: its model, and the system that its gain is optimal for.
 
     Examples
     --------
@@ -58,7 +57,7 @@ class Estimator(Frozen):
     C_a: Matrix
     C_f: Matrix
     cost: str | None = None
-    # Not an argument: an estimator with other matrices is not that of the nominal system any more.
+    # Not an argument: with other matrices the estimator is no longer the nominal system's.
     nominal: tuple[UncertainSystem, UncertainSystem] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -71,7 +70,7 @@ class Estimator(Frozen):
 
     @property
     def mean_square_bound(self) -> float | None:
-        """The guarantee, where there is one."""
+        """The guarantee, if any."""
         return None
 
     @property
@@ -83,13 +82,13 @@ class Estimator(Frozen):
     def to_statespace(self, slopes: ArrayLike | None = None) -> "control.StateSpace":
         """Return the estimator as a python-control object.
 
-        Its inputs are ``y[0]``, ..., the measurement dy/dt, and ``mu_copy[0]``, ..., what the
-        copies give at its output ``nu_copy``. Other outputs are ``smoothed`` and ``filtered``.
+        Inputs: the measurement dy/dt ``y[0]``, ..., and the copies' outputs ``mu_copy[0]``, ...
+        Outputs: ``smoothed``, ``filtered``, and the copies' arguments ``nu_copy``.
 
         Parameters
         ----------
         slopes : (g,) sequence of floats, optional
-            Those of the copies, which closes them, and ``mu_copy`` goes. Zeros are nominal.
+            Slopes to close the copies with, in place of ``mu_copy``. Zeros are nominal.
 
         Examples
         --------
@@ -123,27 +122,25 @@ class Estimator(Frozen):
 
         Parameters
         ----------
-        dt : float
-            Length of a sample's interval, s.
+        dt : float, length of a sample's interval, s
         functions : sequence of g callables, optional
             The nonlinearities' functions, instead of those of the plant; None keeps the plant's.
-            What numba cannot compile is called in Python, a hundred times as slowly.
+            One that numba cannot compile runs in Python, a hundred times as slowly.
         delay : {"exact", "model"}, optional
-            Whether the smoother of the nominal system in discrete time runs, which needs no delay
-            model, or the estimator's own equations, which are faster. By default the former where
-            there is a nominal system, for the classical and the tuned designs.
+            "exact" runs the smoother of the nominal system in discrete time, without a delay model;
+            "model" the estimator's own equations, which are faster. By default "exact" where there
+            is a nominal system: for the classical and the tuned designs.
         mean, offset : (n,) and (l,) arrays, optional
-            The mean of the system's state, which something that is not modelled keeps up, and
-            what is added to the measurements. Zero by default.
+            The mean of the system's state, due to an effect that is not modelled, and a constant
+            that is added to the measurements. Zero by default.
         samples : {"means", "instants"}
-            Whether a sample is the mean of dy/dt over its interval, or is taken at the interval's
-            end: then its noise, of the variance :math:`D_{21}D_{21}'/dt`, is all that is averaged.
-            Instants are for exact delays.
+            A sample is the mean of dy/dt over its interval. Or, for exact delays, it is taken at
+            the interval's end, and only its noise, of variance :math:`D_{21}D_{21}'/dt`, is a mean.
 
         Raises
         ------
         ArithmeticError
-            Where the estimator is unstable, and dt too long for it.
+            Where the estimator is unstable and dt is too long for it.
 
         Examples
         --------
@@ -157,7 +154,7 @@ class Estimator(Frozen):
         return DiscreteSmoother(self, dt, functions, delay, mean, offset, samples)
 
     def of_nominal(self, model: UncertainSystem, gain: UncertainSystem) -> Self:
-        """Return the same estimator as that of a nominal system, that of its model and its gain."""
+        """Return the same estimator with the nominal systems of its model and of its gain."""
         result = replace(self)
         vars(result).update(nominal=(model, gain))
         return result
@@ -169,7 +166,7 @@ class Estimator(Frozen):
 
     @property
     def _figures(self) -> str:
-        """What the repr says of it, beside its delay."""
+        """The figures of the repr, without the delay."""
         l, m, g = self.plant.system.l, self.plant.system.m, self.plant.system.g  # noqa: E741
         return f"{len(self.A_c)} states, {l} measurements, {m} outputs, {g} copies"
 

@@ -5,7 +5,7 @@ With the time :math:`t = Tt'`, the states :math:`x = sx'` and the measurement's 
 .. math:: dy = [C_2 x + D\xi]\,dt + D_{21}\,dW
 
 keeps its form with :math:`W = \sqrt T W'` and :math:`\xi = \xi'/\sqrt T`. A design is made in
-natural units and then brought back, so that it does not depend on the units of its problem.
+natural units, so that it does not depend on the units of its problem.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.delay import pade_delay
 from robsmooth.systems.system import UncertainSystem
 
-_LEAST_SEEN = 1e-4  # of an estimate's size, relative to the largest
+_LEAST_SEEN = 1e-4  # singular value of the read-outs, relative to the largest
 _ROUNDING = 1e-9  # of a row, relative to others
 
 
@@ -44,7 +44,7 @@ class Units:
         """Return the units in which a stable system is of order one."""
         time = 1.0 / np.abs(np.linalg.eigvals(system.A)).max()
         noise = system.B1
-        for _ in range(2):  # of the noise, then of the uncertainties that it excites, too
+        for _ in range(2):  # with the noise, then also with the uncertainties that it excites
             covariance = covariances(system.A, noise).stationary
             sizes = [np.sqrt(np.trace(u.C @ covariance @ u.C.T)) for u in system.uncertainties]
             driven = [u.B * size for u, size in zip(system.uncertainties, sizes, strict=True)]
@@ -87,7 +87,7 @@ class Units:
     def restored(self, estimator: Estimator, plant: AugmentedSystem) -> dict[str, Any]:
         """Return the fields of an estimator of `plant`, made for the plant in these units.
 
-        Its first n states estimate the plant's, and so do the next, if there are more.
+        The first n states estimate the plant's, and so do the next n, if there are more.
         """
         m, g, root = plant.system.m, plant.system.g, np.sqrt(self.time)
         inputs = np.concatenate([self.y, np.ones(g)]) * root
@@ -109,14 +109,14 @@ class Natural:
     """A design problem in natural units, in which a filter has no delay model."""
 
     units: Units
-    plant: AugmentedSystem  # stable, in these units: what an observer leaves of one that drifts
+    plant: AugmentedSystem  # in these units; stable, by an observer where the original drifts
     original: AugmentedSystem
     output: str  # "smoothed" or "filtered"
     drift: Drift
 
     @classmethod
     def of(cls, plant: AugmentedSystem, output: str) -> "Natural":
-        """Return the problem of a plant; an InfeasibleDesignError says what it must be."""
+        """Return the problem of a plant; an InfeasibleDesignError where it has no design."""
         check_is_plant(plant)
         validation.choice("output", output, COSTS)
         check_noise("A measurement's noise", plant.system.D21)
@@ -130,10 +130,9 @@ class Natural:
         return _seen_by(self.output, self.units.plant(self.original))
 
     def restored(self, estimator: Estimator) -> dict[str, Any]:
-        """Return the fields of an estimator of the original plant, in its units.
+        """Return the fields, for the original plant, of an estimator of `plant` or of the `whole`.
 
-        It is for `plant`, or for the `whole`. Its first n states estimate the plant's. A filter is
-        followed by the delay model, so that there is something to smooth with.
+        Its first n states estimate the plant's. The delay model is appended to a filter.
         """
         of_whole = estimator.plant is not self.plant
         original = self.original if of_whole else self.drift.plant
@@ -155,16 +154,16 @@ class Natural:
 
 
 def _seen_by(output: str, plant: AugmentedSystem) -> AugmentedSystem:
-    """Return the plant as an estimate sees it: a filter does not see the delay model."""
+    """Return the plant, for a filter without the delay model."""
     return undelayed(plant) if output == "filtered" else plant
 
 
 def in_plant_states(estimator: Estimator) -> Estimator:
-    """Return the same estimator with states of which the first n estimate those of the plant.
+    """Return the same estimator in coordinates whose first n states estimate the plant's.
 
     Then C_2 and C_p0 times these are nominal estimates of the measurement to come and of w. The
-    other directions are of no account, and make the coordinates as well conditioned as can be. A
-    part of them is what the copies' outputs do to the plant's state, in the states behind these.
+    other directions are chosen for well conditioned coordinates. States beyond 2n, the effect of
+    the copies' outputs on the plant's state, add to the first n.
     """
     plant, n = estimator.plant, estimator.plant.n
     A, B, _, _ = matrices(estimator, "real")

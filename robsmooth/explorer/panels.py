@@ -1,7 +1,4 @@
-"""The figure of the explorer: four panels of a snapshot, or the sentence in its place.
-
-The axes never change: errors are relative.
-"""
+"""The figure of the explorer: four panels of a snapshot with fixed axes, or a sentence."""
 
 import io
 import textwrap
@@ -18,7 +15,7 @@ from robsmooth.paper.figures import use_style
 from robsmooth.paper.figures.style import label_ticks
 
 _ERROR = "mean square error\n(Kalman filter's = 1)"
-# A layout engine would find the same places at each drawing, and take as long as the drawing.
+# Fixed places: a layout engine takes as long as the drawing.
 _PLACES = {"left": 0.09, "right": 0.985, "bottom": 0.09, "top": 0.95, "wspace": 0.24, "hspace": 0.4}
 
 
@@ -32,7 +29,7 @@ def png(found: Snapshot | str) -> bytes:
 
 
 def draw(found: Snapshot | str) -> Figure:
-    """Draw the panels, or the sentence that says why there are none."""
+    """Draw the panels, or the sentence on why there are none."""
     figure = Figure(figsize=(7.0, 4.5), dpi=130, layout="none")
     if isinstance(found, str):
         figure.text(0.5, 0.5, textwrap.fill(found, 90), ha="center", va="center")
@@ -74,7 +71,7 @@ def _errors(axes: Axes, found: Snapshot) -> None:
     both = {"classical smoother": (found.classical, large), "this design": (found.own, small)}
     for label, (each, look) in both.items():
         errors = [*vars(each.judged).values(), getattr(each.with_sine, found.settings.cost)]
-        relative = np.array(errors) / found.filtering  # one that is infinite is absent
+        relative = np.array(errors) / found.filtering  # infinite ones are not drawn
         axes.plot(relative, label=label, **{"color": "C4", "linestyle": ":"} | look)
     if isinstance(found.own.estimator, rs.RobustSmoother):
         bound = found.own.estimator.mean_square_bound / found.filtering

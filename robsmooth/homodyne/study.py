@@ -42,18 +42,17 @@ QUANTITIES += ("filtered", "filtered_error", "smoothed", "smoothed_error", "slip
 
 @dataclass(frozen=True, eq=False)
 class Study(Frozen):
-    """What `parameter_study` found, an array for each quantity.
+    """The results of `parameter_study`, an array for each quantity.
 
     Attributes
     ----------
-    gammas, noises, orders, lags : tuples
-        The axes of the arrays, in this order; lags in s.
+    gammas, noises, orders, lags : tuples, the axes of the arrays, in this order; lags in s
     quantities : dict of str to (gammas, noises, orders, lags) array
-        "bound": on the filtered mean square error (rad^2); "nominal", "edge": the linear smoothed
-        one where the sine is its tangent, and at the sector's edge; "optimal", "optimal_filtered":
-        the optima for the tangent; "filtered", "smoothed": the nonlinear ones of paths in lock, and
-        "filtered_error", "smoothed_error" their standard errors; "slip_rate" (1/s). Not a number
-        without a design or a path in lock.
+        Mean square errors, rad^2. "bound": on the filtered one. Linear loop: smoothed, "nominal"
+        for the sine's tangent and "edge" at the sector's edge; "optimal", "optimal_filtered" for
+        the tangent. Nonlinear loop, paths in lock: "filtered", "smoothed", with the standard errors
+        "filtered_error", "smoothed_error". "slip_rate" is in 1/s. NaN without a design or a path in
+        lock.
     failures : dict of (gamma, noise) to str, why there is no design
 
     Examples
@@ -77,7 +76,7 @@ class Study(Frozen):
 
     @property
     def optimal_ratio(self) -> NDArray[np.float64]:
-        """The same of the optimal estimators in the linear loop: one without a lag."""
+        """The same for the optimal estimators in the linear loop."""
         return self.quantities["optimal"] / self.quantities["optimal_filtered"]
 
     def __repr__(self) -> str:
@@ -125,10 +124,8 @@ def parameter_study(
     lags, orders, gammas : sequences of float, int, float
         Of the smoother, s; of the delay's Pade model; half widths of the sector.
     noises : sequence of float
-        Power of the shot noise relative to that of `parameters`: of the amplitude
-        alpha / sqrt(noise).
-    runs, seed, client, checkpoint, progress
-        As in `monte_carlo`, of the ergodic protocol, and what it raises, too.
+        Power of the shot noise relative to that of `parameters`; alpha is divided by its root.
+    runs, seed, client, checkpoint, progress : as in `monte_carlo`, which has the exceptions, too
 
     Examples
     --------
@@ -158,7 +155,7 @@ def parameter_study(
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
     with open_journal(checkpoint, identity) as journal:
         results = list(journal.records()) if journal else []
-        # what was done before counts for the progress, but not for the rate
+        # columns of a former run count as progress, not for the rate
         extent = {"total": len(loops), "initial": len(results), "unit": "column"}
         with progress_bar(**extent, shown=progress) as bar:
             for result in cluster.in_order(compute, loops[len(results) :], client):

@@ -20,14 +20,14 @@ from robsmooth._support import validation
 from robsmooth._support.extras import pyarrow
 from robsmooth._support.validation import Matrix
 
-BLOCK = 1 << 18  # bytes of a CSV file at a time, and more than a line of it has
+BLOCK = 1 << 18  # bytes of a CSV file at a time; its lines are shorter
 DATE = re.compile(r"\d{4}-\d\d-\d\d(?:[T ][\d:.]*(Z|[-+]\d\d:?\d\d)?)?")
 MISSING = ("", "NA", "N/A", "#N/A", "null", "nan", ".")
-NO_NAMES = ("None", "<NA>", "NaT", "-", "--", "?")  # gaps of others rather than names of columns
+NO_NAMES = ("None", "<NA>", "NaT", "-", "--", "?")  # gaps in other dialects, no names of columns
 
 
 def delimiter_of(name: str, path: Path, given: str | None) -> str:
-    """Return what stands between the cells of a file of this suffix, nothing where it has none."""
+    """Return the delimiter of a file by its suffix, empty where it has none."""
     found = re.search(r"(\.csv|\.tsv)(\.gz)?$|\.npy$|\.parquet$", path.name.lower())
     unwritten = found and name == "target" and found[0] == ".parquet"
     if not found or unwritten or (path.exists() and not path.is_file()):
@@ -44,22 +44,22 @@ def delimiter_of(name: str, path: Path, given: str | None) -> str:
 class Record:
     """Rows of samples, in columns."""
 
-    path: Path | str = "source"  # what messages call it
+    path: Path | str = "source"  # its name in messages
     names: Sequence[str] = ()
     width, size = 0, None  # numbers of columns, and of rows or, of a CSV file, bytes
     unit, read = "row", 0  # of the size; how much of it was read
-    first, advice = 0, ""  # the number of the first row; what messages end with
+    first, advice = 0, ""  # the number of the first row; the end of messages
     index: int | None = None  # the column that is the index of a data frame
     dates: Mapping[int, Any] = {}  # the types of columns of dates and of lengths of time
     origin: Any = None  # the first date, from which seconds count, ns
     pieces: Any  # a method: yields arrays with all columns, or tables with the chosen ones
 
     def name(self, column: int) -> str:
-        """Return what a column is called in messages."""
+        """Return the name of a column in messages."""
         return f"column {column}" + (f" ({self.names[column]!r})" if self.names else "")
 
     def rows(self, columns: list[int], chunk: int) -> Iterator[Matrix]:
-        """Yield the numbers of columns of the next rows; dates are in s since the first."""
+        """Yield columns of the next rows as numbers; dates are in s since the first."""
         with self._failures():
             for piece in self.pieces(columns, chunk):
                 for i in range(0, len(piece), chunk):
@@ -90,7 +90,7 @@ class Record:
 
     @contextmanager
     def _failures(self) -> Iterator[None]:
-        """Say in which file, and where in it, a library found something wrong."""
+        """Turn an error of a library into one that names the file and the line."""
         wrong = EOFError, zlib.error, gzip.BadGzipFile, csv.Error, OverflowError
         try:
             yield
@@ -123,13 +123,13 @@ class Array(Record):
 
     def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:  # noqa: D102
         for i in range(0, self.size, chunk):
-            part = self._map()[i : i + chunk]  # anew: what was read need not stay in memory
+            part = self._map()[i : i + chunk]  # mapped anew, so that memory is freed
             self.read = i + len(part)
             yield part.reshape(-1, self.width)
 
 
 class Table(Record):
-    """What PyArrow takes for a table, as a data frame, or a Parquet file."""
+    """A table in memory that PyArrow reads, as a data frame, or a Parquet file."""
 
     def __init__(self, source: Any) -> None:
         self._source, self.path = source, source if isinstance(source, Path) else "source"
@@ -164,11 +164,11 @@ class Table(Record):
             yield batch.select(keys)  # in this order
 
     def as_given(self, clock: int | None, times: Matrix, w: Matrix) -> Any:
-        """Return estimates with their times as what the record is."""
+        """Return estimates with their times in the type of the record."""
         name = "time" if clock is None else self.names[clock]
         table = table_of(self.in_clock(clock, times, file=False), w, name)
         frame = _frame(self._source)
-        if hasattr(frame, "set_index"):  # of pandas, as it may be for one of xarray
+        if hasattr(frame, "set_index"):  # of pandas, or of xarray by pandas
             found = table.to_pandas().set_index(name)
             return type(self._source)(found) if hasattr(self._source, "coords") else found
         return type(frame)(table) if hasattr(frame, "to_arrow") else table  # of polars, or Arrow
@@ -194,7 +194,7 @@ class Chunks(Record):
 
 
 class Csv(Record):
-    """A CSV file, as it is or in gzip."""
+    """A CSV file, plain or in gzip."""
 
     unit = "B"
     advice = "; header=, skip_rows=, columns=, delimiter=, decimal= and missing= say how to read it"
@@ -226,14 +226,14 @@ class Csv(Record):
         self.dates = {i: pyarrow().timestamp("ns", date[1] and "UTC") for i, date in dates}
 
     def _has_names(self, cells: list[str], below: list[str]) -> bool:
-        """Return whether the first line is a header; refuse one that may have samples, too."""
+        """Return whether the first line is a header; refuse a line that could be samples, too."""
         gaps = {word.lower() for word in (*self._values["null_values"], *MISSING, *NO_NAMES)}
         given = [cell for cell in cells if cell.lower() not in gaps]
         numbers = [cell for cell in given if re.match(r"[-+.]?\d", cell)]
         counted = [cell.removesuffix(".0") for cell in given] == [str(i) for i in range(len(given))]
         whole = all(map(str.isdecimal, given)) and len({*given}) == len(given)
         fractions = any(re.fullmatch(r"[-+]?\d*[.,]\d+(e.*)?", cell) for cell in below)
-        gap = not numbers and len({*given}) == 1 < len(given)  # a word for one, perhaps
+        gap = not numbers and len({*given}) == 1 < len(given)  # perhaps a word for a gap
         mixed = 0 < len(numbers) < len(given)
         if mixed or counted or gap or (whole and fractions):
             line = f"{self.path}, line {self.first}, {','.join(cells)[:60]!r},"
@@ -256,13 +256,13 @@ class Csv(Record):
 
 
 class _Text(io.BufferedReader):
-    """The text of a CSV file, of which only the last lines may be blank."""
+    """The text of a CSV file, without blank lines except at its end."""
 
     def __init__(self, path: Path, skip: int) -> None:
         with open(path, "rb") as file:
             zipped = file.read(2) == b"\x1f\x8b"
         super().__init__(gzip.GzipFile(path) if zipped else io.FileIO(path))  # type: ignore
-        self.lines, self._end = 0, b"\n"  # of those that were read, and with what these ended
+        self.lines, self._end = 0, b"\n"  # the number of lines read, and their last line end
         for _ in range(skip):
             self.readline()
 
@@ -277,14 +277,14 @@ class _Text(io.BufferedReader):
 
 
 def _frame(source: Any) -> Any:
-    """Return the data frame of a series, or of what xarray has; all else as it is."""
+    """Return the data frame of a series or of an array of xarray; all else as it is."""
     if hasattr(source, "coords"):
         source = source.to_pandas()
     return source.to_frame() if hasattr(source, "to_frame") else source
 
 
 def in_memory(source: Any) -> Record:
-    """Open a record that is no file: an array, a data frame, or an iterator of them."""
+    """Open an array, a data frame, or an iterator of them."""
     if hasattr(source, "coords") or hasattr(source, "to_frame") or hasattr(source, "columns"):
         return Table(source)
     return Chunks(source) if isinstance(source, Iterator) else Array(source)

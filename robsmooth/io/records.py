@@ -48,10 +48,10 @@ def smooth_record(
     progress: bool = False,
     resume: bool = False,
 ) -> Any:
-    """Smooth a record in memory or, gigabytes in the memory of a chunk, from file to file.
+    """Smooth a record in memory, or from file to file with a chunk in memory at a time.
 
-    The smoother goes on from its state, as in `DiscreteSmoother.run`. Where this fails or is
-    interrupted, its state and the target are what they were before.
+    The smoother continues from its state, as in `DiscreteSmoother.run`. A failure or an
+    interruption leaves its state and the target as they were.
 
     Parameters
     ----------
@@ -64,36 +64,36 @@ def smooth_record(
         For the estimates: a ``.csv`` or ``.tsv`` file with the columns ``time``, ``w[0]``,
         ``w[1]``..., in gzip as ``.csv.gz``, or a ``.npy`` file of an (N, m) array.
     columns, reference : int, str or sequence of them, optional
-        The l columns that are measurements, by default all others, and the g ones of the reference
-        of the nonlinearities, as in `DiscreteSmoother.run`: indices, or names.
+        Indices or names of the l measurements, by default all other columns, and of the g
+        references, as in `DiscreteSmoother.run`.
     time : int, str or False, optional
-        A column with the times of the rows, s or dates; by default a frame's index that does more
-        than count. A row's time is the begin of its interval, or that of its sample where
-        `discretize` was told ``samples="instants"``. Estimates have times of this clock: the end of
-        the interval, less the `delay` where they are smoothed; else those of
+        The column of the rows' times, s or dates; by default a frame's index that does more than
+        count. A row's time is the begin of its interval, or that of its sample with
+        ``discretize(samples="instants")``. Estimates have times of this clock: the end of the
+        interval, less the `delay` where they are smoothed; without, those of
         `DiscreteSmoother.times`. A column that looks like times is refused as a measurement, and
-        checked where ``columns`` leaves it out; with False neither is done.
+        checked where ``columns`` omits it; False turns both off.
     regular : bool
-        Whether a row that is missing, or a wrong dt, is refused. With False the rows' intervals
-        have the lengths between their times, and dt the one that no other row ends or begins.
-    output : {"smoothed", "filtered"}, which estimates are wanted
+        Whether to refuse a missing row or a wrong dt. With False an interval lasts from one row's
+        time to the next; a row without a neighbour has dt.
+    output : {"smoothed", "filtered"}
     delimiter, decimal, header, skip_rows, missing : optional
-        How a CSV file is written: both marks; whether it begins with names, where its first line
-        leaves that open; how many lines stand before it; and the words for a gap.
+        The dialect of a CSV file: both marks; whether it begins with names, where the first line
+        could be either; the number of lines before; and the words for a gap.
     chunk : int, rows in memory at a time
     progress : bool, whether to show a progress bar
-    resume : bool, whether the same call goes on where it was interrupted, to the same bytes
+    resume : bool, whether the same call can resume an interrupted one, to the same bytes
 
     Returns
     -------
     int, array, data frame or iterator
-        With a target the number of rows. Else the estimates (N, m) as what the source is, a frame's
-        with their times; an iterator yields arrays, and the smoother goes on with each.
+        With a target the number of rows. Else the estimates (N, m) in the type of the source, in a
+        frame with their times; an iterator yields arrays, and advances the smoother with each.
 
     Raises
     ------
     ValueError, TypeError, ArithmeticError, OSError, ImportError
-        For what cannot be read, or is no number, by file, row and column; where the state leaves
+        For what cannot be read, or is no number, by file, row and column; where the state exceeds
         the range of floats; and where a file or the extra ``records`` is missing.
 
     Examples
@@ -164,7 +164,7 @@ def _target(record: Record, target: Any, delimiter: str | None, resume: bool) ->
 
 
 def _shown(record: Record, pieces: Iterator[Matrix], progress: bool) -> Iterator[Matrix]:
-    """Show how much of a record was read."""
+    """Show how much of a record is read."""
     with progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress) as bar:
         for values in pieces:
             yield values
@@ -224,7 +224,7 @@ def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[
 
 
 def _rises_evenly(record: Record, column: int) -> bool:
-    """Return whether a column begins as times would, of which a few are missing."""
+    """Return whether a column begins like times, perhaps with a few rows missing."""
     with suppress(ValueError, TypeError), np.errstate(invalid="ignore"):
         steps = np.diff(next(record.rows([column], HEAD), np.empty((0, 1)))[:, 0])
         if len(steps) > 2 and (steps > 0).all():
@@ -235,7 +235,7 @@ def _rises_evenly(record: Record, column: int) -> bool:
 def _checked(
     record: Record, chosen: list[int], ends: list[int], dt: float, regular: bool, chunk: int
 ) -> Iterator[Matrix]:
-    """Yield the rows of a record whose numbers and times are as they must be."""
+    """Yield the rows of a record; refuse wrong numbers and times."""
     done, begin, last = 0, 0.0, 0.0
 
     def place(i: int, j: int) -> str:
@@ -258,9 +258,8 @@ def _checked(
                 i = int(wrong.argmax())
                 raise ValueError(
                     f"{place(i, -1)}: {times[i]:.15g} s is {late[i]:.6g} samples after the row "
-                    f"before and {drift[i]:+.6g} samples off the times of the record's begin with "
-                    f"dt = {dt:g} s; time=False takes all rows as regular, regular=False takes "
-                    "intervals of any length"
+                    f"before and {drift[i]:+.6g} samples off regular times with dt = {dt:g} s; "
+                    "time=False takes all rows as regular, regular=False intervals of any length"
                 )
             last = times[-1]
         yield values
@@ -270,7 +269,7 @@ def _checked(
 def _with_lengths(pieces: Iterator[Matrix], dt: float, instants: bool) -> Iterator[Matrix]:
     """Yield rows with the lengths of their intervals behind their times.
 
-    An interval is that up to the time of the next row, or of instants from that of the row before.
+    An interval ends at the next row's time; that of an instant begins at the time before.
     """
     before = np.empty((0, 0))
     for values in pieces:

@@ -1,8 +1,8 @@
-"""Estimates written to a file, where a run that was interrupted may go on.
+"""Estimates written to a file, by a run that can be resumed.
 
-Such a run leaves what it wrote, and a journal of how far it was, with the smoother's state. To go
-on, the record is read from its begin and compared by a digest; what was written after the journal's
-last note is cut off.
+An interrupted run leaves its file, and a journal of its progress and the smoother's state. To
+resume, the record is read from its begin and compared by a digest, and the file is cut to the size
+in the journal's last note.
 """
 
 import base64
@@ -27,7 +27,7 @@ from robsmooth.estimators.discrete import DiscreteSmoother
 from robsmooth.io.formats import Record, table_of
 
 HEADER = 128  # bytes of an NPY file
-KEPT = 64  # chunks, after each of which the journal takes a note
+KEPT = 64  # chunks between notes in the journal
 Smooth = Callable[[Matrix], tuple[Matrix, Matrix]]
 
 
@@ -41,7 +41,7 @@ def written(
 ) -> int:
     """Write the estimates of a record's pieces; return the number of rows.
 
-    With an identity, an interrupted run can be gone on with by one that has the same.
+    A run with an identity resumes an interrupted one with the same.
     """
     if identity is None:
         with atomic_path(target) as path:
@@ -49,7 +49,7 @@ def written(
     before, first = smoother._checkpoint(), list(islice(pieces, 1))
     estimates = b"".join(smooth(values)[1].tobytes() for values in first)
     smoother._restore(before)
-    digest = hashlib.sha256(estimates).hexdigest()  # by which smoothers differ
+    digest = hashlib.sha256(estimates).hexdigest()  # tells smoothers apart
     identity |= {"smoother": repr(smoother), "first estimates": digest}
     notes = target.with_name(target.name + ".resume")
     with open_journal(notes, identity) as journal, atomic_path(target, ".part") as path:
@@ -66,7 +66,7 @@ def _append(
     writer: Callable[[Path, int], Any],
     journal: Journal | None,
 ) -> int:
-    """Write what a journal does not have yet, and return the number of all rows."""
+    """Write the rows that a journal does not count yet, and return the number of all rows."""
     rows, begin, digest = 0, 0, hashlib.sha256()
     if journal and (last := journal.last):
         while rows < last["rows"] and (values := next(pieces, None)) is not None:
@@ -75,8 +75,8 @@ def _append(
         begin = last["bytes"]
         there = path.stat().st_size if path.exists() else 0
         if digest.hexdigest() != last["digest"] or there < begin:
-            what = f"of another record, or of another file than {path}"
-            raise CheckpointError(f"the checkpoint {journal.path} is {what}: {ANEW}")
+            other = f"of another record, or of another file than {path}"
+            raise CheckpointError(f"the checkpoint {journal.path} is {other}: {ANEW}")
         smoother._restore((_unpacked(smoother, last["state"]), last["samples"]))
     with writer(path, begin) as (put, file):
         for number, values in enumerate(pieces, 1):
@@ -95,14 +95,14 @@ def _append(
 
 
 def _packed(smoother: DiscreteSmoother) -> str:
-    """Return a smoother's memory as text."""
+    """Return the memory of a smoother as text."""
     memory, file = smoother._checkpoint()[0], io.BytesIO()
     np.savez(file, *(memory if isinstance(memory, tuple) else [memory]))
     return base64.b64encode(file.getvalue()).decode()
 
 
 def _unpacked(smoother: DiscreteSmoother, text: str) -> Any:
-    """Return the memory that a text has for a smoother of this kind."""
+    """Return the memory of a smoother from its text."""
     arrays = [*np.load(io.BytesIO(base64.b64decode(text))).values()]
     kind = type(smoother._checkpoint()[0])
     return kind(*arrays) if issubclass(kind, tuple) else arrays[0]
@@ -112,7 +112,7 @@ def _unpacked(smoother: DiscreteSmoother, text: str) -> Any:
 def writer(
     record: Record, clock: int | None, delimiter: str, outputs: int, path: Path, begin: int
 ) -> Iterator[Any]:
-    """Open a file of which so many bytes stay; give what appends times and estimates, and it."""
+    """Open a file, cut to `begin` bytes; yield a function of times and estimates, and the file."""
     with open(path, "r+b" if begin else "wb") as file:
         file.truncate(begin)
         file.seek(begin)
@@ -124,17 +124,15 @@ def writer(
             file.seek(0)
             npy.write_array_header_1_0(file, header)
             return
-        write, style = (
-            pyarrow().csv.write_csv,
-            {"delimiter": delimiter, "quoting_style": "none"},
-        )
-        bare = pyarrow().csv.WriteOptions(include_header=False, **style)
+        csv = pyarrow().csv
+        bare = csv.WriteOptions(include_header=False, delimiter=delimiter, quoting_style="none")
         zipped = gzip.GzipFile("", "wb", 6, file, 0) if path.suffix.lower() == ".gz" else None
         with zipped or nullcontext(file) as sink:
             if not begin:
                 names = table_of(np.empty(0), np.empty((0, outputs))).column_names
                 sink.write(f"{delimiter.join(names)}\n".encode())
-            yield (
-                lambda times, w: write(table_of(record.in_clock(clock, times), w), sink, bare),
-                file,
-            )
+
+            def put(times: Matrix, w: Matrix) -> None:
+                csv.write_csv(table_of(record.in_clock(clock, times), w), sink, bare)
+
+            yield put, file

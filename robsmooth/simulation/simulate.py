@@ -1,4 +1,4 @@
-"""Simulated errors, sample paths, and whether the loop stays where the theory holds."""
+"""Simulated errors and sample paths, with a check of the theory's constraints."""
 
 import math
 import warnings
@@ -13,18 +13,8 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.simulation.loop import (
-    ExponentialIntegrator,
-    NonlinearLoop,
-    Uncertainties,
-    nonlinear_loop,
-)
-from robsmooth.simulation.statistics import (
-    InadmissibleWarning,
-    Moments,
-    SamplePaths,
-    SimulationResult,
-)
+from robsmooth.simulation import loop as loops
+from robsmooth.simulation import statistics
 from robsmooth.systems.augmented import AugmentedSystem
 
 BLOCK = 512  # paths side by side
@@ -34,25 +24,25 @@ TIME_CONSTANTS = 100  # default duration, in units of the slowest mode
 WARM_UP_TIME_CONSTANTS = 5
 MOST_GROWTH = 20.0  # of an unstable system, in powers of e
 CHECK_EVERY = 16  # steps
-_CONSTRAINT_TOLERANCE = 1e-6  # relative: one that holds with equality is not violated by rounding
+_CONSTRAINT_TOLERANCE = 1e-6  # relative, for rounding where a constraint holds with equality
 
 
 @one_thread
 def simulate(
     smoother: Estimator,
     *,
-    uncertainties: Uncertainties = (),
+    uncertainties: loops.Uncertainties = (),
     runs: int = 256,
     duration: float | None = None,
     step: float | None = None,
     seed: int = 0,
     progress: bool = False,
-) -> SimulationResult:
-    r"""Simulate a system, nonlinearities and all, with its estimator, and measure the errors.
+) -> statistics.SimulationResult:
+    r"""Simulate a system, nonlinearities included, with its estimator, and measure the errors.
 
     The errors are :math:`w(t) - C_f\hat x_p(t)` and :math:`w(t - \delta) - C_a\hat x_p(t)`. Paths
-    start in the stationary state of the statistically linearised loop, forget the difference for a
-    while, and are then averaged over time.
+    start in the stationary state of the statistically linearised loop. After a warm-up their
+    squared errors are averaged over time.
 
     Parameters
     ----------
@@ -60,26 +50,24 @@ def simulate(
         Every nonlinearity of its system needs its function: of arrays, or numba's of a number.
     uncertainties : sequence of k numbers, (r_s, h_s) arrays or functions
         Constants of norm at most one, as in `AugmentedSystem.structured_delta`, or functions
-        ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s from where averaging
-        begins. Left out: zero.
+        ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s from the end of the
+        warm-up. Default: zero.
     runs : int, independent paths
     duration : float, optional
         Of a path, without the warm-up, s; in whole steps. Default: 100 times the slowest time
         constant of the linearised loop, or less where the system is unstable.
     step : float, optional
         s; must divide the lag. Default: the largest such step up to a fifth of the loop's response
-        time; `robsmooth.simulation` tells of the bias that it makes.
-    seed : int
-        At least 0. A path depends on it, the path's number and the step alone.
+        time; `robsmooth.simulation` has its bias.
+    seed : int, at least 0; a path depends on it, the path's number and the step alone
     progress : bool, whether to show a bar
 
     Warns
     -----
     InadmissibleWarning
-        Where a constraint of the theory, (eqIQC1) to (eqIQC4), does not hold all the time.
+        Where a constraint of the theory, (eqIQC1) to (eqIQC4), is violated at times.
     LongStepWarning
-        Where the step is above 1/4 of the response time, unless all uncertainties are constants and
-        there is no nonlinearity.
+        Where the step is above 1/4 of the response time, unless the loop is linear with constants.
 
     Raises
     ------
@@ -98,27 +86,26 @@ def simulate(
     >>> bool(abs(result.smoothed.mean_square - exact) < 4 * result.smoothed.standard_error)
     True
     """
-    joined = nonlinear_loop(smoother, uncertainties)
     progress = validation.boolean("progress", progress)
-    run = _Run(smoother.plant, joined, runs, duration, step, seed)
+    run = _Run(smoother, uncertainties, runs, duration, step, seed)
     checks = np.zeros((3, len(run.plant.M_i)))
-    errors = Moments()
+    errors = statistics.Moments()
     path_steps = run.runs * (run.before + run.steps)
     with progress_bar(total=path_steps, unit="step", unit_scale=True, shown=progress) as bar:
         for first in range(0, run.runs, BLOCK):
             paths = range(first, min(first + BLOCK, run.runs))
             of_errors, of_checks = run.averages(paths, bar)
-            errors += Moments.of(of_errors)
+            errors += statistics.Moments.of(of_errors)
             checks += of_checks.sum(axis=2) / run.runs
 
     used, allowed, violated = checks
     constraints = np.divide(used, allowed, out=0.0 * used, where=used > 0.0)
-    result = SimulationResult(
+    result = statistics.SimulationResult(
         smoothed=errors.mean_square(1),
         filtered=errors.mean_square(0),
         constraints=constraints,
         violated=violated,
-        equivalent_delta=joined.delta,
+        equivalent_delta=run.integrator.loop.delta,
         runs=run.runs,
         path_steps=path_steps,
         duration=run.steps * run.step,
@@ -134,18 +121,18 @@ def simulate(
 def sample_paths(
     smoother: Estimator,
     *,
-    uncertainties: Uncertainties = (),
+    uncertainties: loops.Uncertainties = (),
     runs: int = 3,
     duration: float | None = None,
     step: float | None = None,
     seed: int = 0,
-) -> SamplePaths:
-    """Return the first of the paths that `simulate` averages, with what was measured.
+) -> statistics.SamplePaths:
+    """Return the first of the paths that `simulate` averages, with their measurements.
 
     Parameters
     ----------
     smoother, uncertainties, runs, duration, step, seed
-        As in `simulate`, and what it raises, too; the default duration is a fifth of that there.
+        As in `simulate`, which has the exceptions, too; `duration` is a fifth by default.
 
     Examples
     --------
@@ -154,29 +141,29 @@ def sample_paths(
     >>> rs.sample_paths(kalman, runs=2, duration=1e-4)
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
-    joined = nonlinear_loop(smoother, uncertainties)
-    run = _Run(smoother.plant, joined, runs, duration, step, seed, measured=True)
+    run = _Run(smoother, uncertainties, runs, duration, step, seed, measured=True)
     parts = list(run.records(range(run.runs)))
     names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
     times, *series = (np.concatenate([part[name] for part in parts]) for name in ("time", *names))
     by_path = (np.moveaxis(values, 2, 0) for values in series)
-    return SamplePaths(times, *by_path, run.step, smoother.plant.delay)
+    return statistics.SamplePaths(times, *by_path, run.step, smoother.plant.delay)
 
 
 class _Run:
-    """A loop, and for how many steps it runs: before time zero, from there on, and in the lag."""
+    """A loop, and its numbers of steps: `before` time zero, from there on, and in the lag."""
 
     def __init__(
         self,
-        plant: AugmentedSystem,
-        loop: NonlinearLoop,
+        smoother: Estimator,
+        uncertainties: loops.Uncertainties,
         runs: int,
         duration: float | None,
         step: float | None,
         seed: int,
         measured: bool = False,
     ):
-        self.plant, delay = plant, plant.delay
+        loop = loops.nonlinear_loop(smoother, uncertainties)
+        self.plant, delay = smoother.plant, smoother.plant.delay
         self.runs = validation.integer("runs", runs, low=1)
         self.seed = validation.integer("seed", seed, low=0)
         if duration is None:
@@ -198,10 +185,10 @@ class _Run:
             )
         if loop.functions:  # else the scheme is exact
             warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
-        self.integrator = ExponentialIntegrator(loop, step, measured)
+        self.integrator = loops.ExponentialIntegrator(loop, step, measured)
 
     def records(self, paths: range, bar=None) -> Iterator[dict[str, NDArray]]:
-        """Simulate paths; yield what is from time zero on, (steps, rows, paths), by its name."""
+        """Simulate paths; yield signals by name, from time zero on, (steps, rows, paths)."""
         m, g = self.plant.system.m, self.plant.system.g
         arguments = len(self.integrator.loop.arguments)
         names = ("w", "filtered", "smoothed", "zeta", "subtracted", "y")
@@ -221,7 +208,7 @@ class _Run:
                 bar.update(len(records) * len(paths))
 
     def averages(self, paths: range, bar) -> tuple[NDArray, NDArray]:
-        """Return averages over time: of squared errors, (2, paths), and of checks."""
+        """Return averages over time: of squared errors, (2, paths), and of `_constraints`."""
         squares, samples = np.zeros((2, len(paths))), 0
         checks = np.zeros((3, len(self.plant.M_i), len(paths)))
         for part in self.records(paths, bar):
@@ -235,7 +222,7 @@ class _Run:
     def _constraints(self, time: float, zeta: NDArray, subtracted: NDArray) -> NDArray:
         """Return xi' M_i xi, zeta' N_i zeta, and whether the former is larger: (3, k + 3g, paths).
 
-        The second is of whole arguments, with the reference that was `subtracted`; the third not.
+        The second has the reference `subtracted` added to zeta again; the third compares without.
         """
         loop = self.integrator.loop
         xi = loop.delta @ zeta + loop.remainder(time, zeta)
@@ -250,8 +237,8 @@ def _energies(forms: Sequence[Matrix], values: NDArray) -> NDArray[np.float64]:
     return np.reshape(energies, (len(forms), values.shape[1]))
 
 
-def _warn(plant: AugmentedSystem, result: SimulationResult) -> None:
-    """Say which constraints do not hold all the time."""
+def _warn(plant: AugmentedSystem, result: statistics.SimulationResult) -> None:
+    """Warn of the constraints that do not hold all the time."""
     names = [f"uncertainties[{s}]" for s in range(plant.system.k)]
     for name in ("{} less its copy", "{}", "the copy of {}"):
         names += [name.format(f"nonlinearities[{i}]") for i in range(plant.system.g)]
@@ -264,6 +251,6 @@ def _warn(plant: AugmentedSystem, result: SimulationResult) -> None:
         warnings.warn(
             "the loop left the region in which the theory's constraints hold: "
             f"{'; '.join(found)}; the guarantee needs at most 1 in the mean",
-            InadmissibleWarning,
+            statistics.InadmissibleWarning,
             stacklevel=4,
         )

@@ -1,11 +1,10 @@
-r"""What simulations return, and how it is made of the paths: errors, standard errors, slips.
+r"""The results of simulations, from independent paths: errors, standard errors, slips.
 
-Paths are independent: the standard error of a mean over N of them is their standard deviation over
-the root of N. With control variates :math:`c_i` of known mean :math:`\mu` the results of the paths
-are :math:`v_i - \beta'(c_i - \mu)` instead of :math:`v_i`. The weights :math:`\beta` come from a
-pilot, of other paths: those of a regression on the same paths bias the mean, by a part of its
-(small) standard error that spoils the intervals (S. Asmussen and P. W. Glynn, "Stochastic
-Simulation", Springer, 2007, Section V.2).
+The standard error of a mean over N paths is their standard deviation over the root of N. With
+control variates :math:`c_i` of known mean :math:`\mu` the results of the paths are
+:math:`v_i - \beta'(c_i - \mu)` instead of :math:`v_i`. The weights :math:`\beta` are regressed on
+the paths of a pilot: on the same paths they would bias the mean (S. Asmussen and P. W. Glynn,
+"Stochastic Simulation", Springer, 2007, Section V.2).
 """
 
 import math
@@ -29,9 +28,9 @@ class MeanSquare:
     Attributes
     ----------
     mean_square, standard_error : float
-        In the squared unit of the estimated quantity: rad^2 for a phase. The second is not a
-        number for a single path.
-    variance_reduction : float, how many times as many paths it would take without control variates
+        In the squared unit of the estimated quantity: rad^2 for a phase. The second is NaN for a
+        single path.
+    variance_reduction : float, paths needed without control variates, over those with them
 
     Examples
     --------
@@ -69,18 +68,17 @@ class SimulationResult(Frozen):
     smoothed, filtered : MeanSquare
         Of the estimates of w one lag back, and of w now, in the squared unit of w.
     constraints : (k + 3g,) array
-        E[xi' M_i xi] / E[zeta' N_i zeta], with whole arguments in zeta, in the order of the
-        multipliers: at most one where the uncertainty is admissible.
+        E[xi' M_i xi] / E[zeta' N_i zeta], with the arguments before the reference is subtracted, in
+        the order of the multipliers: at most one where the uncertainty is admissible.
     violated : (k + 3g,) array
-        The fraction of time for which xi' M_i xi > zeta' N_i zeta, where in zeta are the arguments
-        less the reference: where a nonlinearity is Lipschitz in a region only, the time outside.
+        The fraction of time for which xi' M_i xi > zeta' N_i zeta, with the arguments less the
+        reference: the time outside a region where a nonlinearity is Lipschitz.
     equivalent_delta : (r + 2g, h + 2g) array
         The constant uncertainties, and statistically equivalent slopes for the nonlinearities: with
         it, and the same reference, `error_covariance` predicts the errors.
     runs, path_steps, seed : int
         Independent paths, and the steps of all of them, the warm-up included.
-    duration, warm_up, step : float
-        What of a path is averaged, what is simulated before, and a step, s.
+    duration, warm_up, step : float, the time averaged, the time before, and a step, s
 
     Examples
     --------
@@ -115,15 +113,14 @@ class SimulationResult(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class SamplePaths(Frozen):
-    """A few paths of the loop, of `sample_paths`, to look at and to try estimators on.
+    """A few paths of the loop, made by `sample_paths`.
 
     Attributes
     ----------
     time : (N,) array, the ends of the steps, s
     y : (paths, N, l) array, the measured record: the mean of dy/dt over the step
     reference : (paths, N, g) array
-        What was taken off the nonlinearities' arguments: the mean of its values at the ends of the
-        step, as `DiscreteSmoother.run` takes it beside y.
+        The mean of the references at both ends of the step, as `DiscreteSmoother.run` takes it.
     w, delayed : (paths, N, m) arrays, the outputs at `time`, and one lag before
     filtered, smoothed : (paths, N, m) arrays, their estimates, made at `time`
     step, delay : float, s; the second is the lag of the smoothed estimates
@@ -160,18 +157,17 @@ class SamplePaths(Frozen):
         return tables.data_frame({"path": range(len(self.y)), "time": self.time}, columns)
 
     def plot(self, ax: "plots.Axes | None" = None, path: int = 0, output: int = 0) -> "plots.Axes":
-        """Draw w and its estimates, each at the time that it is for; matplotlib is needed."""
+        """Draw w and its estimates, each at the time it belongs to; matplotlib is needed."""
         times = self.time - [[0.0], [0.0], [self.delay]]
         found = {"true": self.w, "filtered": self.filtered, "smoothed": self.smoothed}
         curves = {name: each[path, :, output] for name, each in found.items()}
-        return plots.draw_curves(
-            ax, times, curves, xlabel="time (s)", ylabel=f"w[{output}] (unit of $w$)"
-        )
+        labels = {"xlabel": "time (s)", "ylabel": f"w[{output}] (unit of $w$)"}
+        return plots.draw_curves(ax, times, curves, **labels)
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Means and variances of values that come in parts, whatever the parts' sizes."""
+    """Means and variances of values that come in parts."""
 
     count: int = 0
     means: Floats | float = 0.0
@@ -179,20 +175,20 @@ class Moments:
 
     @classmethod
     def of(cls, values: Floats) -> "Moments":
-        """Return those of values, (variables, paths)."""
+        """Return the moments of values, (variables, paths)."""
         count = values.shape[-1]
         means = values.mean(axis=-1) if count else np.zeros(values.shape[:-1])
         return cls(count, means, ((values - means[..., None]) ** 2).sum(axis=-1))
 
     def __add__(self, other: "Moments") -> "Moments":
-        """Return those of the values of both (Chan, Golub and LeVeque's update)."""
+        """Return the moments of all values (Chan, Golub and LeVeque's update)."""
         count, shift = self.count + other.count, other.means - self.means
         share = other.count / max(count, 1)
         squares = self.squares + (other.squares + shift**2 * (self.count * share))
         return Moments(count, self.means + shift * share, squares)
 
     def mean_square(self, variable: int, plain: int | None = None) -> MeanSquare:
-        """Return that of a variable; `plain` is the same one without control variates."""
+        """Return that of a variable; `plain` is the variable without control variates."""
         if self.count == 0:
             return MeanSquare(math.nan, math.nan)
         squares = self.squares[variable]
@@ -202,18 +198,18 @@ class Moments:
 
 
 def control_weights(values: Floats, controls: Floats) -> Floats:
-    """Return weights, (values, controls), of controls that leave least of values: (., paths)."""
+    """Return the regression weights, (values, controls), of values on controls, (., paths)."""
     values = values - values.mean(axis=1, keepdims=True)
     controls = controls - controls.mean(axis=1, keepdims=True)
     scale = np.sqrt((controls**2).sum(axis=1))
     scale[scale == 0.0] = 1.0
-    # Where two controls are the same, as without a delay, the weights of least norm.
+    # Two controls may be equal, as without a delay: then the weights are those of least norm.
     weights = np.linalg.lstsq((controls / scale[:, None]).T, values.T, rcond=1e-10)[0]
     return (weights / scale[:, None]).T
 
 
 class Tally(NamedTuple):
-    """All that is kept of the paths: moments of all and of those that never slipped, and slips."""
+    """What is kept of paths: moments of all, moments of those without a slip, and all slips."""
 
     all: Moments = Moments()
     locked: Moments = Moments()
@@ -221,19 +217,19 @@ class Tally(NamedTuple):
 
     @classmethod
     def of(cls, values: Floats, slips: Floats) -> "Tally":
-        """Return that of paths: the variables (variables, paths) and the slips (paths,)."""
+        """Return the tally of values (variables, paths) and slips (paths,)."""
         return cls(Moments.of(values), Moments.of(values[:, slips == 0]), int(slips.sum()))
 
     def __add__(self, other: "Tally") -> "Tally":
-        """Return that of the paths of both."""
+        """Return the tally of all paths."""
         return Tally(*map(add, self, other))
 
     def state(self) -> tuple[list, int]:
-        """All of it as JSON values, every bit."""
+        """Return it as JSON values, without rounding."""
         moments = [[np.asarray(part).tolist() for part in astuple(each)] for each in self[:2]]
         return moments, self.slips
 
     @classmethod
     def from_state(cls, moments: list, slips: int) -> "Tally":
-        """Return what `state` was taken of."""
+        """Return the tally with this `state`."""
         return cls(*(Moments(count, *map(np.array, rest)) for count, *rest in moments), slips)

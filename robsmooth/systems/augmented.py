@@ -1,7 +1,7 @@
 r"""The augmented and compact system of Section III, (eqNsystem) and (eqCsystem).
 
-All channels are stacked: k uncertainties, g nonlinearities, g copies in the estimator. After the
-system's q noises, `W` has g that the theory adds to the copies through :math:`J_{21}`.
+All channels are stacked: k uncertainties, g nonlinearities, g copies in the estimator. `W` has the
+system's q noises, then the g fictitious ones of the copies, of intensity :math:`J_{21}`.
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ from robsmooth.systems.delay import DelayModel, pade_delay
 from robsmooth.systems.system import UncertainSystem
 
 _MISFIT = 1e-9  # largest of Assumption 1, relative to each row's size
-_STANDING = 1e-6  # of the fastest mode's rate: a mode that decays by less does not
+_STANDING = 1e-6  # of the fastest mode's rate: a slower mode counts as one that does not decay
 _ROUNDING = 1e-12
-_CORRELATED = 1e-12  # smallest eigenvalue of a noise's correlation matrix that counts as none
+_CORRELATED = 1e-12  # an eigenvalue of a noise's correlation matrix up to this counts as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,20 +35,18 @@ class AugmentedSystem(Frozen):
     delay_model : DelayModel
     J_21 : (g, g) array, intensity of the fictitious noise of the copies
     growth : (m, n) array
-        What the delay model lacks of modes that do not decay, as a read-out of the system's state.
+        The delay model's misfit for modes that do not decay, as a read-out of the system's state.
     taken_off : (n + l, g) array
-        How the copies' outputs are taken off state and measurement: not at all by `augment`.
+        What is subtracted from state and measurement, times the copies' outputs; zero by `augment`.
     A_p, B_p1 : (n, n) and (n, q + g) arrays
         Drift of the augmented state, 1/s, and its noise, with zero columns for that of the copies.
     C_p0, C_a : (m, n) arrays
-        The undelayed output w, and the delayed one, :math:`w_a = [J_a C_0,\ H_a] x_p` and the
-        growth.
+        The output w, and the delayed one, :math:`w_a = [J_a C_0,\ H_a] x_p` plus the growth.
     B1_tilde, C1_tilde, D12_tilde : (n, r + 2g), (h + 2g, n) and (h + 2g, m + g) arrays
         Channel inputs into the state; channel outputs from the state and from the estimator.
     C2_tilde, D21_tilde, D21_bar : (l + g, n), (l + g, r + 2g) and (l + g, q + g) arrays
         State, channel inputs and noise in the extended measurement: y, then the copies' outputs.
-    M_i, N_i : tuples of k + 3g arrays
-        The matrices of the quadratic constraints on the channel inputs and outputs.
+    M_i, N_i : tuples of k + 3g arrays, the constraints' matrices of channel inputs and outputs
 
     Examples
     --------
@@ -127,8 +125,7 @@ class AugmentedSystem(Frozen):
 
     def M(self, multipliers: ArrayLike) -> Matrix:
         """Return M(lambda), the sum of lambda_i M_i."""
-        if len(multipliers) != len(self.M_i):
-            given = len(multipliers)
+        if (given := len(multipliers)) != len(self.M_i):
             raise ValueError(f"multipliers must have {len(self.M_i)} entries, got {given}")
         zero = np.zeros([sum(self.input_sizes)] * 2)
         return sum(map(np.multiply, multipliers, self.M_i), zero)
@@ -155,12 +152,12 @@ class AugmentedSystem(Frozen):
 
     @property
     def real_noise(self) -> Matrix:
-        """(l + g, q + g) array, D21_bar without the noise of the copies, which is fictitious."""
+        """(l + g, q + g) array, D21_bar without the fictitious noise of the copies."""
         return np.pad(self.system.D21, (0, self.system.g))
 
     @cached_property
     def known(self) -> tuple[Matrix, Matrix]:
-        """(n, g) and (l, g) arrays, what the copies' outputs are known to do to state and y."""
+        """(n, g) and (l, g) arrays, how the copies' outputs enter state and y as known inputs."""
         l, g = self.system.l, self.system.g  # noqa: E741 - the paper's letter
         r = self.B1_tilde.shape[1]
         both = np.eye(r)[:, r - 2 * g : r - g] + np.eye(r)[:, r - g :]
@@ -171,18 +168,14 @@ class AugmentedSystem(Frozen):
         uncertainties: Sequence[ArrayLike] | Matrix = (),
         nonlinearities: Sequence[float] | Matrix = (),
     ) -> Matrix:
-        """Return the block-diagonal Delta with xi-tilde = Delta zeta-tilde, as in Section IV-C.
+        """Return the (r + 2g, h + 2g) block-diagonal Delta, xi-tilde = Delta zeta-tilde.
 
         Parameters
         ----------
         uncertainties : sequence of k floats or (r_s, h_s) arrays, optional
-            A float stands for itself on the diagonal of its block. Default: zeros.
+            The blocks; a float is on the diagonal of its block. Default: zeros.
         nonlinearities : sequence of g floats, optional
             The slopes of the nonlinearities and their copies. Default: zeros.
-
-        Returns
-        -------
-        (r + 2g, h + 2g) array
 
         Examples
         --------
@@ -210,7 +203,7 @@ def augment(
     Parameters
     ----------
     system : UncertainSystem, every row of its C0 is delayed
-    delay : float, the delay of the outputs, s, at least zero: that of the smoothed estimate
+    delay : float, of the smoothed estimate, at least zero, s
     order : int, that of the Pade approximation, at least zero; order 0 has no delay states
     J_21 : float or (g, g) array
         Intensity of the fictitious noise of the copies, positive definite; the paper has 1.
@@ -238,18 +231,18 @@ def augment(
 
 
 def _growth(system: UncertainSystem, model: DelayModel) -> Matrix:
-    r"""Return what the model lacks of the delayed modes that do not decay, (m, n).
+    r"""Return the model's misfit for delayed modes that do not decay, (m, n).
 
-    Where x(t) holds V z(t) with dz = A_z z dt, the delayed output is
-    :math:`C_0 V e^{-A_z\delta} z(t)` but for the noise since then, and the model's state becomes
-    S z with :math:`S A_z = F_a S + G_a C_0 V`. For integrators the two are the same.
+    Where x = V z with dz = A_z z dt, the delayed output is :math:`C_0 V e^{-A_z\delta} z` plus
+    noise. The model's state becomes S z with :math:`S A_z = F_a S + G_a C_0 V`. For integrators
+    its output is the delayed one.
     """
     slowest, fastest = rates(system.A)
     if slowest > _STANDING * fastest:  # all modes decay
         return np.zeros_like(system.C0)
     try:
         found = modes(system.A, natural_units(system.A, system.B1), _STANDING * fastest)
-    except LinAlgError:  # integrators that rounding has put apart: the model delays them exactly
+    except LinAlgError:  # integrators whose poles rounding has separated: delayed exactly
         return np.zeros_like(system.C0)
     w = system.C0 @ found.V
     lacking = w @ expm(-model.delay * found.A) - model.J @ w
@@ -260,7 +253,7 @@ def _growth(system: UncertainSystem, model: DelayModel) -> Matrix:
 
 
 def check_is_plant(plant: AugmentedSystem) -> None:
-    """Check the type of what is given as a plant."""
+    """Check the type of a plant."""
     hint = "; augment(system, delay, order) makes one"
     validation.instance("plant", plant, AugmentedSystem, hint)
 
@@ -272,7 +265,7 @@ def undelayed(plant: AugmentedSystem) -> AugmentedSystem:
 
 
 def check_noise(condition: str, D: Matrix) -> None:
-    """Check D D' > 0 in a form free of units: no measurement without noise of its own."""
+    """Check D D' > 0, in a form free of units: every measurement has a noise of its own."""
     intensity = D @ D.T
     size = np.sqrt(np.diag(intensity))
     if (size == 0.0).any():
@@ -286,12 +279,12 @@ def check_noise(condition: str, D: Matrix) -> None:
 
 
 def _padded(matrix: Matrix, rows: int, columns: int) -> Matrix:
-    """Return a matrix with zeros below and to its right: nothing drives the delay model but w."""
+    """Return a matrix with zeros below and to its right."""
     return np.pad(matrix, ((0, rows - len(matrix)), (0, columns - matrix.shape[1])))
 
 
 def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix, ...]:
-    """Return the matrices of (eqIQC1) to (eqIQC4): the bounds are those of the nonlinearities."""
+    """Return the matrices of (eqIQC1) to (eqIQC4), with one bound for each nonlinearity."""
     g, k = len(bounds), len(sizes) - 2 * len(bounds)
     rows = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))[:-1]
     own = [bound * row for bound, row in zip(bounds, rows[k : k + g], strict=True)]
@@ -301,13 +294,12 @@ def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix,
 
 
 def _blocks(name: str, given: Sequence, sizes: Sequence[tuple[int, int]]) -> list[Matrix]:
-    """Return blocks of a Delta: a float is on the diagonal of its block, zero where left out."""
+    """Return the blocks of a Delta, zeros by default."""
     try:
         values = list(given) or [0.0] * len(sizes)
     except TypeError:
-        raise TypeError(
-            f"{name} must be a sequence of length {len(sizes)}, got {given!r}"
-        ) from None
+        rule = f"{name} must be a sequence of length {len(sizes)}"
+        raise TypeError(f"{rule}, got {given!r}") from None
     if len(values) != len(sizes):
         raise ValueError(f"{name} must have {len(sizes)} entries, got {len(values)}")
     blocks = []

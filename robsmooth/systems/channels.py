@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Frozen, Matrix
+from robsmooth._support.validation import Frozen, Matrix, frozen
 from robsmooth.systems.functions import Combination, Function, check_function, compiled, name_of
 
 REFERENCES = ("filtered", "smoothed")
@@ -50,7 +50,7 @@ class Uncertainty(Frozen):
 
 @dataclass(frozen=True, eq=False, init=False)
 class Nonlinearity(Frozen):
-    r"""One scalar nonlinearity :math:`\mu_i = \psi_i(\nu_i)`, of which the estimator runs a copy.
+    r"""One scalar nonlinearity :math:`\mu_i = \psi_i(\nu_i)`; the estimator runs a copy of it.
 
     Parameters
     ----------
@@ -62,18 +62,17 @@ class Nonlinearity(Frozen):
         :math:`\bar D_{21,i}`, how it enters the measurement rate.
     lipschitz : float, optional
         :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`. Either this
-        or `sector` is given; of a sector it is the larger size of its ends.
+        or `sector` is given; a sector sets it to the larger size of its ends.
     function : callable, optional
         :math:`\psi_i`, zero at zero, vectorised or compiled by numba, for scalars too. A design
         needs none.
     reference : {None, "filtered", "smoothed"}
-        The estimate :math:`r_i` of :math:`\nu_i` that the detector is steered by: the nonlinearity
-        acts on :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. `simulate` uses it,
-        designs and their guarantees do not.
+        The estimate :math:`r_i` of :math:`\nu_i` fed back to the detector: the nonlinearity acts on
+        :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. Designs do not use it.
     sector : (float, float), optional
-        The least and the largest slope :math:`(\psi_i(a) - \psi_i(b))/(a - b)`, which need not lie
-        around zero. `UncertainSystem` moves the slope in the middle to A and C2, and keeps the
-        rest of the function. With a reference and a B that is not zero it must lie around zero.
+        The least and the largest slope :math:`(\psi_i(a) - \psi_i(b))/(a - b)`. `UncertainSystem`
+        moves their mean to A and C2, and keeps the rest of the function. With a reference and a B
+        that is not zero the mean must be zero.
 
     See Also
     --------
@@ -112,8 +111,8 @@ class Nonlinearity(Frozen):
         if sector is not None:
             slopes = validation.array("Nonlinearity sector", sector, ndim=1).tolist()
             if len(slopes) != 2 or not slopes[0] < slopes[1]:
-                wanted = "two slopes, the least and the largest"
-                raise ValueError(f"Nonlinearity sector must be {wanted}, got {sector!r}")
+                rule = "two slopes, the least and the largest"
+                raise ValueError(f"Nonlinearity sector must be {rule}, got {sector!r}")
             sector = tuple(slopes)
             if lipschitz not in (None, max(map(abs, sector))):
                 raise TypeError("Nonlinearity must have a lipschitz or a sector, got both")
@@ -128,8 +127,8 @@ class Nonlinearity(Frozen):
                     f"Nonlinearity sector must be around zero, got {sector}, where B is not zero "
                     "and there is a reference, which would drive the state: give lipschitz instead"
                 )
-        vars(self).update(lipschitz=lipschitz, function=function, reference=reference)
-        vars(self).update(sector=sector)
+        own = {"lipschitz": lipschitz, "function": function}
+        vars(self).update(own, reference=reference, sector=sector)
 
     def __repr__(self) -> str:
         slopes = f"lipschitz={self.lipschitz:.5g}"
@@ -143,16 +142,23 @@ class Nonlinearity(Frozen):
 Channel = Uncertainty | Nonlinearity
 
 
-def centred(channel: Nonlinearity) -> tuple[Nonlinearity, float]:
-    """Return a nonlinearity less the slope in the middle of its sector, and that slope."""
-    if channel.sector is None:
-        return channel, 0.0
-    lower, upper = channel.sector
-    slope, function = (lower + upper) / 2, channel.function
-    if slope and function is not None:
-        function = compiled(Combination(function, slope=slope))
-    matrices = channel.B, channel.C, channel.D
-    return Nonlinearity(*matrices, (upper - lower) / 2, function, channel.reference), slope
+def centred(
+    A: Matrix, C2: Matrix, channels: Iterable[Nonlinearity]
+) -> tuple[Matrix, Matrix, tuple[Nonlinearity, ...]]:
+    """Move the mean slope of each sector into drift and measurement; return all three."""
+    kept = []
+    for channel in channels:
+        if channel.sector is not None:
+            lower, upper = channel.sector
+            slope, function = (lower + upper) / 2, channel.function
+            if slope:
+                A, C2 = map(frozen, with_feedback(A, C2, channel, slope * channel.C))
+                if function is not None:
+                    function = compiled(Combination(function, slope=slope))
+            matrices = channel.B, channel.C, channel.D
+            channel = Nonlinearity(*matrices, (upper - lower) / 2, function, channel.reference)
+        kept.append(channel)
+    return A, C2, tuple(kept)
 
 
 def with_feedback(A: Matrix, C2: Matrix, channel: Channel, rows: Matrix) -> tuple[Matrix, Matrix]:
@@ -163,7 +169,7 @@ def with_feedback(A: Matrix, C2: Matrix, channel: Channel, rows: Matrix) -> tupl
 def fitting(
     name: str, values: Iterable, kind: type[Channel], states: int, measurements: int
 ) -> tuple[Channel, ...]:
-    """Return channels of one kind, checked against the system that they are part of."""
+    """Return channels of one kind, their shapes checked against the system's."""
     try:
         channels = tuple(values)
     except TypeError:

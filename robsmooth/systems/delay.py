@@ -4,7 +4,7 @@ Its transfer function is the Pade approximation :math:`[N/N]` of :math:`e^{-s\de
 each output of `w` separately (S. Chirarattananon and B. D. O. Anderson, "Stable fixed-lag
 smoothing of continuous time processes", IEEE Trans. Inf. Theory 20(1), 1974).
 
-The realisation comes from Lambert's continued fraction: polynomial coefficients span twelve
+The realisation uses Lambert's continued fraction, because polynomial coefficients span twelve
 decades at order 10. With :math:`z = s\delta/2`,
 
 .. math::
@@ -12,13 +12,13 @@ decades at order 10. With :math:`z = s\delta/2`,
     e^{-s\delta} = \frac{1 - \tanh z}{1 + \tanh z},\qquad
     \tanh z = \cfrac{z}{1 + \cfrac{z^2}{3 + \cfrac{z^2}{5 + \cdots}}},
 
-and the fraction cut after N terms gives [N/N]. A ladder of N lossless elements 1, 3, 5, ...
-realises it, all-pass by construction:
+and the fraction after N terms is [N/N]. A ladder of N lossless elements 1, 3, 5, ... realises it,
+all-pass by construction:
 
 .. math:: F_a + F_a' = -\tfrac{1}{\delta} b b', \qquad G_a = \tfrac{1}{\delta} b,
           \qquad H_a = -J_a b', \qquad J_a = (-1)^N .
 
-Both Gramians are the identity (up to the unit of time): no coordinates are better conditioned.
+Both Gramians are the identity (up to the unit of time): these are the best conditioned coordinates.
 """
 
 from typing import NamedTuple
@@ -38,9 +38,8 @@ class DelayModel(NamedTuple):
     F, G, H, J : arrays
         :math:`F_a` (n_a, n_a) and :math:`G_a` (n_a, m) in 1/s, :math:`H_a` (m, n_a), :math:`J_a`
         (m, m).
-    delay : float, the delay modelled, s
-    order : int
-        Pade order; n_a = order * m, or no state at all where the delay or the order is zero.
+    delay : float, s
+    order : int, of the Pade approximation; n_a = order * m, or zero for a delay of zero
     """
 
     F: Matrix
@@ -58,10 +57,7 @@ class DelayModel(NamedTuple):
 
 
 def pade_delay(delay: float, order: int, channels: int = 1) -> DelayModel:
-    """Realise the Pade approximation of the delay (s) of some signals, (eqdelay).
-
-    Order 0, like a delay of zero, has no states and passes the signals through.
-    """
+    """Realise the Pade approximation of the delay (s) of some signals, (eqdelay)."""
     delay = validation.real("delay", delay, low=0.0)
     order = validation.integer("order", order, low=0)
     each = np.eye(validation.integer("channels", channels, low=1))

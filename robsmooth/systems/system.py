@@ -1,8 +1,8 @@
 r"""The class of uncertain nonlinear systems of Section II, (eqsystem) to (eqIQC1).
 
-A detector may be steered by an estimate, the *reference* :math:`r_i`, as in homodyne detection by
-the phase of the local oscillator: :math:`\mu_i = \psi_i(\nu_i - r_i)`. The known :math:`r_i` has
-been added to the linear part of the measurement again, as in Section IV-A.
+An estimate, the *reference* :math:`r_i`, may be fed back to a detector, as in homodyne detection
+the phase of the local oscillator: :math:`\mu_i = \psi_i(\nu_i - r_i)`. The known :math:`r_i` is
+added to the linear part of the measurement, as in Section IV-A.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,21 +14,14 @@ from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
 from robsmooth._support.extras import extra
-from robsmooth._support.validation import Frozen, Matrix, frozen
-from robsmooth.systems.channels import (
-    Channel,
-    Nonlinearity,
-    Uncertainty,
-    centred,
-    fitting,
-    with_feedback,
-)
+from robsmooth._support.validation import Frozen, Matrix
+from robsmooth.systems.channels import Channel, Nonlinearity, Uncertainty, centred, fitting
 
 if TYPE_CHECKING:  # they take half a second to import, and few functions need them
     import control
     from scipy import signal
 
-_SHOWN = 4  # of more uncertainties or nonlinearities, the first ones and dots are shown
+_SHOWN = 4  # uncertainties, and nonlinearities; dots stand for the others
 _ASYMMETRY = 1e-12  # of a correlation matrix, and how far below zero its eigenvalues may be
 
 
@@ -39,10 +32,8 @@ class UncertainSystem(Frozen):
     Parameters
     ----------
     A : (n, n) array, drift, 1/s
-    B1 : (n, q) array
-        Process noise intensity; `W` are independent standard Wiener processes.
-    C0 : (m, n) array
-        The outputs to estimate, :math:`w = C_0 x`.
+    B1 : (n, q) array, process noise intensity; `W` are independent standard Wiener processes
+    C0 : (m, n) array, the outputs to estimate, w = C0 x
     C2 : (l, n) array
         The measurement, :math:`dy = C_2 x\,dt + \dots`
     D21 : (l, q) array, measurement noise intensity
@@ -104,11 +95,7 @@ class UncertainSystem(Frozen):
         D21 = validation.matrix("D21", D21, (len(C2), B1.shape[1]))
         uncertainties = fitting("uncertainties", uncertainties, Uncertainty, n, len(C2))
         nonlinearities = fitting("nonlinearities", nonlinearities, Nonlinearity, n, len(C2))
-        kept = []
-        for channel, slope in map(centred, nonlinearities):
-            kept.append(channel)
-            if slope:
-                A, C2 = map(frozen, with_feedback(A, C2, channel, slope * channel.C))
+        A, C2, nonlinearities = centred(A, C2, nonlinearities)
         if B2 is None:
             none = np.zeros((len(C2), 0)) if D22 is None else D22
             B2 = np.zeros((n, validation.matrix("D22", none, (len(C2), None)).shape[1]))
@@ -116,7 +103,7 @@ class UncertainSystem(Frozen):
         D22 = np.zeros((len(C2), B2.shape[1])) if D22 is None else D22
         D22 = validation.matrix("D22", D22, (len(C2), B2.shape[1]))
         vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21, B2=B2, D22=D22)
-        vars(self).update(uncertainties=uncertainties, nonlinearities=tuple(kept))
+        vars(self).update(uncertainties=uncertainties, nonlinearities=nonlinearities)
 
     @classmethod
     def from_plant(
@@ -139,6 +126,8 @@ class UncertainSystem(Frozen):
             dx &= Ax\,dt + BQ^{1/2}(\xi_0\,dt + dW_0), \\
             dy &= (1 + \delta)Cx\,dt + DQ^{1/2}(\xi_0\,dt + dW_0) + R^{1/2}(\xi_1\,dt + dW_1).
 
+        `dataclasses.replace` adds further channels.
+
         Parameters
         ----------
         plant : control.StateSpace or TransferFunction, scipy.signal.lti
@@ -146,19 +135,13 @@ class UncertainSystem(Frozen):
         process_noise, measurement_noise : float, or (p, p) and (l, l) arrays
             Q and R, intensities (two-sided spectral densities); a float is that of each signal.
         outputs : (m, n) array, optional
-            :math:`C_0`, what to estimate of the state. Default: C, the measurements without noise.
+            :math:`C_0`, for a state-space plant. Default: C, the measurements without noise.
         process_uncertainty, measurement_uncertainty : (h, n) arrays, optional
-            :math:`C_{1,0}` and :math:`C_{1,1}`: :math:`\xi_0` and :math:`\xi_1` are no larger than
-            these times x. Default: zero, no uncertainty.
+            :math:`C_{1,0}` and :math:`C_{1,1}`, for a state-space plant: :math:`\xi_0` and
+            :math:`\xi_1` are no larger than these times x. Default: zero, no uncertainty.
         gain_uncertainty : float or (l,) array, optional
-            The largest size of :math:`\delta`, of each measurement its own: 0.2 where gains are
-            known to 20%. Each has a channel after the two others. Default: no such channels.
-
-        Returns
-        -------
-        UncertainSystem
-            `dataclasses.replace` puts further channels in. A transfer function has no states:
-            what is for x, as `outputs`, wants a state-space plant.
+            The largest size of :math:`\delta`, for each measurement: 0.2 where gains are known to
+            20%. It adds a channel for each. Default: none.
 
         Raises
         ------
@@ -210,14 +193,10 @@ class UncertainSystem(Frozen):
     def to_statespace(self) -> "control.StateSpace":
         """Return the linear part as a python-control object, with its channels open.
 
-        Returns
-        -------
-        control.StateSpace
-            Its inputs are the white noises ``W[0]``, ``W[1]``, ... (of unit intensity), the
-            uncertainties ``xi_0[0]``, ... and the nonlinearities' values ``mu[0]``, ... Its outputs
-            are ``w[0]``, ... (to estimate), ``y[0]``, ... (the measurement dy/dt), the
-            uncertainties' bounds ``zeta_0[0]``, ... and the nonlinearities' arguments ``nu[0]``,
-            ... ``interconnect`` joins them by name.
+        Inputs: the white noises ``W[0]``, ... of unit intensity, the uncertainties ``xi_0[0]``, ...
+        and the nonlinearities' values ``mu[0]``, ... Outputs: ``w[0]``, ... to estimate, the
+        measurement dy/dt ``y[0]``, ..., the uncertainties' bounds ``zeta_0[0]``, ... and the
+        nonlinearities' arguments ``nu[0]``, ...
 
         Examples
         --------
@@ -326,7 +305,7 @@ def covariance_root(name: str, intensity: ArrayLike, size: int) -> Matrix:
     intensity = validation.matrix(name, intensity, (size, size))
     unit = np.sqrt(np.abs(np.diag(intensity)))
     unit[unit == 0.0] = 1.0
-    correlation = intensity / np.outer(unit, unit)  # signals may have very different units
+    correlation = intensity / np.outer(unit, unit)  # free of the signals' units
     if np.abs(correlation - correlation.T).max(initial=0.0) > _ASYMMETRY:
         raise ValueError(f"{name} must be symmetric")
     eigenvalues, vectors = np.linalg.eigh(correlation)
@@ -345,8 +324,8 @@ def state_space(
 ) -> "control.StateSpace":
     """Return a python-control object with signals by name: inputs (n, .) and outputs (., n).
 
-    Component i of a signal is called ``name[i]`` there: python-control connects by name. The
-    feedthrough is by (output, input), zero if left out.
+    Component i of a signal is called ``name[i]``. The feedthrough is by (output, input), by default
+    zero.
     """
     with extra("control", "to_statespace"):
         import control
@@ -408,7 +387,7 @@ def companion_form(numerator: ArrayLike, denominator: ArrayLike) -> tuple[Matrix
     b, a = np.atleast_2d(numerator), np.asarray(denominator, dtype=float)
     n, missing = len(a) - 1, len(a) - b.shape[1]
     if missing < 0:
-        raise ValueError("plant must be proper, got a numerator of higher order than the other")
+        raise ValueError("plant must be proper, got a numerator of higher order")
     b, a = np.pad(b, ((0, 0), (missing, 0))) / a[0], a / a[0]
     A = np.vstack([-a[1:], np.eye(n)[:-1]])
     return A[:n], np.eye(n, 1), b[:, 1:] - b[:, :1] * a[1:], b[:, :1]

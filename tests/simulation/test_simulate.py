@@ -28,7 +28,8 @@ from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import monte_carlo
 from robsmooth.simulation import simulate as run
 from robsmooth.simulation.loop import ExponentialIntegrator, Function, NonlinearLoop, nonlinear_loop
-from robsmooth.simulation.simulate import InadmissibleWarning, sample_paths, simulate
+from robsmooth.simulation.simulate import sample_paths, simulate
+from robsmooth.simulation.statistics import InadmissibleWarning
 from robsmooth.systems.augmented import augment
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.system import UncertainSystem

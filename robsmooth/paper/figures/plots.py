@@ -26,7 +26,7 @@ Errors = Mapping[str, float]
 
 
 def sector(parameters: HomodyneParameters, variance: float) -> Figure:
-    """Draw Fig. 3: the sine in its sector, and the Gaussian density of an error with a variance."""
+    """Draw Fig. 3: the sine in its sector, and the Gaussian density of the error."""
     figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(3.4, 4.2), height_ratios=(3, 1))
     error = np.linspace(-np.pi, np.pi, 721)
     upper, lower, wide = parameters.beta, parameters.lower_slope, parameters.sector_slope
@@ -51,7 +51,7 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
 
 
 def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure:
-    """Draw how far Pade models of a delay (s) are off, and mark the filter's bandwidth (rad/s)."""
+    """Draw the errors of Pade models of a delay (s), and mark the filter's bandwidth (rad/s)."""
     omega = np.geomspace(bandwidth / 10, bandwidth * 100, 400)
     exact = np.exp(-1j * omega * delay)
     models = {order: pade_delay(delay, order).response(omega)[:, 0, 0] for order in orders}
@@ -60,7 +60,7 @@ def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure
     draw_curves(axes, omega, {order: np.abs(of - exact) for order, of in models.items()})
     axes.axvline(bandwidth, label="bandwidth", **style.DOTTED)
     axes.set(xlabel=r"angular frequency $\omega$ (rad/s)", ylim=(1e-12, 4.0))
-    axes.set(xlim=(omega[0], 20 * bandwidth))  # beyond, all are as wrong as can be
+    axes.set(xlim=(omega[0], 20 * bandwidth))  # beyond, all errors are of order one
     axes.legend(loc="lower right")
     return figure
 
@@ -89,10 +89,7 @@ def mean_squares(
 def candidates(
     errors: Mapping[str, Errors], floors: Errors, unit: str, limits: tuple[float, float]
 ) -> Figure:
-    """Draw errors of estimators in rows, by their names; those beyond the limits as numbers.
-
-    The floors are lines, in the order of their names.
-    """
+    """Draw estimators' errors in rows, those beyond the limits as numbers, and floors as lines."""
     figure, axes = plt.subplots(figsize=(3.4, 1.3 + 0.34 * len(errors)))
     legend = {}
     for row, each in zip(style.label_rows(axes, errors), errors.values(), strict=True):
@@ -111,12 +108,12 @@ def candidates(
 
 
 def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Figure:
-    """Draw, for each family, its sizes (N,), noises (M,) and ratios of certified errors (M, N)."""
+    """Draw for each family the ratios of certified errors (M, N) over sizes (N,), noises (M,)."""
     rows = (len(maps) + 1) // 2
     figure, panels = plt.subplots(rows, 2, figsize=(3.4, 0.5 + 1.7 * rows), sharey=True)
     levels = [1.0, 1.1, 2.0, 10.0, 100.0, 1000.0]
     for axes, (title, (sizes, noises, ratios)) in zip(panels.flat, maps.items(), strict=True):
-        gains = np.log(np.maximum(ratios, 1.0))  # a little less comes of the model of the delay
+        gains = np.log(np.maximum(ratios, 1.0))  # the delay model can make it slightly less
         shading = shade(axes, 100.0 * sizes, noises, gains, np.log(levels), "no guarantee")
         axes.set(xscale="log", yscale="log", title=title)
         style.label_ticks(axes.xaxis, (1, 2, 5, 10, 20, 50))
@@ -128,10 +125,7 @@ def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Fig
 
 
 def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
-    """Draw what smoothing saves of the filtered error, over lag and noise, and for each order.
-
-    Both errors of a ratio are of one loop: with its sine for designs, linear for the optimum.
-    """
+    """Draw the share of the filtered error that smoothing saves, over lag, noise and order."""
     ratio = study.ratio[study.gammas.index(gamma)]
     lags, noises = np.array(study.lags), np.array(study.noises)
     middle = int(np.argmin(np.abs(np.log(noises))))
@@ -163,20 +157,17 @@ def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
 def shade(
     axes: Axes, x: Array, y: Array, values: Array, levels: Sequence[float], missing: str
 ) -> ContourSet:
-    """Shade (M, N) values over (N,) x and (M,) y from the least values of the shades.
-
-    What is not a number is hatched, with the label `missing`.
-    """
+    """Shade (M, N) values over (N,) x and (M,) y by levels; hatch NaN with the label `missing`."""
     norm = BoundaryNorm(levels, 256, extend="max")
     shading = axes.contourf(x, y, _spread(values), levels, norm=norm, extend="max")
-    hatch(axes, x, y, np.isnan(values) - 0.5, missing, zorder=1.5)  # on what is spread
+    hatch(axes, x, y, np.isnan(values) - 0.5, missing, zorder=1.5)  # above the spread values
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     axes.grid(visible=False)
     return shading
 
 
 def hatch(axes: Axes, x: Array, y: Array, excess: Array, label: str, **look: Any) -> None:
-    """Hatch where (M, N) numbers for (N,) x and (M,) y are above zero; they are interpolated."""
+    """Hatch where (M, N) numbers for (N,) x and (M,) y, interpolated, are above zero."""
     most = np.nanmax(excess, initial=0.0)
     if most > 0.0:
         region = axes.contourf(x, y, _spread(excess), [0.0, 2.0 * most])
@@ -186,6 +177,6 @@ def hatch(axes: Axes, x: Array, y: Array, excess: Array, label: str, **look: Any
 
 
 def _spread(values: Array) -> Array:
-    """Return values on a grid, and beside them, where there is none, the nearest one."""
+    """Return values on a grid; NaN beside a value becomes that value."""
     distance, nearest = distance_transform_edt(np.isnan(values), return_indices=True)
     return np.where(distance < 2.0, values[tuple(nearest)], np.nan)

@@ -1,4 +1,4 @@
-"""The style of the figures, what several of them draw alike, and the one way to save one."""
+"""The style of the figures, common parts, and the saving of a figure."""
 
 import textwrap
 from collections.abc import Collection, Sequence
@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from robsmooth._support import files
 from robsmooth._support.plots import STYLE
 
-# The formats of a file. Nothing in it says when, or by which release, it was made: equal figures
-# are equal bytes.
+# No file has a date or a release: equal figures are equal bytes.
 FORMATS = {
     "pdf": {"CreationDate": None, "ModDate": None, "Producer": None, "Creator": None},
     "svg": {"Date": None, "Creator": None},
@@ -26,8 +25,8 @@ FORMATS = {
 }
 
 DOTTED = {"color": "0.4", "linestyle": ":", "linewidth": 0.9}  # a line to compare with
-LOOSE = {"linestyle": "none", "clip_on": False}  # points, whole even at the edge of the axes
-# Where a map has no value. A shade of grey would be that of one of its colours in print.
+LOOSE = {"linestyle": "none", "clip_on": False}  # points, not clipped at the edge of the axes
+# Where a map has no value: hatched, because its colours are shades of grey in print.
 NOWHERE = {"facecolor": "w", "edgecolor": "0.55", "hatch": "/////", "linewidth": 0.0}
 
 
@@ -37,7 +36,7 @@ def use_style() -> None:
 
 
 def label_ticks(axis: Axis, ticks: Sequence[float]) -> None:
-    """Label these ticks of a logarithmic axis, as numbers without powers."""
+    """Label these ticks of a logarithmic axis, without powers of ten."""
     axis.set_major_locator(FixedLocator(ticks))
     axis.set_major_formatter("{x:g}")
     axis.axes.minorticks_off()
@@ -53,13 +52,13 @@ def label_rows(axes: Axes, labels: Collection[str], width: int = 20) -> NDArray[
 
 
 def with_legend(figure: Figure, columns: int = 2, **of: Any) -> Figure:
-    """Return the figure with a legend below its panels, of all that has a label or of handles."""
+    """Return the figure with a legend below its panels."""
     figure.legend(loc="outside lower center", ncols=columns, **of)
     return figure
 
 
 def save_figure(figure: Figure, directory: Path | str, name: str) -> None:
-    """Write a figure as `name`.pdf, .svg and .png, byte for byte the same for the same figure."""
+    """Write a figure as `name`.pdf, .svg and .png."""
     for suffix, metadata in FORMATS.items():
         path = Path(directory) / f"{name}.{suffix}"
         with files.atomic_path(path) as temporary, mpl.rc_context({"svg.hashsalt": name}):
