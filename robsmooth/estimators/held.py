@@ -26,6 +26,7 @@ missing channels has matrices of its own. In a long gap the estimates go to the 
 """
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,15 @@ class HeldEstimator(Engine):
     def estimate(self, output: str) -> Floats:
         """Return an estimate now."""
         return self._readings[output].readout @ self.state
+
+    def _bind(self) -> tuple[Any, ...]:
+        if self._running:
+            return super()._bind()
+        _, y, reference = self._row
+        estimate = np.empty((1, 1, len(self._reading.readout)))
+        of_state = self.memory.states[-1, : self.states], self._reading.readout
+        take_one = partial(hold, self._sizes, self._transposed, y, *of_state, estimate)
+        return self.memory, take_one, y, reference, estimate
 
     def take(
         self, given: Samples, output: str, _lags: Sequence[int] | None, _spread: bool

@@ -282,7 +282,10 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
 
 @kept()
 def hold(sizes, model, y, state, readout, result):
-    """Do as `advance` where only y drives the state; faster, for the sizes are compiled in."""
+    """Do as `advance` where only y drives the state; faster, for the sizes are compiled in.
+
+    A state that is not finite is not kept.
+    """
     n, measurements, outputs = len(sizes[0]), len(sizes[1]), len(sizes[2])
     x = np.zeros((2, n))  # now, and at the end of the sample
     x[0] = state
@@ -301,8 +304,10 @@ def hold(sizes, model, y, state, readout, result):
             result[k, 0, i] = 0.0
             for j in range(n):
                 result[k, 0, i] += readout[i, j] * x[0, j]
-    state[:] = x[0]
-    return np.isfinite(x[0]).all()
+    finite = np.isfinite(x[0]).all()
+    if finite:
+        state[:] = x[0]
+    return finite
 
 
 @kept()

@@ -804,6 +804,12 @@ def test_an_unstable_estimator_is_found_out():
     with pytest.raises(ArithmeticError, match="left the range"):
         discrete.run(np.ones((100, 2)))
     assert discrete.samples == 0 and not discrete.state.any()
+    with pytest.raises(ArithmeticError, match="left the range"):
+        for _ in range(100):  # sample by sample, the last good state stays
+            before = discrete.state
+            discrete.step([1.0, 1.0])
+    assert_array_equal(discrete.state, before)
+    assert np.isfinite(before).all() and 0 < discrete.samples < 100
 
 
 def test_nonlinearities_keep_their_places():
