@@ -1,11 +1,11 @@
-r"""The algebraic Riccati equation, solved by scipy and certified before its answer is used.
+r"""The algebraic Riccati equation, its answer certified before it is used.
 
 .. math:: A'X + XA + Q - X S X = 0
 
 with symmetric `Q` and `S` of any sign. The stabilising solution makes :math:`A - SX` stable.
-`scipy.linalg.solve_continuous_are` can return nonsense where none exists. So its answer is the
-start of Newton's method, and the result counts only with its certificate: a small residual, a small
-last step, which estimates the error, and a stable closed loop.
+The stable subspace of the Hamiltonian matrix can give nonsense where none exists. So its answer is
+the start of Newton's method, and the result counts only with its certificate: a small residual, a
+small last step, which estimates the error, and a stable closed loop.
 
 Results do not depend on the units of time, signals or states: the data are scaled to order one. The
 units of the states balance the Hamiltonian matrix. Time is in units of
@@ -16,7 +16,7 @@ the decay rate of the slowest mode of `A`, or zero where `A` is not stable.
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import LinAlgError, schur, solve_continuous_are
+from scipy.linalg import LinAlgError, schur
 from scipy.linalg.lapack import dgebal, dtrsyl
 
 from robsmooth._support.blas import one_thread
@@ -27,7 +27,7 @@ ERROR_TOLERANCE = 1e-6
 _NEARLY_LINEAR = 1e-5  # the square root of the relative effect of the quadratic part
 _REFINEMENTS = 20
 _ROUNDING = 1e-15  # a step smaller than this, relative to the solution, is the last
-_EMPTY = 1e-14  # directions of S below this, relative to its norm, are rounding
+_LARGEST = 1e75  # a norm, so that products of four stay within the floats
 
 
 class RiccatiError(ArithmeticError):
@@ -63,12 +63,12 @@ def solve_riccati(A: Matrix, Q: Matrix, S: Matrix) -> RiccatiSolution:
     time, unit = first * again
 
     # Zero is the better start where the quadratic part is negligible, and another start where the
-    # pencil is inaccurate, for time constants that differ by orders of magnitude.
+    # subspace is inaccurate, for time constants that differ by orders of magnitude.
     linear = np.sqrt(np.abs(Q).max()) * np.sqrt(np.abs(S).max()) <= _NEARLY_LINEAR * decay * time
     failure = None
     for from_zero in (linear, not linear):
         try:
-            X, error = _refine(A, Q, S, np.zeros_like(A) if from_zero else _pencil(A, Q, S))
+            X, error = _refine(A, Q, S, np.zeros_like(A) if from_zero else stabilising(A, Q, S))
             residual, smallest, rate = _certify(A, Q, S, X, error)
         except (LinAlgError, ValueError, RiccatiError) as reason:
             failure = failure or " ".join(str(reason).split()).rstrip(".")
@@ -87,14 +87,24 @@ def _rescaled(A: Matrix, Q: Matrix, S: Matrix, decay: float) -> tuple[tuple, np.
     return (A * time, Q * (time / unit), S * (time * unit)), units
 
 
-def _pencil(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return the solution of scipy, by the ordered eigenvalues of the extended pencil."""
-    weights, directions = np.linalg.eigh(S)
-    used = np.abs(weights) > _EMPTY * np.abs(weights).max()
-    if not used.any():
-        raise LinAlgError("the equation is linear, and A is not stable")
-    B = directions[:, used] * np.sqrt(np.abs(weights[used]))
-    return solve_continuous_are(A, B, Q, np.diag(np.sign(weights[used])), balanced=False)
+def stabilising(A: Matrix, Q: Matrix, S: Matrix, margin: float = 0.0) -> Matrix:
+    """Return the stabilising solution without a certificate, or raise a LinAlgError.
+
+    The stable subspace of the Hamiltonian matrix gives it. The closed loop decays by more than the
+    margin times the Hamiltonian's norm.
+    """
+    n = len(A)
+    size_Q, size_S = np.linalg.norm(Q), np.linalg.norm(S)
+    unit = np.sqrt(size_Q / size_S) if size_Q > 0.0 < size_S else 1.0 / (size_S or 1.0)
+    hamiltonian = np.block([[A, -unit * S], [-Q / unit, -A.T]])
+    size = np.linalg.norm(hamiltonian)
+    if size < _LARGEST:
+        form, basis, stable = schur(hamiltonian, sort="lhp")
+        X = np.linalg.solve(basis[:n, :n].T, basis[n:, :n].T) * unit
+        decays = stable == n and -form.diagonal()[:n].max() > margin * size
+        if decays and np.linalg.norm(X) < _LARGEST:
+            return (X + X.T) / 2
+    raise LinAlgError("there is no stabilising solution")
 
 
 def _refine(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> tuple[Matrix, float]:

@@ -21,13 +21,13 @@ from operator import itemgetter
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import LinAlgError, schur
+from scipy.linalg import LinAlgError
 from scipy.optimize import minimize, minimize_scalar
 
+from robsmooth._numerics.riccati import stabilising
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth._support.validation import Matrix
 from robsmooth.estimators import conditions
 from robsmooth.estimators.drift import Drift
 from robsmooth.estimators.equations import DesignEquations, DesignProblem
@@ -51,7 +51,6 @@ _ROUNDING = 1e-18  # of the constraint's levels
 _ROUGH = {"ftol": 1e-6, "maxiter": 50}  # SLSQP's options from each start ...
 _FINE = {"ftol": 1e-14, "maxiter": 100}  # ... and from the best end
 _STABILITY_MARGIN = 1e-10  # of a Riccati equation's closed loop, relative to its Hamiltonian's norm
-_LARGEST = 1e75  # a norm: products of four do not overflow
 _PASSES = 10  # of SLSQP, each from where the one before has stopped
 _TIGHT = 1e-11  # a pass that lowers log V by less is the last
 
@@ -237,29 +236,12 @@ def log_bound(problem: DesignProblem, theta: np.ndarray) -> float:
     """Return log v of a problem in natural units, or infinity where there is no design."""
     with suppress(LinAlgError, InfeasibleDesignError):
         equations = DesignEquations(problem, 1.0, theta)
-        Y = _stabilising(*equations.equation_Y)
+        Y = stabilising(*equations.equation_Y, _STABILITY_MARGIN)
         spectrum = np.linalg.eigvalsh(Y)
         if spectrum[0] < -conditions.EQUALITY_SLACK * np.abs(spectrum).max():
             return math.inf
-        X = _stabilising(*equations.equation_X())
+        X = stabilising(*equations.equation_X(), _STABILITY_MARGIN)
         *_, v, _ = equations.solution(X, Y)
         if np.isfinite(v):
             return float(np.log(max(v, np.finfo(float).tiny)))
     return math.inf
-
-
-def _stabilising(A: Matrix, Q: Matrix, S: Matrix) -> Matrix:
-    """Return the stabilising solution of A'X + XA + Q - XSX = 0, or raise a LinAlgError."""
-    n = len(A)
-    size_Q, size_S = np.linalg.norm(Q), np.linalg.norm(S)
-    unit = np.sqrt(size_Q / size_S) if size_Q > 0.0 < size_S else 1.0 / (size_S or 1.0)
-    hamiltonian = np.block([[A, -unit * S], [-Q / unit, -A.T]])
-    size = np.linalg.norm(hamiltonian)
-    if size < _LARGEST:
-        with suppress(LinAlgError):
-            form, basis, stable = schur(hamiltonian, sort="lhp")
-            X = np.linalg.solve(basis[:n, :n].T, basis[n:, :n].T) * unit
-            decays = stable == n and -form.diagonal()[:n].max() > _STABILITY_MARGIN * size
-            if decays and np.linalg.norm(X) < _LARGEST:
-                return (X + X.T) / 2
-    raise LinAlgError("there is no stabilising solution")
