@@ -30,6 +30,7 @@ CALLS_PER_THREAD = 2  # one is computed, one waits
 CALLS_AHEAD = 2  # more, while results travel
 LOOK_EVERY = 1.0  # s, between counts of threads: a scheduler that closes may not answer a call
 ANSWER_TIME = 30.0  # s, for the scheduler to answer, and between questions during a call
+QUESTION_TIME = 5.0  # s, after which it is seen whether there is a scheduler still
 JOIN_TIME = 30.0  # s, for the first worker to join
 PACKAGES = ("numpy", "numba", "scipy")  # on which the last bits of results depend
 LOGGERS = ("distributed", "distributed.client", "tornado.application")
@@ -77,15 +78,18 @@ def in_order(
 def workers(client: "Client") -> int:
     """Return the number of the workers' threads; wait for the first worker."""
     _check_client(client)
-    deadline = time.monotonic() + JOIN_TIME
+    asked = time.monotonic()
     while True:
         try:
-            threads = sum(client.nthreads(callback_timeout=ANSWER_TIME).values())
+            threads = sum(client.nthreads(callback_timeout=QUESTION_TIME).values())
         except Exception as error:
-            raise _lost(client) from error
+            late = not isinstance(error, TimeoutError) or time.monotonic() >= asked + ANSWER_TIME
+            if late or client.status != "running":
+                raise _lost(client) from error
+            continue
         if threads:
             return threads
-        if time.monotonic() >= deadline:
+        if time.monotonic() >= asked + JOIN_TIME:
             address = client.scheduler.address
             raise ConnectionError(
                 f"no worker has joined the scheduler at {address} for {JOIN_TIME:g} s: start one, "

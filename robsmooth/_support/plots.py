@@ -54,10 +54,12 @@ def draw_curves(
     axes: "Axes | None", x: ArrayLike, curves: Mapping[str | int, ArrayLike], **labels: str
 ) -> "Axes":
     """Draw curves by name or order, over one x or each over its own; new axes have a legend."""
-    drawn = axes or new_axes()
+    drawn = new_axes() if axes is None else axes
     x = np.broadcast_to(x, (len(curves), np.shape(x)[-1]))
     for each, (name, y), look in zip(x, curves.items(), styles(curves), strict=True):
-        drawn.plot(each, y, label=name if isinstance(name, str) else f"order {name}", **look)
+        label, order = name if isinstance(name, str) else f"order {name}", np.argsort(each)
+        look = look | {"marker": "o"} if len(order) == 1 else look
+        drawn.plot(each[order], np.asarray(y)[order], label=label, **look)
     drawn.set(**labels)
     if axes is None:
         drawn.figure.legend(loc="outside lower center", ncols=2)

@@ -9,13 +9,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 INF = math.inf
+_NO_NUMBERS = bool, np.bool_, np.timedelta64  # though Python or NumPy calls them integers
 Matrix = NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
+_NUMBERS = "{} must be an array of numbers, got entries of type {}: np.array(..., dtype=float) does"
 
 
 def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
     """Return `value` as an array of real numbers of any type, with NaN where masked."""
     for each in _parts(value):
+        if isinstance(each, _NO_NUMBERS):
+            raise TypeError(_NUMBERS.format(name, type(each).__name__))
         if hasattr(each, "magnitude") or hasattr(each, "to_value"):  # of pint, astropy or unyt
             remedy = ".to(...).magnitude or .to_value(...) has them"
             kind = type(each).__name__
@@ -28,16 +32,16 @@ def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
     if result.dtype.kind == "c":
         raise ValueError(f"{name} must be real, got complex entries: its .real is")
     if result.dtype.kind not in "iuf" and result.size:
-        got = f"entries of type {result.dtype}: np.array(..., dtype=float) makes numbers of them"
-        raise TypeError(f"{name} must be an array of numbers, got {got}")
+        raise TypeError(_NUMBERS.format(name, result.dtype))
     if not any(map(np.ma.is_masked, _parts(value))):
         return result
     return np.where(np.ma.getmaskarray(np.ma.array(value)), np.nan, result)
 
 
 def _parts(value: ArrayLike) -> list[Any]:
-    """Return a value and the members of a list, which may have their own masks or units."""
-    return [value, *value] if isinstance(value, list | tuple) else [value]
+    """Return a value and the entries of lists in it, which may have their own masks or units."""
+    nested = value if isinstance(value, list | tuple) else ()
+    return [value, *(part for each in nested for part in _parts(each))]
 
 
 def array(name: str, value: ArrayLike, ndim: int) -> Matrix:
@@ -71,7 +75,7 @@ def real(
     """Return `value` as a finite float within an interval, `without` some of its ends."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Real):
+    if isinstance(value, _NO_NUMBERS) or not isinstance(value, numbers.Real):
         raise TypeError(f"{name} must be a real number, got {value!r}")
     try:
         result = float(value)
@@ -87,7 +91,8 @@ def real(
 
 def frozen(value: NDArray[T]) -> NDArray[T]:
     """Return the array as a view of a read-only copy, which cannot be made writeable."""
-    if value.flags.writeable:
+    owner = value.base if isinstance(value.base, np.ndarray) else value
+    if value.flags.writeable or owner.flags.writeable:
         value = value.copy("K")
         value.flags.writeable = False
     return value.view()
@@ -122,7 +127,7 @@ def positive(name: str, value: float) -> float:
 
 def integer(name: str, value: int, *, low: int) -> int:
     """Return `value` as an int that is at least `low`."""
-    if isinstance(value, bool | np.bool_) or not isinstance(value, numbers.Integral):
+    if isinstance(value, _NO_NUMBERS) or not isinstance(value, numbers.Integral):
         raise TypeError(f"{name} must be an integer, got {value!r}")
     if value < low:
         raise ValueError(f"{name} must be an integer of at least {low}, got {value}")

@@ -5,6 +5,7 @@ all others by their equations in continuous time (`robsmooth.estimators.held`).
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from copy import deepcopy
 from threading import RLock
 from typing import Any, Literal, TypedDict, Unpack, overload
 
@@ -216,8 +217,10 @@ class DiscreteSmoother(Exports):
                 if found is not None:
                     self.samples += 1
                     return found + self._w if self._moved else found
+        of = {"y": y, "reference": reference, "inputs": inputs}
         sample, *beside = (
-            None if each is None else np.atleast_1d(each)[None] for each in (y, reference, inputs)
+            None if each is None else np.atleast_1d(validation.numbers_of(name, each))[None]
+            for name, each in of.items()
         )
         if sample.ndim != 2 or (np.ndim(y) == 0 and self.l > 1):
             raise ValueError(f"y must have shape ({self.l},), got shape {np.shape(y)}")
@@ -394,6 +397,9 @@ class DiscreteSmoother(Exports):
     def _restore(self, checkpoint: tuple[Any, int]) -> None:
         self._engine.memory, self.samples = checkpoint
 
+    def __copy__(self) -> "DiscreteSmoother":
+        return deepcopy(self)  # with a state of its own
+
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "_lock"}
 
@@ -403,7 +409,8 @@ class DiscreteSmoother(Exports):
 
 def _plain(given: Any, size: int) -> Floats | None:
     """Return a sample as an array if it is a float, a list or an array of `size` floats."""
-    row = np.asarray(given) if type(given) in _PLAIN else None
+    plain = type(given) in _PLAIN and (type(given) is not list or {*map(type, given)} == {float})
+    row = np.asarray(given) if plain else None
     usual = row is not None and row.dtype is _FLOAT and row.size == size and row.ndim < 2
     return row.reshape(-1) if usual else None
 

@@ -121,7 +121,7 @@ class HomodyneParameters:
 
     @property
     def lipschitz_range(self) -> float:
-        """The largest error (rad) up to which f is Lipschitz: |cos e - beta| <= gamma."""
+        """The largest error (rad) up to which f is Lipschitz: ``|cos e - beta| <= gamma``."""
         if abs(1.0 - self.beta) > self.gamma:
             return 0.0
         return math.acos(max(self.lower_slope, -1.0))

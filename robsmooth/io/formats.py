@@ -22,8 +22,10 @@ from robsmooth._support.validation import Matrix
 
 BLOCK = 1 << 18  # bytes of a CSV file at a time; its lines are shorter
 DATE = re.compile(r"\d{4}-\d\d-\d\d(?:[T ][\d:.]*(Z|[-+]\d\d:?\d\d)?)?")
+NUMBER = r"(?i)[-+.−]?\d|[-+]?(inf(inity)?|nan(\(.*\))?)$"  # −: the sign of typographers
 MISSING = ("", "NA", "N/A", "#N/A", "null", "nan", ".")
-NO_NAMES = ("None", "<NA>", "NaT", "-", "--", "?")  # gaps in other dialects, no names of columns
+# gaps of other programs
+NO_NAMES = ("None", "<NA>", "NaT", "-", "--", "?", "OL", "OVL", "#NUM!", "#DIV/0!", "#VALUE!")
 
 
 def delimiter_of(name: str, path: Path, given: str | None) -> str:
@@ -71,8 +73,9 @@ class Record:
                         yield np.column_stack([self._numbers(*cell) for cell in cells])
 
     def _numbers(self, cells: Any, column: int) -> Matrix:
-        if str(cells.type) == "bool":
-            raise TypeError(f"{self.path} must hold real numbers, got booleans")
+        if re.match("bool|extension", str(cells.type)):
+            what = f"{self.path}, {self.name(column)}, must hold real numbers or dates"
+            raise TypeError(f"{what}, got {cells.type}")
         if column not in self.dates:
             return cells.cast("double", safe=False).to_numpy(zero_copy_only=False)
         ticks = cells.cast(self.dates[column]).cast("int64").to_numpy(zero_copy_only=False)
@@ -146,6 +149,9 @@ class Table(Record):
         self.names = [re.sub("^__index_level_0__$", "time", name) for name in self._keys]
         kept = (schema.pandas_metadata or {}).get("index_columns", [])
         index = [self._keys.index(name) for name in kept if isinstance(name, str)]
+        steps = {each["step"] for each in kept if not isinstance(each, str)}
+        if steps - {1}:
+            raise ValueError(f"{self.path} must have all its rows in order, got steps of {steps}")
         if len(index) > 1 or len({*self._keys}) < self.width:
             rule = "must have columns of distinct names, and an index of one level"
             raise ValueError(f"{self.path} {rule}, got {self._keys}")
@@ -186,8 +192,8 @@ class Chunks(Record):
 
     def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:  # noqa: D102
         for part in chain([self._head], self._rest):
-            if (part.width, part.names) != (self.width, self.names):
-                raise ValueError("source must have the same columns in each chunk")
+            if (part.width, part.names, part.dates) != (self.width, self.names, self.dates):
+                raise ValueError("source must have the same columns, of one kind, in each chunk")
             for piece in part.pieces(columns, chunk):
                 self.read += len(piece)
                 yield piece
@@ -229,13 +235,14 @@ class Csv(Record):
         """Return whether the first line is a header; refuse a line that could be samples, too."""
         gaps = {word.lower() for word in (*self._values["null_values"], *MISSING, *NO_NAMES)}
         given = [cell for cell in cells if cell.lower() not in gaps]
-        numbers = [cell for cell in given if re.match(r"[-+.]?\d", cell)]
+        numbers = [cell for cell in given if re.match(NUMBER, cell)]
+        odd = not all(re.match(r"[^\W\d]|[#%°\ufffd]", c) for c in given if c not in numbers)
         counted = [cell.removesuffix(".0") for cell in given] == [str(i) for i in range(len(given))]
         whole = all(map(str.isdecimal, given)) and len({*given}) == len(given)
         fractions = any(re.fullmatch(r"[-+]?\d*[.,]\d+(e.*)?", cell) for cell in below)
         gap = not numbers and len({*given}) == 1 < len(given)  # perhaps a word for a gap
         mixed = 0 < len(numbers) < len(given)
-        if mixed or counted or gap or (whole and fractions):
+        if mixed or counted or gap or odd or (whole and fractions):
             line = f"{self.path}, line {self.first}, {','.join(cells)[:60]!r},"
             raise ValueError(f"{line} may be a header or a sample: say header=True or header=False")
         return not numbers

@@ -23,6 +23,7 @@ from robsmooth.io.formats import Record
 CHUNK = 65_536  # rows
 TIMING = 0.5  # of a sample: by how much a row may come too early or too late
 DRIFT = 1e-3  # by how much the record's clock may differ from dt's
+COARSE = 1e-2  # of a sample: by how much rounding may change a time
 HEAD = 1000  # rows by which times are known
 
 Column = int | str
@@ -50,8 +51,8 @@ def smooth_record(
 ) -> Any:
     """Smooth a record in memory, or from file to file with a chunk in memory at a time.
 
-    The smoother continues from its state, as in `DiscreteSmoother.run`. A failure or an
-    interruption leaves its state and the target as they were.
+    The smoother continues from its state, as in `DiscreteSmoother.run`: of a gap between two
+    records it knows where an iterator has both. A failure leaves state and target as they were.
 
     Parameters
     ----------
@@ -75,11 +76,11 @@ def smooth_record(
         checked where ``columns`` omits it; False turns both off.
     regular : bool
         Whether to refuse a missing row or a wrong dt. With False an interval lasts from one row's
-        time to the next; a row without a neighbour has dt.
+        time to the next, which a mean is over; a row without a neighbour has dt.
     output : {"smoothed", "filtered"}
     delimiter, decimal, header, skip_rows, missing : optional
         The dialect of a CSV file: both marks; whether it begins with names, where the first line
-        could be either; the number of lines before; and the words for a gap.
+        could be either; the number of lines before; the words for a gap, exactly as in the file.
     chunk : int, rows in memory at a time
     progress : bool, whether to show a progress bar
     resume : bool, whether the same call can resume an interrupted one, to the same bytes
@@ -116,6 +117,9 @@ def smooth_record(
     ends = [smoother.l, smoother.l + (0 if reference is None else smoother.g)]
     if clock is None and not regular:
         raise ValueError("time must be given where regular=False")
+    if smoother.p:
+        raise ValueError("smoother must have no known inputs, which run(y, inputs=...) takes")
+    timed = target is not None or isinstance(record, formats.Table)
     delay = smoother.delay if output == "smoothed" else 0.0
 
     def smooth(values: Matrix) -> tuple[Matrix, Matrix]:
@@ -124,7 +128,7 @@ def smooth_record(
         beside = {"reference": known if known.size else None}
         w = smoother.run(y, **beside, output=output, intervals=None if regular else length)
         if clock is None:
-            return smoother.times(len(y), output), w
+            return smoother.times(len(y), output) if timed else np.empty(len(y)), w
         return own[:, 0] + (0.0 if smoother.instants else length) - delay, w
 
     pieces = _checked(record, chosen, ends, smoother.dt, regular, chunk)
@@ -140,9 +144,10 @@ def smooth_record(
             times, w = map(np.concatenate, zip(none, *map(smooth, pieces), strict=True))
             frame = isinstance(record, formats.Table)
             return record.as_given(clock, times, w) if frame else w
-        identity = {"columns": chosen, "clock": clock, "delimiter": mark, "chunk": chunk}
+        given = {"columns": chosen, "clock": clock, "delimiter": mark, "chunk": chunk}
+        identity = (lambda: given | {"first date": str(record.origin)}) if resume else None
         writer = partial(targets.writer, record, clock, mark, smoother.m)
-        return targets.written(smoother, smooth, pieces, path, writer, identity if resume else None)
+        return targets.written(smoother, smooth, pieces, path, writer, identity)
     except BaseException:
         smoother._restore(before)
         raise
@@ -199,10 +204,10 @@ def _choice(
 
 def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[int]:
     """Return the positions of the columns that the argument of this name chooses."""
-    if chosen is None or chosen is False:
+    if chosen is None or (chosen is False and name == "time"):
         return []
     path, names, found = record.path, list(record.names), []
-    for column in [chosen] if isinstance(chosen, int | np.integer | str) else chosen:
+    for column in [chosen] if isinstance(chosen, str) or not np.iterable(chosen) else chosen:
         named = isinstance(column, str)
         if named and names.count(column) != 1:
             there = "twice" if column in names else "not"
@@ -251,15 +256,20 @@ def _checked(
         for times in values[:, ends[1] :].T:
             count = done + np.arange(len(times))
             begin, last = (begin, last) if done else (times[0], times[0] - dt)
+            if np.spacing(np.abs(times).max(initial=0.0)) > COARSE * dt:
+                rule = f"floats of this size do not tell samples of {dt:g} s apart"
+                raise ValueError(f"{place(0, -1)}: {rule}: give dates, or s from the begin")
             late, drift = np.diff(times, prepend=last) / dt, (times - begin) / dt - count
             wrong = (np.abs(late - 1) >= TIMING) | (np.abs(drift) >= TIMING + DRIFT * count)
             wrong = wrong if regular else late < SHORTEST
             if wrong.any():
                 i = int(wrong.argmax())
+                advice = "times must rise; a missing row is a row of nan"
+                if regular:
+                    advice += ", time=False takes all as regular, regular=False any times"
                 raise ValueError(
                     f"{place(i, -1)}: {times[i]:.15g} s is {late[i]:.6g} samples after the row "
-                    f"before and {drift[i]:+.6g} samples off regular times with dt = {dt:g} s; "
-                    "time=False takes all rows as regular, regular=False intervals of any length"
+                    f"before and {drift[i]:+.6g} off regular times with dt = {dt:g} s; {advice}"
                 )
             last = times[-1]
         yield values

@@ -37,7 +37,7 @@ def written(
     pieces: Iterator[Matrix],
     target: Path,
     writer: Callable[[Path, int], Any],
-    identity: dict[str, Any] | None,
+    identity: Callable[[], dict[str, Any]] | None,
 ) -> int:
     """Write the estimates of a record's pieces; return the number of rows.
 
@@ -47,12 +47,13 @@ def written(
         with atomic_path(target) as path:
             return _append(smoother, smooth, pieces, path, writer, None)
     before, first = smoother._checkpoint(), list(islice(pieces, 1))
-    estimates = b"".join(smooth(values)[1].tobytes() for values in first)
+    # with numbers in the gaps, in which all smoothers are alike
+    estimates = b"".join(smooth(np.nan_to_num(values, nan=1.0))[1].tobytes() for values in first)
     smoother._restore(before)
     digest = hashlib.sha256(estimates).hexdigest()  # tells smoothers apart
-    identity |= {"smoother": repr(smoother), "first estimates": digest}
+    found = identity() | {"smoother": repr(smoother), "first estimates": digest}
     notes = target.with_name(target.name + ".resume")
-    with open_journal(notes, identity) as journal, atomic_path(target, ".part") as path:
+    with open_journal(notes, found) as journal, atomic_path(target, ".part") as path:
         rows = _append(smoother, smooth, chain(first, pieces), path, writer, journal)
     notes.unlink()
     return rows

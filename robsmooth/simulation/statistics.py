@@ -151,7 +151,7 @@ class SamplePaths(Frozen):
         )
 
     def to_frame(self) -> "tables.DataFrame":
-        """Return the paths as a pandas data frame, with a row for each path and time."""
+        """Return the paths as a pandas data frame, with a row for each path and end of a step."""
         series = [(name, each) for name, each in vars(self).items() if np.ndim(each) == 3]
         columns = {f"{name}[{i}]": x[..., i] for name, x in series for i in range(x.shape[2])}
         return tables.data_frame({"path": range(len(self.y)), "time": self.time}, columns)

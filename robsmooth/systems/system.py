@@ -360,17 +360,15 @@ def in_state_space(plant: Any) -> tuple[Matrix, Matrix, Matrix, Matrix, bool]:
             raise TypeError(f"plant must be {kinds}, got {type(plant).__name__}")
         own, discrete = isinstance(plant, library.StateSpace), plant.isdtime(strict=True)
     if discrete:
-        raise ValueError(
-            f"plant must be in continuous time, got one in steps of dt={plant.dt!r}: d2c of MATLAB "
-            "converts it, and so does scipy.linalg.logm([[A, B], [0, I]]) / dt = [[., .], [0, 0]]"
-        )
+        how = "d2c of MATLAB, or scipy.linalg.logm([[A, B], [0, I]]) / dt = [[., .], [0, 0]]"
+        raise ValueError(f"plant must be in continuous time, got steps of dt={plant.dt!r}: {how}")
     if own:
         matrices = plant.A, plant.B, plant.C, plant.D
-    elif isinstance(plant, signal.ZerosPolesGain):
+    elif isinstance(plant, signal.ZerosPolesGain) and np.size(plant.gain) == 1:
         matrices = companion_form(*signal.zpk2tf(plant.zeros, plant.poles, plant.gain))
-    elif isinstance(plant, signal.lti):
+    elif isinstance(plant, signal.TransferFunction):
         matrices = companion_form(plant.num, plant.den)
-    elif plant.issiso():
+    elif not isinstance(plant, signal.lti) and plant.issiso():
         matrices = companion_form(plant.num[0][0], plant.den[0][0])
     else:
         raise TypeError("plant must be control.ss(...) where it has several inputs or outputs")
@@ -384,7 +382,8 @@ def companion_form(numerator: ArrayLike, denominator: ArrayLike) -> tuple[Matrix
 
     The conversions of the libraries take numerators below 1e-14 for zero.
     """
-    b, a = np.atleast_2d(numerator), np.asarray(denominator, dtype=float)
+    b = validation.array("numerator of plant", np.atleast_2d(numerator), 2)
+    a = validation.array("denominator of plant", denominator, 1)
     n, missing = len(a) - 1, len(a) - b.shape[1]
     if missing < 0:
         raise ValueError("plant must be proper, got a numerator of higher order")

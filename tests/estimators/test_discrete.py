@@ -1,5 +1,6 @@
 """The estimator in discrete time: against solvers of its equation, in any pieces, with gaps."""
 
+import copy
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -15,6 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_discrete_lyapunov
 from scipy.signal import cont2discrete
 
+import robsmooth as rs
 from robsmooth import (
     Nonlinearity,
     UncertainSystem,
@@ -825,3 +827,16 @@ def test_nonlinearities_keep_their_places():
     expected = solved(half, 0.2, y, reference) @ half.C_a.T
     assert_allclose(found[199::200], expected, atol=1e-5)
     assert isinstance(half.plant.system.nonlinearities[0], Nonlinearity)
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
+@pytest.mark.parametrize("delay", ["exact", "model"])
+def test_a_copy_has_a_state_of_its_own(copied, delay):
+    estimator = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+    first, alone = (estimator.discretize(1e-7, delay=delay) for _ in range(2))
+    first.run([1.0, 2.0])
+    alone.run([1.0, 2.0])
+    second = copied(first)
+    first.run([100.0] * 5)
+    assert second.samples == 2
+    assert_array_equal(second.run([1.0]), alone.run([1.0]))

@@ -223,7 +223,7 @@ REFUSED = {
     "infinity": (np.full((3, 2), np.inf), ValueError, "source, row 0, column 0: inf where there"),
     "quantity": (Y * UNITS.V, TypeError, "source must be numbers without a unit, got a Quantity"),
     "objects": (pd.DataFrame({"I": [object()], "Q": [0]}), ValueError, "source: .*type object"),
-    "booleans": (pd.DataFrame({"I": [True], "Q": [False]}), TypeError, "source .* got booleans"),
+    "booleans": (pd.DataFrame({"I": [True], "Q": [False]}), TypeError, "source, column 0 .*bool"),
     "text": (pl.DataFrame({"I": ["a"], "Q": [1.0]}), ValueError, "source: .*(string|'a')"),
     "long integers": (pd.DataFrame({"I": [10**30], "Q": [1]}), ValueError, "source: .*too large"),
     "two levels": (
@@ -237,7 +237,7 @@ REFUSED = {
     "other columns later": (
         iter([pl.DataFrame(Y[:3], schema=["I", "Q"]), pl.DataFrame(Y[3:], schema=["Q", "I"])]),
         ValueError,
-        "source must have the same columns in each chunk",
+        "source must have the same columns, of one kind, in each chunk",
     ),
 }
 
@@ -269,3 +269,50 @@ def test_a_file_wants_a_target(tmp_path):
             smooth_record(discrete(), tmp_path / "y.csv", **options)
     with pytest.raises(ValueError, match="missing are for CSV files, not ndarray"):
         smooth_record(discrete(), Y, header=True)
+
+
+# --- times that are not what they seem -----------------------------------------------------------
+
+
+def test_periods_are_refused_as_they_are_no_instants():
+    index = pd.period_range("2024-01-01", periods=6, freq="s")
+    with pytest.raises(
+        TypeError, match=r"column 2 \('time'\), must hold real numbers or dates, got"
+    ):
+        smooth_record(discrete(), pd.DataFrame(Y[:6], columns=["I", "Q"], index=index))
+
+
+@pytest.mark.parametrize("turned", [slice(None, None, -1), slice(None, None, 2)])
+def test_a_counting_index_with_rows_left_out_or_turned_round_is_refused(turned):
+    frame = pd.DataFrame(Y, columns=["I", "Q"]).iloc[turned]
+    with pytest.raises(ValueError, match="source must have all its rows in order, got steps of"):
+        smooth_record(discrete(), frame)
+
+
+def test_an_iterator_keeps_the_kind_of_its_times():
+    zoned = pd.date_range("2024-01-01", periods=6, freq="100ms", tz="Asia/Tokyo")
+    parts = (
+        pd.DataFrame(Y[:6], columns=["I", "Q"], index=i) for i in (zoned, zoned.tz_localize(None))
+    )
+    with pytest.raises(ValueError, match="the same columns, of one kind, in each chunk"):
+        list(smooth_record(discrete(), parts))
+
+
+def test_floats_that_cannot_tell_samples_apart_are_refused():
+    times = 1.7e9 + 1e-7 * np.arange(6)
+    frame = pd.DataFrame(np.column_stack([times, Y[:6]]), columns=["t", "I", "Q"])
+    smoother = discrete().estimator.discretize(1e-7)
+    with pytest.raises(ValueError, match="do not tell samples of 1e-07 s apart: give dates"):
+        smooth_record(smoother, frame, time="t", regular=False)
+
+
+@pytest.mark.parametrize("columns", [0.0, False, slice(0, 2)])
+def test_columns_are_indices_or_names(columns):
+    with pytest.raises(TypeError, match="columns must be an integer, got"):
+        smooth_record(discrete(), Y, columns=columns)
+
+
+def test_without_a_clock_arrays_follow_an_irregular_record():
+    smoother = discrete()
+    smoother.run(Y[:3], intervals=[0.1, 0.2, 0.3])
+    assert smooth_record(smoother, Y[3:]).shape == (len(Y) - 3, smoother.m)

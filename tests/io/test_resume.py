@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -222,3 +223,29 @@ def test_a_record_without_rows_is_resumed(tmp_path):
     np.save(tmp_path / "y.npy", np.empty((0, 2)))
     assert smooth_record(discrete(), tmp_path / "y.npy", tmp_path / "w.csv", **CALL) == 0
     assert sorted(os.listdir(tmp_path)) == ["w.csv", "y.npy"]
+
+
+def test_another_smoother_is_refused_also_where_the_record_begins_with_a_gap(tmp_path, monkeypatch):
+    y = record(ROWS)
+    y[:10] = np.nan
+    np.save(tmp_path / "y.npy", y)
+    interrupted_at(monkeypatch, 1000, made(), tmp_path / "y.npy", tmp_path / "w.npy", **CALL)
+    system = random_system(np.random.default_rng(3), m=2, measurements=2)
+    noisy = replace(system, D21=3.0 * system.D21)
+    other = baselines.fixed_lag_smoother(noisy, 0.5, 2).discretize(DT)
+    with pytest.raises(CheckpointError, match="first estimates is"):
+        smooth_record(other, tmp_path / "y.npy", tmp_path / "w.npy", **CALL)
+
+
+def test_the_same_samples_of_another_day_are_another_record(tmp_path, monkeypatch):
+    call = {**CALL, "time": "t"}
+    for day in ("2024-03-30", "2024-03-31"):
+        times = np.datetime64(day) + np.arange(ROWS) * np.timedelta64(100, "ms")
+        rows = zip(times, record(ROWS), strict=True)
+        lines = [f"{t},{i},{q}" for t, (i, q) in rows]
+        (tmp_path / "y.csv").write_text("\n".join(["t,I,Q", *lines, ""]))
+        if day == "2024-03-30":
+            arguments = tmp_path / "y.csv", tmp_path / "w.csv"
+            interrupted_at(monkeypatch, 1000, made(), *arguments, **call)
+    with pytest.raises(CheckpointError, match="first date is"):
+        smooth_record(made(), tmp_path / "y.csv", tmp_path / "w.csv", **call)

@@ -60,3 +60,37 @@ def test_a_quantity_is_refused_before_its_unit_is_lost():
     assert system.A == -1000.0
     with pytest.raises(TypeError, match=r"^delay must be a real number, got .*microsecond"):
         rs.augment(system, 3.0 * units.us, 2)
+
+
+@pytest.mark.parametrize("wrong", [np.timedelta64(1000, "ns"), np.timedelta64(2, "us")])
+def test_a_length_of_time_with_a_unit_is_no_number(wrong):
+    system = rs.homodyne.PAPER.uncertain_system()
+    with pytest.raises(TypeError, match=r"^delay must be a real number, got np\.timedelta64"):
+        rs.augment(system, wrong, 2)
+    with pytest.raises(TypeError, match=r"must be an integer, got np\.timedelta64"):
+        rs.augment(system, 1e-6, wrong)
+
+
+@pytest.mark.parametrize("A", [[[True, 2.0], [0.0, 1.0]], [[np.timedelta64(1, "s")]]])
+def test_an_entry_that_is_no_number_is_refused_in_a_list_of_numbers(A):
+    with pytest.raises(TypeError, match="A must be an array of numbers, got entries of type"):
+        validation.array("A", A, 2)
+
+
+def test_units_are_refused_however_deep_in_a_list():
+    unit = pytest.importorskip("pint").Unit("mV")
+    discrete = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system()).discretize(1e-7)
+    for call in (lambda: discrete.run([[902.9 * unit]]), lambda: discrete.step([902.9 * unit])):
+        with pytest.raises(TypeError, match="y must be numbers without a unit"):
+            call()
+    with pytest.raises(TypeError, match="got entries of type bool"):
+        discrete.run([True, 2.0])
+
+
+def test_a_frozen_array_is_not_that_of_its_giver():
+    given = np.arange(3.0)
+    view = given.view()
+    view.flags.writeable = False
+    kept = validation.frozen(view)
+    given[:] = 9.0
+    assert kept.tolist() == [0.0, 1.0, 2.0]

@@ -238,6 +238,16 @@ PLANT = control.ss(-1.0, [[1.0, 2.0]], 1.0, [[0.0, 0.0]])
         ),
         (dict(gain_uncertainty=True), TypeError, "gain_uncertainty must be .*type bool"),
         (dict(plant=control.ss([], [], [], [[1.0]])), ValueError, "plant must have a state"),
+        (
+            dict(plant=signal.ZerosPolesGain([], [-1 + 2j], 5.0)),
+            ValueError,
+            "denominator of plant must be real",
+        ),
+        (
+            dict(plant=signal.ZerosPolesGain([], [-1.0], np.array([5.0, 2.0]))),
+            TypeError,
+            "where it has several inputs or outputs",
+        ),
     ],
 )
 def test_what_makes_no_system_of_a_plant_is_one_clear_error(change, error, words):

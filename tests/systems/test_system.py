@@ -35,8 +35,8 @@ BAD_MATRICES = {
     "quantity": (lambda value: value * pint.Unit("V"), TypeError, "numbers without a unit"),
     "quantities": (
         lambda value: [list(row * pint.Unit("V")) for row in value],
-        ValueError,
-        "array",
+        TypeError,
+        "numbers without a unit",
     ),
 }
 
