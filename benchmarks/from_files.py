@@ -6,14 +6,12 @@ PyArrow in one thread reads CSV and Parquet, NumPy reads NPY. Run as
 `benchmarks.race`; it prints JSON.
 """
 
-import argparse
-import json
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.race import middle, pin, say
+from benchmarks.race import measure_alone, middle, say
 from benchmarks.throughput import DT, FULL, QUICK
 
 PATHS = (("csv", "csv"), ("csv", "npy"), ("npy", "npy"), ("parquet", "npy"))
@@ -87,17 +85,10 @@ def timed(call: Callable[[], object]) -> float:
     return time.perf_counter() - started
 
 
-def main() -> None:
-    """Measure, and print what came out as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    options = parser.parse_args()
-    pinned = pin()
-    effort, rows = (QUICK, MOST // 50) if options.quick else (FULL, MOST)
-    result = from_files(effort.rounds, rows)
-    say("")
-    print(json.dumps({"pinned": pinned, **result}))
+def measure(quick: bool) -> dict:
+    """Measure as much as for a test of the benchmarks, or all."""
+    return from_files((QUICK if quick else FULL).rounds, MOST // 50 if quick else MOST)
 
 
 if __name__ == "__main__":
-    main()
+    measure_alone(measure, __doc__)

@@ -47,10 +47,9 @@ def written(
         with atomic_path(target) as path:
             return _append(smoother, smooth, pieces, path, writer, None)
     before, first = smoother._checkpoint(), list(islice(pieces, 1))
-    # with numbers in the gaps, in which all smoothers are alike
     estimates = b"".join(smooth(np.nan_to_num(values, nan=1.0))[1].tobytes() for values in first)
     smoother._restore(before)
-    digest = hashlib.sha256(estimates).hexdigest()  # tells smoothers apart
+    digest = hashlib.sha256(estimates).hexdigest()  # tells smoothers apart, also in gaps
     found = identity() | {"smoother": repr(smoother), "first estimates": digest}
     notes = target.with_name(target.name + ".resume")
     with open_journal(notes, found) as journal, atomic_path(target, ".part") as path:
