@@ -355,7 +355,8 @@ def readme_block(results: dict) -> str:
             f"{results['race']['rounds']} interleaved rounds."
         ),
     )
-    bullets = "\n".join(f"- {text}" for text in words(results))
+    texts = [*words(results), *(f"Missed here: {text}." for text in shortfalls(results))]
+    bullets = "\n".join(f"- {text}" for text in texts)
     return f"{table.markdown()}\n{bullets}\n\nMeasured on: {heading(results)}.\n"
 
 
