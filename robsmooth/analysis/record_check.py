@@ -74,9 +74,9 @@ class RecordCheck(Frozen):
         p = f"p_mean={self.p_mean:.2g}, p_mean_square={self.p_mean_square:.2g}"
         return f"RecordCheck(mean_square={self.mean_square:.4g}, {p}, p_white={self.p_white:.2g})"
 
-    def plot(self) -> "tuple[plots.Axes, plots.Axes]":
-        """Draw the mean squares along the record and the correlations; matplotlib is needed."""
-        along, between = plots.new_axes(1, 2, figsize=(7.0, 3.0))
+    def plot(self, ax: "tuple[plots.Axes, ...] | None" = None) -> "tuple[plots.Axes, ...]":
+        """Draw mean squares along the record, and correlations, into two axes, new by default."""
+        along, between = plots.new_axes(1, 2, figsize=(7.0, 3.0)) if ax is None else ax
         squares = np.array_split(self.innovations**2, min(50, len(self.innovations)))
         counts = np.array([np.isfinite(part).sum() for part in squares], dtype=float)
         counts[counts == 0.0] = np.nan
@@ -91,8 +91,8 @@ class RecordCheck(Frozen):
         between.axhspan(*norm.interval(1.0 - _LEVEL), **within)
         between.plot(lags, self.correlations.reshape(len(lags), -1), "k.")
         between.set(xlabel="lag (samples)", ylabel="in standard deviations", title="correlations")
-        labelled = between.get_legend_handles_labels()
-        between.figure.legend(*labelled, loc="outside lower center")
+        if ax is None:
+            between.figure.legend(*between.get_legend_handles_labels(), loc="outside lower center")
         return along, between
 
 

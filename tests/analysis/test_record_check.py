@@ -79,6 +79,10 @@ def test_what_is_drawn_is_what_was_found():
     assert along.get_xlabel() == "time (s)"
     assert plt.gcf() is along.figure  # pyplot shows it, in a notebook, too
     plt.close(along.figure)
+    figure, given = plt.subplots(2)
+    assert found.plot(given) == tuple(given)
+    assert given[1].lines and not figure.legends  # these are the giver's
+    plt.close(figure)
 
 
 def test_what_is_too_short_to_tell_is_not_told():
