@@ -12,18 +12,19 @@ INF = math.inf
 _NO_NUMBERS = bool, np.bool_, np.timedelta64  # though Python or NumPy calls them integers
 Matrix = NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
-_NUMBERS = "{} must be an array of numbers, got entries of type {}: np.array(..., dtype=float) does"
+_NUMBERS = "{} must be an array of numbers, got entries of type {}"
+_NUMBERS += ": np.array(..., dtype=float) makes numbers of them"
 
 
 def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
     """Return `value` as an array of real numbers of any type, with NaN where masked."""
-    for each in _parts(value):
+    parts = _parts(value)
+    for each in parts:
         if isinstance(each, _NO_NUMBERS):
             raise TypeError(_NUMBERS.format(name, type(each).__name__))
         if hasattr(each, "magnitude") or hasattr(each, "to_value"):  # of pint, astropy or unyt
-            remedy = ".to(...).magnitude or .to_value(...) has them"
-            kind = type(each).__name__
-            raise TypeError(f"{name} must be numbers without a unit, got a {kind}: its {remedy}")
+            got = f"a {type(each).__name__}: its .to(...).magnitude or .to_value(...) has them"
+            raise TypeError(f"{name} must be numbers without a unit, got {got}")
     try:
         result = np.asarray(value)
     except ValueError:
@@ -33,7 +34,7 @@ def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
         raise ValueError(f"{name} must be real, got complex entries: its .real is")
     if result.dtype.kind not in "iuf" and result.size:
         raise TypeError(_NUMBERS.format(name, result.dtype))
-    if not any(map(np.ma.is_masked, _parts(value))):
+    if not any(map(np.ma.is_masked, parts)):
         return result
     return np.where(np.ma.getmaskarray(np.ma.array(value)), np.nan, result)
 
