@@ -102,12 +102,12 @@ class Functions:
 def _of_number(function: Function) -> Any:
     """Return a function as numba compiles it for a number; None, with a warning, if it cannot."""
     try:
-        jitted = _jitted(function)
+        of_argument = jitted(function)
 
         @numba.cfunc(types.float64(types.float64), error_model="numpy")
         def number(argument):
             try:
-                return jitted(argument)
+                return of_argument(argument)
             except Exception:
                 return np.nan
 
@@ -133,12 +133,19 @@ def _agree(function: Function, number: Callable[[float], float]) -> bool:
     return np.allclose(found, expected, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True)
 
 
-def _jitted(function: Function) -> Function:
+def is_compiled(function: Function) -> bool:
+    """Tell whether numba or NumPy has compiled a function, or what it is a combination of."""
+    while isinstance(function, Combination):
+        function = function.function
+    return is_jitted(function) or isinstance(function, _Vectorized | np.ufunc)
+
+
+def jitted(function: Function) -> Function:
     """Return a function that compiled code can call."""
     if is_jitted(function) or isinstance(function, _Vectorized):
         return function
     if isinstance(function, Combination):
-        return compiled(replace(function, function=_jitted(function.function)))
+        return compiled(replace(function, function=jitted(function.function)))
     if isinstance(function, np.ufunc):
         return numba.njit(lambda argument: function(argument))
     return numba.njit(function)

@@ -15,7 +15,7 @@ from robsmooth.estimators.bound import best_tau
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.homodyne.loop import StatisticalLinearisation
 from robsmooth.paper.published import DELAY, ORDER, printed
-from robsmooth.simulation.loop import ExponentialIntegrator, nonlinear_loop
+from robsmooth.simulation.loop import Steps, nonlinear_loop
 
 # The example's least bound is at these, unless it pays to ignore the measurement; the parameters
 # do not matter. Only tau remains to be found.
@@ -205,12 +205,12 @@ def _findings(estimator: rs.Estimator, settings: Settings, certified: bool) -> F
 def _path(estimator: rs.Estimator) -> Matrix:
     """Simulate one path; unlike in `rs.sample_paths`, the noise is the same for every loop."""
     loop = nonlinear_loop(estimator)
-    integrator = ExponentialIntegrator(loop, STEP)
+    scheme = Steps(loop, STEP)
     noise = np.random.default_rng(SEED).standard_normal((1 + BEFORE + SHOWN, _MOST_STATES))
     start, *steps = noise[:, : loop.order, None]
     z = loop.stationary_root @ start
     states = []
     for normals in steps:
-        z = integrator.advance(0.0, z, loop.arguments @ z, integrator.noise @ normals)
+        z = scheme.advance(0.0, z, scheme.noise @ normals)
         states.append(z[:, 0])
     return loop.readout @ np.array(states[BEFORE:]).T

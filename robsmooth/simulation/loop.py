@@ -28,15 +28,13 @@ Stochastic Differential Equations", Springer, 1992, Section 15.1) in the exponen
 is linear.
 """
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.random import SFC64, Generator, SeedSequence
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag, expm
 
@@ -47,26 +45,16 @@ from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import blocks_of, matrices, reference_outputs
+from robsmooth.simulation import kernel
+from robsmooth.simulation.called import CalledFunctions, Function
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.functions import on_arrays
 
 Uncertainties = Sequence[ArrayLike | Callable[[float, Matrix], ArrayLike]]
 
-CHUNK = 64  # steps for which noise is drawn ahead, and between two checks for divergence
-GROWTH = 1e6  # of an output over its size in the first chunk: divergence
-_LARGEST = 1e290  # of an output that is zero in the first chunk
 _SLOPE_TOLERANCE = 1e-6  # relative to the Lipschitz constant
 _SLOW = 1e-5  # of the fastest mode's rate: a slower mode hardly decays
 _ZERO_DEVIATION = 1e-9  # relative to its terms: a smaller deviation is rounding
-
-
-class Function(NamedTuple):
-    """Part of xi-tilde that is a function."""
-
-    inputs: list[int]  # rows of xi-tilde
-    outputs: list[int]  # rows of zeta-tilde
-    function: Callable[[float, NDArray], NDArray]  # of t and (outputs, paths), (inputs, paths)
-    elementwise: bool  # whether an input depends on one output
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,14 +137,6 @@ class NonlinearLoop:
         rates = np.max(speeds, axis=0)[moving] / own[moving]
         return float(rates.max(initial=0.0)) or self.slowest_rate
 
-    def remainder(self, time: float, arguments: NDArray) -> NDArray:
-        """Return rho, (r + 2g, paths), of zeta-tilde, (h + 2g, paths)."""
-        result = np.zeros((len(self.delta), arguments.shape[1]))
-        for part in self.functions:
-            linear = self.delta[part.inputs] @ arguments
-            result[part.inputs] = part.function(time, arguments[part.outputs]) - linear
-        return result
-
 
 def nonlinear_loop(smoother: Estimator, uncertainties: Uncertainties = ()) -> NonlinearLoop:
     """Return the loop of a plant and its estimator; see `simulate` for the arguments."""
@@ -195,7 +175,7 @@ def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
     parts = [part for part in loop.functions if part.elementwise]
     rows = [row for part in parts for row in part.inputs]
     columns = [column for part in parts for column in part.outputs]
-    functions = [partial(part.function, 0.0) for part in parts for _ in part.inputs]
+    functions = [on_arrays(part.function) for part in parts for _ in part.inputs]
 
     def variances(slopes: NDArray) -> NDArray:
         nonlocal loop
@@ -255,93 +235,48 @@ def _nonlinearities(smoother: Estimator, arguments: Matrix) -> list[Function]:
         copied = arguments[h + g + i].any() and smoother.B_c[:, system.l + i].any()
         places = [i, g + i] if copied else [i]
         inputs, outputs = [r + j for j in places], [h + j for j in places]
-        psi = on_arrays(nonlinearity.function)
-
-        def function(_, values, psi=psi):
-            return psi(values.ravel()).reshape(values.shape)
-
-        functions.append(Function(inputs, outputs, function, elementwise=True))
+        functions.append(Function(inputs, outputs, nonlinearity.function, elementwise=True))
     return functions
 
 
-class ExponentialIntegrator:
+class Steps:
     """The scheme in the module's docstring for one loop and step; `measured`: with y."""
 
     def __init__(self, loop: NonlinearLoop, step: float, measured: bool = False):
         N = loop.order
         size = len(loop.drift) if measured else N
         F = np.hstack([loop.linear_drift[:size], np.zeros((size, size - N))])
-        self.loop, self.step = loop, step
-        self.transition, self.first, self.second = responses(F, loop.inputs[:size], step)
-        self.transition[:, N:] = 0.0  # the integral of y begins at zero in each step
-        self.noise = lyapunov.noise_root(F, loop.noise[:size], step)
+        driven = [row for part in loop.functions for row in part.inputs]
+        columns = [row for part in loop.functions for row in part.outputs]
+        transition, first, second = responses(F, loop.inputs[:size, driven], step)
+        transition[:, N:] = 0.0  # the integral of y begins at zero in each step
         # w, its two estimates, zeta-tilde, the reference in it, and the mean of dy/dt
-        of_state = np.vstack([loop.readout, loop.arguments, loop.reference])
-        self.readout = block_diag(of_state, np.eye(size - N) / step)
-        self._arguments = slice(len(loop.readout), len(loop.readout) + len(loop.arguments))
+        signals = np.vstack([loop.readout, loop.arguments, loop.reference])
+        signals = block_diag(signals, np.eye(size - N) / step)
+        self.loop, self.step = loop, step
+        self.noise = lyapunov.noise_root(F, loop.noise[:size], step)
+        arguments = np.pad(loop.arguments[columns], ((0, 0), (0, size - N)))
+        slopes, outputs = -loop.delta[np.ix_(driven, columns)], signals[: len(loop.readout)]
+        parts = transition, first, second, *np.split(self.noise, [N], axis=1)
+        parts += arguments, slopes, outputs, signals
+        self.scheme = kernel.Scheme(*map(np.ascontiguousarray, parts))
+        self.driven = np.array(driven, np.int64)
 
-    def advance(self, time: float, z: NDArray, zeta: NDArray, noise: NDArray) -> NDArray:
-        """Return the states (., paths) a step after `time`; `zeta` is zeta-tilde at `time`."""
-        z = self.transition @ z + noise
-        if not self.loop.functions:
-            return z
-        rho = self.loop.remainder(time, zeta)
-        z += self.first @ rho
-        predicted = self.readout[self._arguments] @ z
-        z += self.second @ (self.loop.remainder(time + self.step, predicted) - rho)
-        return z
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "functions"}
 
-    def records(
-        self, seed: int, paths: Sequence[int], before: int, steps: int
-    ) -> Iterator[tuple[int, NDArray[np.float64]]]:
-        """Take `before` steps to time zero, and `steps` more, from a stationary start.
+    @cached_property
+    def functions(self) -> CalledFunctions:
+        """The functions, for compiled code of this process."""
+        return CalledFunctions(self.loop.functions)
 
-        Yields the number of the first step of a chunk, from time zero, and the outputs after each
-        step, (at most CHUNK, rows of `readout`, paths). Raises RuntimeError if a path diverges.
-        """
-        N, measured = self.loop.order, len(self.transition) - self.loop.order
-        of_state = [_generator(seed, path, 0) for path in paths]
-        of_measurement = [_generator(seed, path, 1) for path in paths if measured]
-        z = np.zeros((N + measured, len(paths)))
-        root = self.loop.stationary_root
-        z[:N] = root @ _normals(of_state, 1, N)[0, : root.shape[1]]
-        zeta = self.readout[self._arguments] @ z
-        limit = None
-        for start in range(-before, steps, CHUNK):
-            count = min(CHUNK, steps - start)
-            normals = _normals(of_state, count, N)
-            if measured:
-                normals = np.hstack([normals, _normals(of_measurement, count, measured)])
-            noise = self.noise @ normals
-            records = np.empty((count, len(self.readout), len(paths)))
-            with np.errstate(over="ignore", invalid="ignore"):
-                for k in range(count):
-                    z = self.advance((start + k) * self.step, z, zeta, noise[k])
-                    np.matmul(self.readout, z, out=records[k])
-                    zeta = records[k, self._arguments]
-            size = np.abs(records)
-            if limit is None:
-                largest = size.max(axis=(0, 2), where=np.isfinite(size), initial=0.0)[:, None]
-                limit = np.where(largest > 0.0, GROWTH * largest, _LARGEST)
-            grown = limit * math.exp(self.loop.growth_rate * self.step * (before + start + count))
-            if not (size <= grown).all():  # also with a NaN
-                step, _, column = np.argwhere(~(size <= grown))[0]
-                raise RuntimeError(
-                    f"path {paths[column]} of seed {seed} diverges: by "
-                    f"{(start + step + 1) * self.step:.4g} s an output is not a number or beyond "
-                    f"{GROWTH:g} times its size at the start; the loop is not stable, or the step, "
-                    f"{self.step:.4g} s, is too long for it"
-                )
-            yield start + 1, records
-
-
-def _generator(seed: int, path: int, stream: int) -> Generator:
-    return Generator(SFC64(SeedSequence(seed, spawn_key=(path, stream))))
-
-
-def _normals(generators: Sequence[Generator], count: int, width: int) -> NDArray[np.float64]:
-    """Draw (count, width, paths), the numbers of a path in the order of time."""
-    drawn = np.empty((len(generators), count, width))
-    for generator, part in zip(generators, drawn, strict=True):
-        generator.standard_normal(out=part)
-    return np.ascontiguousarray(np.moveaxis(drawn, 0, 2))
+    def advance(self, time: float, z: NDArray, noise: NDArray) -> NDArray:
+        """Return the states, (., paths), a step after `time`."""
+        new, calls = np.array(noise, order="C"), self.functions.calls
+        shapes = len(self.scheme.arguments), *2 * [len(self.driven)]
+        arguments, values, later = (np.zeros((rows, z.shape[1])) for rows in shapes)
+        kernel.find_remainder(time, self.scheme, calls, z, arguments, values)
+        work = new, arguments, values, later
+        kernel.advance(time, self.step, self.scheme, calls, np.ascontiguousarray(z), *work)
+        self.functions.check()
+        return new

@@ -1,30 +1,39 @@
 """Simulated errors and sample paths, with a check of the theory's constraints."""
 
+import hashlib
 import math
+import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
-from robsmooth._support import validation
+from robsmooth._support import cluster, validation
 from robsmooth._support.blas import one_thread
-from robsmooth._support.progress import progress_bar
+from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.simulation import groups, kernel, statistics
 from robsmooth.simulation import loop as loops
-from robsmooth.simulation import statistics
+from robsmooth.simulation.groups import checked_seed, threads
+from robsmooth.simulation.kernel import CHUNK
+from robsmooth.simulation.noise import BLOCK
 from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.functions import on_arrays
 
-BLOCK = 512  # paths side by side
+if TYPE_CHECKING:
+    from distributed import Client
+
+PATH_STEPS, PATH_STEPS_CALLED_BACK = 4_000_000, 200_000  # between two looks at an interrupt
+RECORDED = 100_000  # path-steps whose signals are in memory
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response time
 SILENT = 1 / 4  # the longest step without a warning, in these units
 TIME_CONSTANTS = 100  # default duration, in units of the slowest mode
 WARM_UP_TIME_CONSTANTS = 5
 MOST_GROWTH = 20.0  # of an unstable system, in powers of e
-CHECK_EVERY = 16  # steps
-_CONSTRAINT_TOLERANCE = 1e-6  # relative, for rounding where a constraint holds with equality
 
 
 @one_thread
@@ -37,17 +46,21 @@ def simulate(
     step: float | None = None,
     seed: int = 0,
     progress: bool = False,
+    client: "Client | None" = None,
+    checkpoint: str | os.PathLike[str] | None = None,
 ) -> statistics.SimulationResult:
     r"""Simulate a system, nonlinearities included, with its estimator, and measure the errors.
 
     The errors are :math:`w(t) - C_f\hat x_p(t)` and :math:`w(t - \delta) - C_a\hat x_p(t)`. Paths
     start in the stationary state of the statistically linearised loop. After a warm-up their
-    squared errors are averaged over time.
+    squared errors are averaged over time. The result is the same, to the last bit, for any number
+    of threads (numba's setting), on a cluster, and after an interruption.
 
     Parameters
     ----------
     smoother : Estimator
-        Every nonlinearity of its system needs its function: of arrays, or numba's of a number.
+        Every nonlinearity of its system needs its function. One that numba or NumPy has compiled
+        (`numba.njit`, `numpy.tanh`) runs on all threads, and many times as fast as another.
     uncertainties : sequence of k numbers, (r_s, h_s) arrays or functions
         Constants of norm at most one, as in `AugmentedSystem.structured_delta`, or functions
         ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s from the end of the
@@ -59,8 +72,10 @@ def simulate(
     step : float, optional
         s; must divide the lag. Default: the largest such step up to a fifth of the loop's response
         time; `robsmooth.simulation` has its bias.
-    seed : int, at least 0; a path depends on it, the path's number and the step alone
+    seed : int, at least 0 and below 2^64; a path depends on it, its number and the step alone
     progress : bool, whether to show a bar
+    client : distributed.Client, optional, of a Dask cluster; see `robsmooth.workbench.connect`
+    checkpoint : path, optional, of a file from which the same call resumes
 
     Warns
     -----
@@ -74,7 +89,9 @@ def simulate(
     UnstableLoopError
         Where the loop is not stable without its nonlinearities.
     RuntimeError
-        Where a path diverges; it names the path and the time.
+        Where a path diverges; it names the path and the time. Where numba is off.
+    CheckpointError, ConnectionError, OSError
+        As in `monte_carlo`.
 
     Examples
     --------
@@ -88,27 +105,19 @@ def simulate(
     """
     progress = validation.boolean("progress", progress)
     run = _Run(smoother, uncertainties, runs, duration, step, seed)
-    checks = np.zeros((3, len(run.plant.M_i)))
-    errors = statistics.Moments()
-    path_steps = run.runs * (run.before + run.steps)
-    with progress_bar(total=path_steps, unit="step", unit_scale=True, shown=progress) as bar:
-        for first in range(0, run.runs, BLOCK):
-            paths = range(first, min(first + BLOCK, run.runs))
-            of_errors, of_checks = run.averages(paths, bar)
-            errors += statistics.Moments.of(of_errors)
-            checks += of_checks.sum(axis=2) / run.runs
-
-    used, allowed, violated = checks
+    with open_journal(checkpoint, {} if checkpoint is None else run.identity()) as journal:
+        errors = groups.tally_paths(run, journal, client, progress).all
+    used, allowed, violated = np.reshape(errors.means[2:], (3, -1))
     constraints = np.divide(used, allowed, out=0.0 * used, where=used > 0.0)
     result = statistics.SimulationResult(
         smoothed=errors.mean_square(1),
         filtered=errors.mean_square(0),
         constraints=constraints,
         violated=violated,
-        equivalent_delta=run.integrator.loop.delta,
+        equivalent_delta=run.scheme.loop.delta,
         runs=run.runs,
-        path_steps=path_steps,
-        duration=run.steps * run.step,
+        path_steps=run.runs * run.steps,
+        duration=run.averaged * run.step,
         warm_up=run.before * run.step,
         step=run.step,
         seed=run.seed,
@@ -142,7 +151,7 @@ def sample_paths(
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
     run = _Run(smoother, uncertainties, runs, duration, step, seed, measured=True)
-    parts = list(run.records(range(run.runs)))
+    parts = list(run.records())
     names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
     times, *series = (np.concatenate([part[name] for part in parts]) for name in ("time", *names))
     by_path = (np.moveaxis(values, 2, 0) for values in series)
@@ -150,7 +159,9 @@ def sample_paths(
 
 
 class _Run:
-    """A loop, and its numbers of steps: `before` time zero, from there on, and in the lag."""
+    """A loop, and its numbers of steps: before time zero, from there on, and of the lag."""
+
+    group_steps: ClassVar[int] = 10_000_000
 
     def __init__(
         self,
@@ -165,7 +176,7 @@ class _Run:
         loop = loops.nonlinear_loop(smoother, uncertainties)
         self.plant, delay = smoother.plant, smoother.plant.delay
         self.runs = validation.integer("runs", runs, low=1)
-        self.seed = validation.integer("seed", seed, low=0)
+        self.seed = checked_seed(seed)
         if duration is None:
             duration = TIME_CONSTANTS / (5 if measured else 1) / loop.slowest_rate
             if loop.growth_rate:
@@ -174,9 +185,11 @@ class _Run:
         response_time = 1.0 / loop.argument_rate()
         default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
         self.step = step = validation.positive("step", default if step is None else step)
-        self.before = math.ceil((WARM_UP_TIME_CONSTANTS / loop.slowest_rate + delay) / step)
-        self.steps, self.lag = steps_in(duration, step), whole_steps(delay, step)
-        growth = loop.growth_rate * step * (self.before + self.steps)
+        before = (WARM_UP_TIME_CONSTANTS / loop.slowest_rate + delay) / step
+        self.before = CHUNK * math.ceil(before / CHUNK)
+        self.averaged, self.lag = steps_in(duration, step), whole_steps(delay, step)
+        self.steps = self.before + self.averaged
+        growth = loop.growth_rate * step * self.steps
         if growth > MOST_GROWTH:
             raise ValueError(
                 f"duration must be shorter, got {duration:.4g} s after a warm-up of "
@@ -185,56 +198,93 @@ class _Run:
             )
         if loop.functions:  # else the scheme is exact
             warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
-        self.integrator = loops.ExponentialIntegrator(loop, step, measured)
+        self.scheme = loops.Steps(loop, step, measured)
 
-    def records(self, paths: range, bar=None) -> Iterator[dict[str, NDArray]]:
-        """Simulate paths; yield signals by name, from time zero on, (steps, rows, paths)."""
-        m, g = self.plant.system.m, self.plant.system.g
-        arguments = len(self.integrator.loop.arguments)
+    def parts(
+        self, first: int, count: int, memory: kernel.Memory, recorded: bool = False
+    ) -> Iterator[tuple[int, NDArray]]:
+        """Simulate blocks; yield how many steps each part has, and its signals if recorded."""
+        scheme, functions = self.scheme, self.scheme.functions
+        loop, forms = scheme.loop, (self.plant.M_i, self.plant.N_i)
+        checks = kernel.Checks(loop.delta, scheme.driven, *map(_stacked, forms))
+        run = (self.step, loop.growth_rate, self.lag, self.before, self.runs)
+        constants = scheme.scheme, functions.calls, checks, memory, run, loop.stationary_root
+        at_once = PATH_STEPS if functions.compiled else PATH_STEPS_CALLED_BACK
+        size = CHUNK * max(1, (RECORDED if recorded else at_once) // (count * BLOCK * CHUNK))
+        for start in range(-self.before, self.averaged, size):
+            steps = min(size, self.averaged - start)
+            shape = (count, steps, len(scheme.scheme.signals), BLOCK)
+            records = np.empty(shape if recorded else (1, 0, 0, 0))
+            with threads(alone=not functions.compiled):
+                kernel.advance_blocks(
+                    *constants, np.uint64(self.seed), first, start, steps, records
+                )
+            functions.check()
+            self._check_divergence(memory.diverged)
+            yield start + steps, records
+
+    def simulate(self, first: int, count: int, report: Callable[[int], object]) -> NDArray:
+        """Return averages over time: of squared errors, and of `kernel.check_constraints`."""
+        memory, done = self.memory(count), -self.before
+        for until, _ in self.parts(first, count, memory):
+            report((until - done) * count * BLOCK)
+            done = until
+        memory.averages[:, :2] /= self.averaged
+        memory.averages[:, 2:] /= -(-self.averaged // CHUNK)
+        return memory.averages
+
+    def memory(self, count: int) -> kernel.Memory:
+        """Return the memory of blocks that have not begun."""
+        return kernel.empty_memory(self.scheme.scheme, count, self.lag, len(self.plant.M_i))
+
+    def tally(self, path: int, outputs: NDArray) -> statistics.Tally:
+        """Return the tally of paths; none slips."""
+        return statistics.Tally.of(outputs, np.zeros(outputs.shape[1]))
+
+    def records(self) -> Iterator[dict[str, NDArray]]:
+        """Yield the signals of all paths by name, from time zero on, (steps, rows, paths)."""
+        m, g, count = self.plant.system.m, self.plant.system.g, groups.blocks_of(self.runs)
+        arguments = len(self.scheme.loop.arguments)
         names = ("w", "filtered", "smoothed", "zeta", "subtracted", "y")
         rows = np.cumsum([m, m, m, arguments, arguments])
         of_detectors = slice(arguments - 2 * g, arguments - g)
-        past, last = np.zeros((self.lag, m, len(paths))), np.zeros((1, g, len(paths)))
-        all_steps = self.integrator.records(self.seed, paths, self.before, self.steps)
-        for first, records in all_steps:
-            part = dict(zip(names, np.split(records, rows, axis=1), strict=True))
+        past, last = np.zeros((self.lag, m, self.runs)), np.zeros((1, g, self.runs))
+        for until, records in self.parts(0, count, self.memory(count), recorded=True):
+            signals = np.concatenate(records, axis=2)[..., : self.runs]
+            part = dict(zip(names, np.split(signals, rows, axis=1), strict=True))
             outputs = np.concatenate([past, part["w"]])
-            part["delayed"], past = outputs[: len(records)], outputs[len(records) :]
+            part["delayed"], past = outputs[: len(signals)], outputs[len(signals) :]
             references = np.concatenate([last, part["subtracted"][:, of_detectors]])
             part["reference"], last = (references[1:] + references[:-1]) / 2, references[-1:]
-            part["time"] = self.step * np.arange(first, first + len(records))
-            yield {name: values[max(0, 1 - first) :] for name, values in part.items()}
-            if bar is not None:
-                bar.update(len(records) * len(paths))
+            part["time"] = self.step * np.arange(until - len(signals) + 1, until + 1)
+            yield {name: values[max(0, len(signals) - until) :] for name, values in part.items()}
 
-    def averages(self, paths: range, bar) -> tuple[NDArray, NDArray]:
-        """Return averages over time: of squared errors, (2, paths), and of `_constraints`."""
-        squares, samples = np.zeros((2, len(paths))), 0
-        checks = np.zeros((3, len(self.plant.M_i), len(paths)))
-        for part in self.records(paths, bar):
-            errors = part["w"] - part["filtered"], part["delayed"] - part["smoothed"]
-            squares += [np.einsum("tip,tip->p", error, error) for error in errors]
-            for k in range(0, len(part["time"]), CHECK_EVERY):
-                checks += self._constraints(*(part[n][k] for n in ("time", "zeta", "subtracted")))
-                samples += 1
-        return squares / self.steps, checks / samples
+    def identity(self) -> dict[str, object]:
+        """Return all that the results depend on, in a JSON form; functions by their values."""
+        loop, digest = self.scheme.loop, hashlib.sha256()
+        tried = np.random.default_rng(0).standard_normal((len(loop.delta.T), 64))
+        for part in loop.functions:
+            given = [tried[0]] if part.elementwise else [0.5, tried[part.outputs]]
+            digest.update(np.asarray(on_arrays(part.function)(*given), dtype=float).tobytes())
+        for matrix in (*self.scheme.scheme, loop.stationary_root, loop.delta):
+            digest.update(matrix.tobytes())
+        numbers = {name: getattr(self, name) for name in ("runs", "seed", "step", "steps")}
+        return {**numbers, "loop_sha256": digest.hexdigest(), "software": cluster.software()}
 
-    def _constraints(self, time: float, zeta: NDArray, subtracted: NDArray) -> NDArray:
-        """Return xi' M_i xi, zeta' N_i zeta, and whether the former is larger: (3, k + 3g, paths).
-
-        The second has the reference `subtracted` added to zeta again; the third compares without.
-        """
-        loop = self.integrator.loop
-        xi = loop.delta @ zeta + loop.remainder(time, zeta)
-        used = _energies(self.plant.M_i, xi)
-        whole, less = (_energies(self.plant.N_i, each) for each in (zeta + subtracted, zeta))
-        return np.array([used, whole, used > (1 + _CONSTRAINT_TOLERANCE) * less])
+    def _check_divergence(self, diverged: NDArray[np.int64]) -> None:
+        found = [(step, path) for path, step in diverged.tolist() if path >= 0]
+        if found:
+            step, path = min(found)
+            raise RuntimeError(
+                f"path {path} of seed {self.seed} diverges: by {step * self.step:.4g} s an output "
+                f"is not a number or beyond {kernel.GROWTH:g} times its size at the start; the "
+                f"loop is not stable, or the step, {self.step:.4g} s, is too long for it"
+            )
 
 
-def _energies(forms: Sequence[Matrix], values: NDArray) -> NDArray[np.float64]:
-    """Return quadratic forms of values, (., paths): (forms, paths)."""
-    energies = [(values * (form @ values)).sum(axis=0) for form in forms]
-    return np.reshape(energies, (len(forms), values.shape[1]))
+def _stacked(forms: Sequence[Matrix]) -> NDArray[np.float64]:
+    """Return quadratic forms as one array, (forms, ., .)."""
+    return np.array(forms, dtype=float) if len(forms) else np.zeros((0, 0, 0))
 
 
 def _warn(plant: AugmentedSystem, result: statistics.SimulationResult) -> None:
@@ -245,7 +295,7 @@ def _warn(plant: AugmentedSystem, result: statistics.SimulationResult) -> None:
     found = [
         f"{name} for {violated:.2g} of the time ({used:.3g} in the mean)"
         for name, violated, used in zip(names, result.violated, result.constraints, strict=True)
-        if violated > 0.0 or used > 1 + _CONSTRAINT_TOLERANCE
+        if violated > 0.0 or used > 1 + kernel.TOLERANCE
     ]
     if found:
         warnings.warn(

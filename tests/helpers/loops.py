@@ -14,8 +14,8 @@ from scipy.linalg import solve_continuous_are
 
 from robsmooth import Estimator, UncertainSystem, Uncertainty, augment
 from robsmooth.homodyne import PAPER
-from robsmooth.homodyne.montecarlo import noise
-from robsmooth.homodyne.montecarlo.noise import BLOCK
+from robsmooth.simulation import noise
+from robsmooth.simulation.noise import BLOCK
 
 SIGMAS = 4.5
 

@@ -22,10 +22,10 @@ from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo, run
 from robsmooth.homodyne.montecarlo.euler import CHUNK
-from robsmooth.homodyne.montecarlo.noise import BLOCK, SLIP, TURN
 from robsmooth.homodyne.montecarlo.protocols import PILOT_BLOCK
 from robsmooth.homodyne.montecarlo.splitting import coefficients_of, control_slopes
 from robsmooth.paper import published
+from robsmooth.simulation.noise import BLOCK, SLIP, TURN
 from tests.helpers.loops import (
     PARAMETERS,
     SIGMAS,

@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo import euler, splitting
-from robsmooth.homodyne.montecarlo.noise import BLOCK
+from robsmooth.simulation.noise import BLOCK
 from tests.helpers.loops import PARAMETERS, kalman_filter, printed_smoother
 
 each_order = pytest.mark.parametrize(

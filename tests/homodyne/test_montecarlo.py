@@ -27,13 +27,13 @@ from robsmooth.homodyne.montecarlo import (
     MeanSquare,
     euler,
     monte_carlo,
-    noise,
     run,
     splitting,
 )
 from robsmooth.homodyne.montecarlo.euler import CHUNK, SLIPS
-from robsmooth.homodyne.montecarlo.noise import BLOCK
 from robsmooth.homodyne.montecarlo.protocols import PaperSimulation
+from robsmooth.simulation import groups, noise
+from robsmooth.simulation.noise import BLOCK
 from tests.helpers.loops import (
     PARAMETERS,
     QUIET,
@@ -172,7 +172,7 @@ def test_a_path_depends_on_seed_and_index_alone(protocol, precision):
 @pytest.mark.parametrize("protocol", ["paper", "ergodic"])
 @pytest.mark.parametrize("group", [1, 2, 64])
 def test_result_is_the_same_to_the_bit_for_any_threads(monkeypatch, protocol, group):
-    monkeypatch.setattr(run, "BLOCKS_OF_A_GROUP", group)
+    monkeypatch.setattr(groups, "BLOCKS_OF_A_GROUP", group)
     arguments = {"protocol": protocol, "runs": 1333, "duration": 2e-5, "seed": 4}
     expected = same_numbers(monte_carlo(PARAMETERS, printed_smoother(), **arguments))
     for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):

@@ -8,8 +8,8 @@ from numba import njit
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2, norm
 
-from robsmooth.homodyne.montecarlo import noise
-from robsmooth.homodyne.montecarlo.noise import BLOCK
+from robsmooth.simulation import noise
+from robsmooth.simulation.noise import BLOCK
 from tests.helpers.loops import SIGMAS, assert_within, gaussians
 
 

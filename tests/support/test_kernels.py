@@ -95,7 +95,7 @@ for estimator in (linear, kalman):
 rs.monte_carlo(rs.homodyne.PAPER, kalman)
 """
     without = run(program, check=False, NUMBA_DISABLE_JIT=1)
-    error = "monte_carlo needs numba's compiler: unset NUMBA_DISABLE_JIT"
+    error = "a simulation needs numba's compiler: unset NUMBA_DISABLE_JIT"
     assert without.stderr.splitlines()[-1] == f"RuntimeError: {error}"
     before, _, _ = program.rpartition("rs.monte_carlo")
     interpreted, compiled = (

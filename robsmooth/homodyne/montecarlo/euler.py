@@ -22,8 +22,8 @@ from numba.extending import register_jitable
 
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
-from robsmooth.homodyne.montecarlo import noise
-from robsmooth.homodyne.montecarlo.noise import BLOCK, DRAWS, SOURCES, TURN, WORDS, fma, sine, slip
+from robsmooth.simulation import noise
+from robsmooth.simulation.noise import BLOCK, DRAWS, SOURCES, TURN, WORDS, fma, sine, slip
 
 CHUNK = 32  # steps for which noise is drawn ahead (32 KiB), and between two looks at the lock
 OUTPUTS = 3  # of a path: squared filtered and smoothed error at the end, and cycle slips

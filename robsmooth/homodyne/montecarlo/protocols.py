@@ -1,21 +1,22 @@
 """The two protocols of `monte_carlo`: the plan of a simulation, and the errors from its outputs."""
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import ClassVar, Self
 
-import numba
 import numpy as np
 
 from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
-from robsmooth._support import cluster, validation
+from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop, decay_rate
 from robsmooth.homodyne.montecarlo import euler, splitting
-from robsmooth.homodyne.montecarlo.noise import BLOCK
-from robsmooth.simulation.statistics import control_weights
+from robsmooth.simulation.groups import blocks_of, checked_seed, threads
+from robsmooth.simulation.noise import BLOCK
+from robsmooth.simulation.statistics import Tally, control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
 PAPER_DURATION, PAPER_STEP = 1e-3, 1e-8
@@ -46,6 +47,8 @@ class Simulation:
     readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase
     coefficients: euler.Coefficients | splitting.Coefficients
     schedule: tuple[int, ...]  # as the kernel takes it
+    parameters: Mapping[str, float] = field(default_factory=dict, kw_only=True)  # for a message
+    group_steps: ClassVar[int] = 400_000_000  # about half a second
     kernel: ClassVar[ModuleType]
     default_runs: ClassVar[int]
     compiled_for: ClassVar[tuple] = ()  # besides the order and the precision
@@ -53,15 +56,13 @@ class Simulation:
     @property
     def blocks(self) -> int:
         """Number of blocks of paths."""
-        return -(-self.runs // BLOCK)
+        return blocks_of(self.runs)
 
-    def simulate(self, first: int, count: int) -> Matrix:
+    def simulate(self, first: int, count: int, report: Callable | None = None) -> Matrix:
         """Simulate `count` blocks from `first` on: (count, outputs, BLOCK), cycle slips last."""
         real, n = PRECISIONS[self.precision], self.readout.shape[1]
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
-        threads = cluster.worker_threads() or numba.get_num_threads()
-        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # of this thread
-        with cluster.ALONE:
+        with threads():
             self.kernel.simulate_blocks(
                 *self.compiled_for,
                 (real(0),) * n,
@@ -73,6 +74,17 @@ class Simulation:
                 results.reshape(count, -1),
             )
         return results[:, : self.kernel.SLIPS + 1]
+
+    def tally(self, path: int, outputs: Matrix) -> Tally:
+        """Return the tally of paths; a RuntimeError names one that overflowed."""
+        wrong = np.flatnonzero(~np.isfinite(outputs).all(axis=0))
+        if wrong.size:
+            given = ", ".join(f"{name}={value:g}" for name, value in self.parameters.items())
+            raise RuntimeError(
+                f"path {path + wrong[0]} of seed {self.seed} overflowed, with {given}: the step, "
+                f"{self.step:g} s, is too long for this loop, or the estimator is unstable in it"
+            )
+        return Tally.of(self.reduce(outputs[:-1]), outputs[-1])
 
     def reduce(self, outputs: Matrix) -> Matrix:
         """Return the squared errors of the outputs, (2, paths); ergodic: and with less variance."""
@@ -182,8 +194,6 @@ def plan(
     precision: str = "mixed",
 ) -> Simulation:
     """Check the numbers, fill in defaults, and warn of a long step."""
-    if numba.config.DISABLE_JIT:
-        raise RuntimeError("monte_carlo needs numba's compiler: unset NUMBA_DISABLE_JIT")
     kind = PROTOCOLS[protocol]
     runs = kind.default_runs if runs is None else validation.integer("runs", runs, low=1)
     if duration is not None:
@@ -193,9 +203,7 @@ def plan(
             raise ValueError(f"duration must be at least {least}, got {duration:g}")
     if step is not None:
         step = validation.positive("step", step)
-    seed = validation.integer("seed", seed, low=0)
-    if seed >= 2**64:
-        raise ValueError(f"seed must be below 2**64, got {seed}")
+    seed = checked_seed(seed)
     validation.choice("precision", precision, tuple(PRECISIONS))
     numbers = {"runs": runs, "seed": seed, "precision": precision, "readout": loop.readout}
     return kind.plan(loop, duration, step, **numbers)

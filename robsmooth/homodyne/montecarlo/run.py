@@ -1,37 +1,24 @@
-"""Run the Monte Carlo: check the arguments, simulate group by group, merge in order.
-
-A *group* of blocks has its own sums. It depends on the simulation alone; so do the last bits.
-"""
+"""Run the Monte Carlo: check the arguments, simulate, and say what was found."""
 
 import hashlib
 import os
 import time
 import warnings
-from dataclasses import asdict, dataclass, field
-from functools import partial
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-import numba
-import numpy as np
-
 from robsmooth._support import cluster, validation
-from robsmooth._support.checkpoint import Journal, open_journal
-from robsmooth._support.progress import progress_bar
+from robsmooth._support.checkpoint import open_journal
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import homodyne_loop
-from robsmooth.homodyne.montecarlo.noise import BLOCK, GENERATOR
-from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, Simulation, plan
+from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, plan
 from robsmooth.homodyne.parameters import HomodyneParameters
-from robsmooth.simulation.statistics import MeanSquare, Tally
+from robsmooth.simulation.groups import tally_paths
+from robsmooth.simulation.noise import GENERATOR
+from robsmooth.simulation.statistics import MeanSquare
 
 if TYPE_CHECKING:
     from distributed import Client
-
-STEPS_OF_A_GROUP = 400_000_000  # path-steps: about half a second
-BLOCKS_OF_A_GROUP = 256  # at most, for the memory
-GROUPS_OF_A_CALL = 20  # on a cluster, at most: a client serves some 100 calls a second
-CALLS_OF_A_THREAD = 8  # on a cluster, at least: threads then end at about the same time
-CHECKPOINT_EVERY = 2.0  # s
 
 
 class LossOfLockWarning(RuntimeWarning):
@@ -189,9 +176,10 @@ def monte_carlo(
     started = time.perf_counter()
     validation.choice("protocol", protocol, tuple(PROTOCOLS))
     loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
-    simulation = plan(loop, protocol, runs, duration, step, seed, precision)
-    validation.boolean("progress", progress)
-    inputs = {"parameters": dict(vars(parameters)), "delay": loop.delay, "oscillator": oscillator}
+    planned = plan(loop, protocol, runs, duration, step, seed, precision)
+    simulation = replace(planned, parameters=dict(vars(parameters)))
+    progress = validation.boolean("progress", progress)
+    inputs = {"parameters": simulation.parameters, "delay": loop.delay, "oscillator": oscillator}
     inputs |= {"copy": bool(copy), "shot_noise": float(shot_noise)}
     matrices = [getattr(smoother, name).tolist() for name in ("A_c", "B_c", "C_c", "C_a", "C_f")]
     inputs["estimator_sha256"] = hashlib.sha256(repr(matrices).encode()).hexdigest()
@@ -199,7 +187,7 @@ def monte_carlo(
     settings = {"protocol": protocol, **{name: getattr(simulation, name) for name in names}}
     identity = {**settings, **inputs, "software": cluster.software()}
     with open_journal(checkpoint, identity) as journal:
-        tally = _tally(simulation, journal, client, progress, inputs["parameters"])
+        tally = tally_paths(simulation, journal, client, progress)
 
     slipped = tally.all.count - tally.locked.count
     if slipped:
@@ -221,54 +209,3 @@ def monte_carlo(
         **settings,
         provenance={**inputs, "generator": GENERATOR, "versions": identity["software"]},
     )
-
-
-def _tally(
-    simulation: Simulation, journal: Journal | None, client, progress: bool, parameters: dict
-) -> Tally:
-    """Simulate the blocks that the journal does not have, and merge them in order."""
-    tally, first = Tally(), 0
-    if journal and journal.last:
-        tally, first = Tally.from_state(*journal.last["tally"]), journal.last["blocks"]
-    group = min(max(STEPS_OF_A_GROUP // (BLOCK * simulation.steps), 1), BLOCKS_OF_A_GROUP)
-    simulate = partial(_tallies, simulation, group, parameters)
-    if client is None:
-        groups = numba.get_num_threads()
-    else:
-        groups = simulation.blocks // (group * CALLS_OF_A_THREAD * cluster.workers(client))
-        groups = min(max(groups, 1), GROUPS_OF_A_CALL)
-    size, end = groups * group, simulation.blocks
-    calls = ((start, min(size, end - start)) for start in range(first, end, size))  # first, count
-    saved = time.perf_counter()
-    # paths of the journal count for the progress, not for the rate
-    extent = {"total": simulation.runs, "initial": tally.all.count, "unit": "path"}
-    with progress_bar(**extent, unit_scale=True, shown=progress) as bar:
-        for tallies in cluster.in_order(simulate, calls, client):
-            for each in tallies:
-                tally += each
-            first = min(first + size, end)
-            bar.update(tally.all.count - bar.n)
-            if journal and (time.perf_counter() - saved > CHECKPOINT_EVERY or first == end):
-                journal.append({"blocks": first, "tally": tally.state()})
-                saved = time.perf_counter()
-    return tally
-
-
-def _tallies(
-    simulation: Simulation, group: int, parameters: dict, first: int, count: int
-) -> list[Tally]:
-    """Simulate `count` blocks and sum up each group."""
-    results, tallies = simulation.simulate(first, count), []
-    for offset in range(0, count, group):
-        path = (first + offset) * BLOCK
-        values = np.hstack(list(results[offset : offset + group]))[:, : simulation.runs - path]
-        wrong = np.flatnonzero(~np.isfinite(values).all(axis=0))
-        if wrong.size:
-            given = ", ".join(f"{name}={value:g}" for name, value in parameters.items())
-            raise RuntimeError(
-                f"path {path + wrong[0]} of seed {simulation.seed} overflowed, with {given}: "
-                f"the step, {simulation.step:g} s, is too long for this loop, or the estimator "
-                "is unstable in it"
-            )
-        tallies.append(Tally.of(simulation.reduce(values[:-1]), values[-1]))
-    return tallies

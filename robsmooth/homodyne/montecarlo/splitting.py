@@ -40,8 +40,8 @@ from robsmooth._numerics.steps import responses
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
-from robsmooth.homodyne.montecarlo import noise
-from robsmooth.homodyne.montecarlo.noise import BLOCK, DRAWS, SOURCES, TURN, WORDS, fma, sine, slip
+from robsmooth.simulation import noise
+from robsmooth.simulation.noise import BLOCK, DRAWS, SOURCES, TURN, WORDS, fma, sine, slip
 
 CHUNK = 8  # steps for which noise is drawn ahead
 # Of a path: time averages of the loop and of its control, cycle slips, turns away.

@@ -1,0 +1,116 @@
+"""The functions of a loop, by addresses that compiled code calls with a row for each argument.
+
+What numba or NumPy has compiled runs without Python. Other functions are called back, with arrays.
+"""
+
+import ctypes
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numba import types
+from numba.core.errors import NumbaError
+
+from robsmooth.estimators.copies import is_compiled, jitted
+from robsmooth.simulation.kernel import Calls
+from robsmooth.simulation.noise import sine
+from robsmooth.systems.functions import Combination, on_arrays
+
+_REALS = types.CPointer(types.float64)
+_Called = ctypes.CFUNCTYPE(
+    None, ctypes.c_double, *2 * [ctypes.POINTER(ctypes.c_double)], ctypes.c_ssize_t
+)
+
+
+class Function(NamedTuple):
+    """Part of xi-tilde that is a function."""
+
+    inputs: list[int]  # rows of xi-tilde
+    outputs: list[int]  # rows of zeta-tilde
+    function: Callable  # of a number, or of t and (outputs, paths), which gives (inputs, paths)
+    elementwise: bool  # whether it is of a number: an input depends on one output
+
+    def compiled(self) -> Any:
+        """Return compiled code of (t, arguments, values, their number), or None."""
+        if self.elementwise and is_compiled(self.function):
+            return _of_rows(jitted(with_fast_sine(self.function)))
+        return None
+
+    def called_back(self, errors: list[BaseException]) -> Any:
+        """Return the same in Python: the first error is kept, and then nothing is called."""
+        function = on_arrays(self.function)
+        rows = (1, 1) if self.elementwise else (len(self.outputs), len(self.inputs))
+
+        def of_rows(time: float, *pointers: Any) -> None:
+            *pointers, count = pointers
+            shapes = [(each, count) for each in rows]
+            given, found = map(np.ctypeslib.as_array, pointers, shapes)
+            try:
+                with np.errstate(over="ignore", invalid="ignore"):
+                    if errors:
+                        found[:] = np.nan
+                    elif self.elementwise:
+                        found[0] = function(given[0].copy())
+                    else:
+                        found[:] = function(time, given.copy())
+            except BaseException as error:  # an interrupt, too: compiled code cannot pass it on
+                errors.append(error)
+
+        return _Called(of_rows)
+
+
+def with_fast_sine(function: Callable) -> Callable:
+    """Return a function with the vectorised sine of `noise` for NumPy's."""
+    if isinstance(function, Combination):
+        return replace(function, function=with_fast_sine(function.function))
+    return fast_sine if function is np.sin else function
+
+
+@numba.njit
+def fast_sine(value):
+    """The sine, to 2e-11."""
+    return sine(np.float64(value))
+
+
+class CalledFunctions:
+    """Functions of a loop with their addresses, which are those of this process."""
+
+    def __init__(self, functions: Sequence[Function]) -> None:
+        self._errors: list[BaseException] = []
+        found = [function.compiled() for function in functions]
+        self.compiled = all(found)
+        pairs = zip(functions, found, strict=True)
+        self._kept = [code or function.called_back(self._errors) for function, code in pairs]
+        pointers = [getattr(one, "ctypes", one) for one in self._kept]
+        addresses = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers]
+        sizes = [(len(f.outputs), len(f.inputs)) for f in functions]
+        self.calls = Calls(
+            np.array(addresses, np.intp),
+            np.cumsum(np.reshape(sizes, (-1, 2)), axis=0),
+            np.array([f.elementwise for f in functions], bool),
+        )
+
+    def check(self) -> None:
+        """Raise the error of a function that was called back."""
+        if self._errors:
+            error = self._errors[0]
+            self._errors.clear()
+            raise error
+
+
+@lru_cache(maxsize=64)
+def _of_rows(function: Callable) -> Any:
+    """Return compiled code that calls a function of a number for each argument, or None."""
+
+    def of_rows(time, arguments, values, count):
+        given, found = numba.carray(arguments, (count,)), numba.carray(values, (count,))
+        for i in range(count):
+            found[i] = function(given[i])
+
+    try:
+        return numba.cfunc(types.void(types.float64, _REALS, _REALS, types.intp))(of_rows)
+    except (NumbaError, TypeError):
+        return None

@@ -1,0 +1,119 @@
+"""Many paths: simulated here or on a cluster, kept in a checkpoint, and merged in order.
+
+A *group* of blocks has its own sums. It depends on the simulation alone; so do the last bits.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+import numba
+import numpy as np
+
+from robsmooth._support import cluster, validation
+from robsmooth._support.checkpoint import Journal
+from robsmooth._support.progress import progress_bar
+from robsmooth._support.validation import Matrix
+from robsmooth.simulation.noise import BLOCK
+from robsmooth.simulation.statistics import Tally
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+BLOCKS_OF_A_GROUP = 256  # at most, for the memory
+GROUPS_OF_A_CALL = 20  # on a cluster, at most: a client serves some 100 calls a second
+CALLS_OF_A_THREAD = 8  # on a cluster, at least: threads then end at about the same time
+CHECKPOINT_EVERY = 2.0  # s
+
+
+class Simulation(Protocol):
+    """What simulates paths; a cluster needs it pickled."""
+
+    runs: int  # the last block is simulated whole; only its first paths count
+    steps: int  # of a path
+    group_steps: int  # path-steps of a group, unless a block has more
+
+    def simulate(self, first: int, count: int, report: Callable[[int], object]) -> Matrix:
+        """Simulate `count` blocks: (count, outputs, BLOCK); report path-steps, if it takes long."""
+
+    def tally(self, path: int, outputs: Matrix) -> Tally:
+        """Return the tally of paths, (outputs, paths), of which the first is number `path`."""
+
+
+def blocks_of(runs: int) -> int:
+    """Return the number of blocks that have this many paths."""
+    return -(-runs // BLOCK)
+
+
+def checked_seed(seed: int) -> int:
+    """Return a seed that the compiled generators take; a RuntimeError says that numba is off."""
+    if numba.config.DISABLE_JIT:
+        raise RuntimeError("a simulation needs numba's compiler: unset NUMBA_DISABLE_JIT")
+    seed = validation.integer("seed", seed, low=0)
+    if seed >= 2**64:
+        raise ValueError(f"seed must be below 2**64, got {seed}")
+    return seed
+
+
+@contextmanager
+def threads(alone: bool = False) -> Iterator[None]:
+    """Let compiled code use one thread, or those of this worker of a cluster, or numba's number."""
+    before = numba.get_num_threads()
+    several = min(cluster.worker_threads() or before, numba.config.NUMBA_NUM_THREADS)
+    numba.set_num_threads(1 if alone else several)  # of this thread
+    try:
+        with cluster.ALONE:
+            yield
+    finally:
+        numba.set_num_threads(before)
+
+
+def tally_paths(
+    simulation: Simulation, journal: Journal | None, client: "Client | None", progress: bool
+) -> Tally:
+    """Simulate the blocks that the journal does not have, and merge them in order."""
+    tally, first = Tally(), 0
+    steps, end = simulation.steps, blocks_of(simulation.runs)
+    if journal and journal.last:
+        tally, first = Tally.from_state(*journal.last["tally"]), journal.last["blocks"]
+    group = min(max(simulation.group_steps // (BLOCK * steps), 1), BLOCKS_OF_A_GROUP)
+    if client is None:
+        groups = numba.get_num_threads()
+    else:
+        groups = end // (group * CALLS_OF_A_THREAD * cluster.workers(client))
+        groups = min(max(groups, 1), GROUPS_OF_A_CALL)
+    size = groups * group
+    calls = ((start, min(size, end - start)) for start in range(first, end, size))  # first, count
+    saved = time.perf_counter()
+    # paths of the journal count for the progress, not for the rate
+    extent = {"total": simulation.runs * steps, "initial": tally.all.count * steps, "unit": "step"}
+    with progress_bar(**extent, unit_scale=True, shown=progress) as bar:
+        report = bar.update if client is None else _not_told
+        simulate = partial(_tallies, simulation, group, report)
+        for tallies in cluster.in_order(simulate, calls, client):
+            for each in tallies:
+                tally += each
+            first = min(first + size, end)
+            bar.update(tally.all.count * steps - bar.n)
+            if journal and (time.perf_counter() - saved > CHECKPOINT_EVERY or first == end):
+                journal.append({"blocks": first, "tally": tally.state()})
+                saved = time.perf_counter()
+    return tally
+
+
+def _not_told(steps: int) -> None:
+    """Take a report of path-steps on a worker of a cluster."""
+
+
+def _tallies(
+    simulation: Simulation, group: int, report: Callable[[int], object], first: int, count: int
+) -> list[Tally]:
+    """Simulate `count` blocks and sum up each group."""
+    results, tallies = simulation.simulate(first, count, report), []
+    for offset in range(0, count, group):
+        path = (first + offset) * BLOCK
+        outputs = np.hstack(list(results[offset : offset + group]))[:, : simulation.runs - path]
+        tallies.append(simulation.tally(path, outputs))
+    return tallies

@@ -1,0 +1,293 @@
+r"""The compiled steps of any loop: the scheme of `robsmooth.simulation.loop`, for many paths.
+
+One compilation serves every loop: the sizes of its matrices are known when it runs, and functions
+are called by their addresses. Rows of numbers, one for each path, are what the compiler turns into
+vector instructions. Results do not depend on the number of threads: a block of paths has its own
+memory and its own sums.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, prange, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from robsmooth._support.kernels import kept
+from robsmooth.simulation import noise
+from robsmooth.simulation.noise import BLOCK, DRAWS, SOURCES, WORDS, fma
+
+Floats = NDArray[np.float64]
+
+CHUNK = 16  # steps for which noise is drawn ahead, and between two checks
+GROWTH = 1e6  # of an output over its size at the start: divergence
+LARGEST = 1e290  # of an output that is zero at the start
+TOLERANCE = 1e-6  # relative, for rounding where a constraint holds with equality
+
+
+class Scheme(NamedTuple):
+    """Matrices of a step; z has S rows, the integral of y included if it is measured."""
+
+    transition: Floats  # (S, S)
+    first: Floats  # (S, f), K_1 of the functions' values
+    second: Floats  # (S, f), K_2 of the same
+    of_state: Floats  # (S, N), the states' columns of a root of the noise's covariance
+    of_measurement: Floats  # (S, S - N), the other columns
+    arguments: Floats  # (c, S), rows of L - R, function by function
+    linear: Floats  # (f, c), what Delta has of the functions, with a minus
+    outputs: Floats  # (3m, S), w and its filtered and smoothed estimates
+    signals: Floats  # (rows, S), all that is recorded or checked
+
+
+class Calls(NamedTuple):
+    """The functions: function i has the arguments and values up to `ends[i]`."""
+
+    addresses: NDArray[np.intp]  # (p,)
+    ends: NDArray[np.int64]  # (p, 2)
+    elementwise: NDArray[np.bool_]  # (p,)
+
+
+class Checks(NamedTuple):
+    """The quadratic forms of the theory's constraints."""
+
+    delta: Floats  # (r + 2g, h + 2g)
+    driven: NDArray[np.int64]  # (f,), rows of xi-tilde that functions give
+    used: Floats  # (K, r + 2g, r + 2g)
+    allowed: Floats  # (K, h + 2g, h + 2g)
+
+
+class Memory(NamedTuple):
+    """What is kept of N blocks from one call to the next."""
+
+    generators: NDArray[np.uint32]  # (N, 2, WORDS BLOCK), of the state's noise, the measurement's
+    states: Floats  # (N, S, BLOCK)
+    past: Floats  # (N, lag + 1, m, BLOCK), w in the last steps, a ring
+    sizes: Floats  # (N, rows), the largest signals of the start
+    averages: Floats  # (N, 2 + 3K, BLOCK), sums until the end
+    diverged: NDArray[np.int64]  # (N, 2), path and step of the first divergence, or -1
+
+
+def empty_memory(scheme: Scheme, blocks: int, lag: int, constraints: int) -> Memory:
+    """Return the memory of blocks that have not begun."""
+    (m, S), rows = scheme.outputs.shape, len(scheme.signals)
+    return Memory(
+        generators=np.empty((blocks, 2, WORDS * BLOCK), np.uint32),
+        states=np.zeros((blocks, S, BLOCK)),
+        past=np.zeros((blocks, lag + 1, m // 3, BLOCK)),
+        sizes=np.zeros((blocks, rows)),
+        averages=np.zeros((blocks, 2 + 3 * constraints, BLOCK)),
+        diverged=np.full((blocks, 2), -1),
+    )
+
+
+@intrinsic
+def _call(_typing, address, time, arguments, values, count):
+    def generate(_context, builder, _signature, given):
+        real, word = ir.DoubleType(), ir.IntType(64)
+        kind = ir.FunctionType(ir.VoidType(), [real, word, word, word])
+        builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
+        return ir.Constant(ir.IntType(1), 0)
+
+    words = (types.intp, types.float64, types.intp, types.intp, types.intp)
+    return types.boolean(*words), generate
+
+
+@njit
+def add_product(matrix, x, out):
+    """Add a matrix times the rows of x to the rows of `out`, two columns at a time."""
+    columns = matrix.shape[1]
+    for i in range(matrix.shape[0]):
+        row = out[i]
+        for j in range(0, columns - 1, 2):
+            one, two, a, b = matrix[i, j], matrix[i, j + 1], x[j], x[j + 1]
+            if one != 0.0 or two != 0.0:
+                for path in range(row.size):
+                    row[path] = fma(one, a[path], fma(two, b[path], row[path]))
+        if columns % 2 and matrix[i, -1] != 0.0:
+            one, a = matrix[i, -1], x[columns - 1]
+            for path in range(row.size):
+                row[path] = fma(one, a[path], row[path])
+
+
+@njit
+def find_remainder(time, scheme, calls, z, arguments, values):
+    """Write the functions' arguments in z, and their values less what is linear."""
+    arguments[:] = 0.0
+    add_product(scheme.arguments, z, arguments)
+    begin = begin_values = 0
+    for i in range(calls.addresses.size):
+        end, end_values = calls.ends[i]
+        size = arguments.shape[1] * (end - begin if calls.elementwise[i] else 1)
+        given, found = arguments[begin:end], values[begin_values:end_values]
+        _call(calls.addresses[i], time, given.ctypes.data, found.ctypes.data, size)
+        begin, begin_values = end, end_values
+    add_product(scheme.linear, arguments, values)
+
+
+@njit
+def advance(time, step, scheme, calls, z, new, arguments, values, later):
+    """Write z a step after `time` to `new`, which has the noise; `values` is rho at z."""
+    add_product(scheme.transition, z, new)
+    if calls.addresses.size:
+        add_product(scheme.first, values, new)
+        find_remainder(time + step, scheme, calls, new, arguments, later)
+        later -= values
+        add_product(scheme.second, later, new)
+
+
+@njit
+def add_errors(outputs, delayed, sums):
+    """Add the squared errors of the filtered and of the smoothed estimate."""
+    m = delayed.shape[0]
+    for i in range(m):
+        for path in range(delayed.shape[1]):
+            filtered = outputs[i, path] - outputs[m + i, path]
+            smoothed = delayed[i, path] - outputs[2 * m + i, path]
+            sums[0, path] += filtered * filtered
+            sums[1, path] += smoothed * smoothed
+
+
+@njit
+def add_energies(forms, x, out):
+    """Add x' form x of each path, for each form, to the rows of `out`."""
+    for k in range(len(forms)):
+        for i in range(len(x)):
+            for j in range(len(x)):
+                entry = forms[k, i, j]
+                if entry != 0.0:
+                    for path in range(x.shape[1]):
+                        out[k, path] += entry * x[i, path] * x[j, path]
+
+
+@njit
+def check_constraints(checks, zeta, subtracted, values, sums):
+    """Add xi' M_i xi, zeta' N_i zeta, and whether the former is larger, to the sums.
+
+    The second has the reference `subtracted` added to zeta again; the third compares without.
+    """
+    K, paths = len(checks.used), zeta.shape[1]
+    xi, used, left = (
+        np.zeros((len(checks.delta), paths)),
+        np.zeros((K, paths)),
+        np.zeros((K, paths)),
+    )
+    add_product(checks.delta, zeta, xi)
+    for i in range(len(checks.driven)):
+        xi[checks.driven[i]] += values[i]
+    add_energies(checks.used, xi, used)
+    add_energies(checks.allowed, zeta, left)
+    add_energies(checks.allowed, zeta + subtracted, sums[K : 2 * K])
+    for k in range(K):
+        for path in range(paths):
+            sums[k, path] += used[k, path]
+            sums[2 * K + k, path] += used[k, path] > (1.0 + TOLERANCE) * left[k, path]
+
+
+@njit
+def find_divergence(signals, sizes, beginning, growth):
+    """Return the first path with a signal that is not a number or too large, or -1."""
+    found = -1
+    for i in range(signals.shape[0]):
+        limit = growth * (GROWTH * sizes[i] if sizes[i] > 0.0 else LARGEST)
+        for path in range(signals.shape[1]):
+            size = abs(signals[i, path])
+            if beginning and size < np.inf:
+                sizes[i] = max(sizes[i], size)
+            elif not size <= limit and (found < 0 or path < found):
+                found = path
+    return found
+
+
+@njit
+def draw(generator, size, count, normals):
+    """Draw `size` normal variables a step for `count` steps: (count, at least size, BLOCK)."""
+    pairs = (size + DRAWS - 1) // DRAWS
+    noise.fill_gaussians(generator, count * pairs, normals)
+    return normals[: count * pairs * DRAWS * BLOCK].reshape(count, pairs * DRAWS, BLOCK)
+
+
+@njit
+def advance_block(scheme, calls, checks, memory, run, path, start, count, records):
+    """Take steps of the block from `path` on; before step zero nothing is averaged."""
+    generators, z, past, sizes, averages, diverged = memory
+    step, growth_rate, lag, before, _ = run
+    S, N = scheme.of_state.shape
+    f, m = scheme.first.shape[1], past.shape[1]
+    new, outputs = np.empty_like(z), np.empty((3 * m, BLOCK))
+    arguments = np.empty((scheme.arguments.shape[0], BLOCK))
+    values, later = np.zeros((f, BLOCK)), np.zeros((f, BLOCK))
+    signals = np.empty((scheme.signals.shape[0], BLOCK))
+    a = checks.delta.shape[1]
+    space = np.empty((2, CHUNK * (S + DRAWS) * BLOCK), np.float32)
+    find_remainder(start * step, scheme, calls, z, arguments, values)
+    for first in range(start, start + count, CHUNK):
+        steps = min(CHUNK, start + count - first)
+        of_state = draw(generators[0], N, steps, space[0])
+        of_measurement = draw(generators[1], S - N, steps, space[1])
+        for k in range(steps):
+            now = first + k + 1  # the end of the step
+            new[:] = 0.0
+            add_product(scheme.of_state, of_state[k], new)
+            add_product(scheme.of_measurement, of_measurement[k], new)
+            advance((now - 1) * step, step, scheme, calls, z, new, arguments, values, later)
+            z[:] = new
+            find_remainder(now * step, scheme, calls, z, arguments, values)
+            outputs[:] = 0.0
+            add_product(scheme.outputs, z, outputs)
+            past[(before + now) % (lag + 1)] = outputs[:m]
+            if now > 0:
+                add_errors(outputs, past[(before + now - lag) % (lag + 1)], averages[:2])
+            if records.size:
+                record = records[now - start - 1]
+                record[:] = 0.0
+                add_product(scheme.signals, z, record)
+        signals[:] = 0.0
+        add_product(scheme.signals, z, signals)
+        growth = np.exp(growth_rate * step * (before + now))
+        counted = signals[:, : run[4] - path]
+        found = find_divergence(counted, sizes, first == -before, growth)
+        if found >= 0:
+            diverged[0], diverged[1] = path + found, now
+            return
+        if now > 0:
+            zeta, subtracted = signals[3 * m : 3 * m + a], signals[3 * m + a : 3 * m + 2 * a]
+            check_constraints(checks, zeta, subtracted, values, averages[2:])
+
+
+@kept(parallel=True, nogil=True)
+def advance_blocks(
+    scheme, calls, checks, memory, run, root, seed, first, start, count, records, code=SOURCES
+):
+    """Take `count` steps of consecutive blocks from step `start` on; at the first step they begin.
+
+    `run` has the step, the rate of growth, the steps of the lag and before step zero, and the
+    number of paths that count; `root` is one of the covariance at the start. `records`, (blocks,
+    count, rows, BLOCK) or (1, 0, 0, 0), takes the signals after each step.
+    """
+    for index in prange(memory.states.shape[0]):
+        block = np.int64(index)  # an index is unsigned
+        mine = Memory(
+            memory.generators[block],
+            memory.states[block],
+            memory.past[block],
+            memory.sizes[block],
+            memory.averages[block],
+            memory.diverged[block],
+        )
+        path = (first + block) * BLOCK
+        if start == -run[3]:
+            begin_block(mine, root, seed, path)
+        if mine.diverged[0] < 0:
+            record = records[block if records.size else 0]
+            advance_block(scheme, calls, checks, mine, run, path, start, count, record)
+
+
+@njit
+def begin_block(memory, root, seed, path):
+    """Start the generators, and the states from their stationary covariance."""
+    noise.seed_paths(seed, np.uint64(path), memory.generators[0])
+    noise.seed_paths(noise.mix(seed), np.uint64(path), memory.generators[1])
+    normals = np.empty((root.shape[1] + DRAWS) * BLOCK, np.float32)
+    drawn = draw(memory.generators[0], root.shape[1], 1, normals)
+    add_product(root, drawn[0], memory.states[: root.shape[0]])
