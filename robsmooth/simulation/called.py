@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from numba import types
 from numba.core.errors import NumbaError
+from numpy.typing import NDArray
 
 from robsmooth.estimators.copies import is_compiled, jitted
 from robsmooth.simulation.kernel import Calls
@@ -20,9 +21,7 @@ from robsmooth.simulation.noise import sine
 from robsmooth.systems.functions import Combination, on_arrays
 
 _REALS = types.CPointer(types.float64)
-_Called = ctypes.CFUNCTYPE(
-    None, ctypes.c_double, *2 * [ctypes.POINTER(ctypes.c_double)], ctypes.c_ssize_t
-)
+_Called = ctypes.CFUNCTYPE(None, ctypes.c_double, *3 * [ctypes.c_ssize_t])
 
 
 class Function(NamedTuple):
@@ -44,10 +43,8 @@ class Function(NamedTuple):
         function = on_arrays(self.function)
         rows = (1, 1) if self.elementwise else (len(self.outputs), len(self.inputs))
 
-        def of_rows(time: float, *pointers: Any) -> None:
-            *pointers, count = pointers
-            shapes = [(each, count) for each in rows]
-            given, found = map(np.ctypeslib.as_array, pointers, shapes)
+        def of_rows(time: float, arguments: int, values: int, count: int) -> None:
+            given, found = _array(arguments, rows[0], count), _array(values, rows[1], count)
             try:
                 with np.errstate(over="ignore", invalid="ignore"):
                     if errors:
@@ -60,6 +57,12 @@ class Function(NamedTuple):
                 errors.append(error)
 
         return _Called(of_rows)
+
+
+@lru_cache(maxsize=256)  # of few places in memory, which each call uses again
+def _array(address: int, rows: int, count: int) -> NDArray[np.float64]:
+    memory = (ctypes.c_double * (rows * count)).from_address(address)
+    return np.frombuffer(memory).reshape(rows, count)
 
 
 def with_fast_sine(function: Callable) -> Callable:

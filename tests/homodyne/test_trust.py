@@ -107,7 +107,7 @@ def interrupt():
 # --- resuming -------------------------------------------------------------------------------------
 
 
-@each_protocol
+@pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_some_paths_slip_so_that_every_number_is_at_stake(protocol):
     with pytest.warns(LossOfLockWarning):
         result = rs.monte_carlo(NOISY, printed_smoother(), protocol, runs=RUNS, duration=2e-5)
