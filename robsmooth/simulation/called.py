@@ -84,7 +84,7 @@ class CalledFunctions:
     def __init__(self, functions: Sequence[Function]) -> None:
         self._errors: list[BaseException] = []
         found = [function.compiled() for function in functions]
-        self.compiled = all(found)
+        self.in_python = not all(found)
         pairs = zip(functions, found, strict=True)
         self._kept = [code or function.called_back(self._errors) for function, code in pairs]
         pointers = [getattr(one, "ctypes", one) for one in self._kept]

@@ -27,8 +27,8 @@ from robsmooth.systems.functions import on_arrays
 if TYPE_CHECKING:
     from distributed import Client
 
-PATH_STEPS, PATH_STEPS_CALLED_BACK = 4_000_000, 200_000  # between two looks at an interrupt
-RECORDED = 100_000  # path-steps whose signals are in memory
+COMPILED, IN_PYTHON = 4_000_000, 200_000  # path-steps between two looks at an interrupt
+RECORDED = 100_000  # path-steps whose signals are in memory at once
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response time
 SILENT = 1 / 4  # the longest step without a warning, in these units
 TIME_CONSTANTS = 100  # default duration, in units of the slowest mode
@@ -151,11 +151,25 @@ def sample_paths(
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)
     """
     run = _Run(smoother, uncertainties, runs, duration, step, seed, measured=True)
-    parts = list(run.records())
-    names = ("y", "reference", "w", "filtered", "delayed", "smoothed")
-    times, *series = (np.concatenate([part[name] for part in parts]) for name in ("time", *names))
-    by_path = (np.moveaxis(values, 2, 0) for values in series)
-    return statistics.SamplePaths(times, *by_path, run.step, smoother.plant.delay)
+    m, g, arguments = run.plant.system.m, run.plant.system.g, len(run.scheme.loop.arguments)
+    blocks = groups.blocks_of(run.runs)
+    parts = run.parts(0, blocks, run.memory(blocks), recorded=True)
+    signals = np.concatenate([np.concatenate(each, axis=2)[..., : run.runs] for _, each in parts])
+    rows = np.cumsum([m, m, m, arguments, arguments])
+    signals = np.split(np.moveaxis(signals, 2, 0), rows, axis=2)  # the warm-up comes first
+    w, filtered, smoothed, y = (signals[i][:, run.before :] for i in (0, 1, 2, 5))
+    reference = signals[4][..., arguments - 2 * g : arguments - g]
+    return statistics.SamplePaths(
+        time=run.step * np.arange(1, run.averaged + 1),
+        y=y,
+        reference=(reference[:, run.before - 1 : -1] + reference[:, run.before :]) / 2,
+        w=w,
+        filtered=filtered,
+        delayed=signals[0][:, run.before - run.lag : run.steps - run.lag],
+        smoothed=smoothed,
+        step=run.step,
+        delay=smoother.plant.delay,
+    )
 
 
 class _Run:
@@ -203,32 +217,40 @@ class _Run:
     def parts(
         self, first: int, count: int, memory: kernel.Memory, recorded: bool = False
     ) -> Iterator[tuple[int, NDArray]]:
-        """Simulate blocks; yield how many steps each part has, and its signals if recorded."""
+        """Simulate blocks part by part; yield path-steps, and the signals if they are recorded."""
         scheme, functions = self.scheme, self.scheme.functions
-        loop, forms = scheme.loop, (self.plant.M_i, self.plant.N_i)
-        checks = kernel.Checks(loop.delta, scheme.driven, *map(_stacked, forms))
-        run = (self.step, loop.growth_rate, self.lag, self.before, self.runs)
-        constants = scheme.scheme, functions.calls, checks, memory, run, loop.stationary_root
-        at_once = PATH_STEPS if functions.compiled else PATH_STEPS_CALLED_BACK
-        size = CHUNK * max(1, (RECORDED if recorded else at_once) // (count * BLOCK * CHUNK))
-        for start in range(-self.before, self.averaged, size):
-            steps = min(size, self.averaged - start)
+        loop, sizes = scheme.loop, scheme.loop.delta.shape
+        both = zip((self.plant.M_i, self.plant.N_i), sizes, strict=True)
+        forms = [np.reshape(form, (len(form), size, size)) for form, size in both]
+        checks = kernel.Checks(loop.delta, scheme.driven, *forms)
+        numbers = (self.step, loop.growth_rate, self.lag, self.before, self.runs)
+        constants = scheme.scheme, functions.calls, checks, memory, numbers, loop.stationary_root
+        at_once = RECORDED if recorded else IN_PYTHON if functions.in_python else COMPILED
+        most = CHUNK * max(1, at_once // (count * BLOCK * CHUNK))
+        for start in range(-self.before, self.averaged, most):
+            steps = min(most, self.averaged - start)
             shape = (count, steps, len(scheme.scheme.signals), BLOCK)
             records = np.empty(shape if recorded else (1, 0, 0, 0))
-            with threads(alone=not functions.compiled):
-                kernel.advance_blocks(
-                    *constants, np.uint64(self.seed), first, start, steps, records
-                )
+            place = np.uint64(self.seed), first, start, steps
+            with threads(alone=functions.in_python):
+                kernel.advance_blocks(*constants, *place, records)
             functions.check()
-            self._check_divergence(memory.diverged)
-            yield start + steps, records
+            diverged = [(step, path) for path, step in memory.diverged.tolist() if path >= 0]
+            if diverged:
+                step, path = min(diverged)
+                raise RuntimeError(
+                    f"path {path} of seed {self.seed} diverges: by {step * self.step:.4g} s an "
+                    f"output is not a number or beyond {kernel.GROWTH:g} times its size at the "
+                    f"start; the loop is not stable, or the step, {self.step:.4g} s, is too long "
+                    "for it"
+                )
+            yield steps * count * BLOCK, records
 
     def simulate(self, first: int, count: int, report: Callable[[int], object]) -> NDArray:
         """Return averages over time: of squared errors, and of `kernel.check_constraints`."""
-        memory, done = self.memory(count), -self.before
-        for until, _ in self.parts(first, count, memory):
-            report((until - done) * count * BLOCK)
-            done = until
+        memory = self.memory(count)
+        for path_steps, _ in self.parts(first, count, memory):
+            report(path_steps)
         memory.averages[:, :2] /= self.averaged
         memory.averages[:, 2:] /= -(-self.averaged // CHUNK)
         return memory.averages
@@ -241,24 +263,6 @@ class _Run:
         """Return the tally of paths; none slips."""
         return statistics.Tally.of(outputs, np.zeros(outputs.shape[1]))
 
-    def records(self) -> Iterator[dict[str, NDArray]]:
-        """Yield the signals of all paths by name, from time zero on, (steps, rows, paths)."""
-        m, g, count = self.plant.system.m, self.plant.system.g, groups.blocks_of(self.runs)
-        arguments = len(self.scheme.loop.arguments)
-        names = ("w", "filtered", "smoothed", "zeta", "subtracted", "y")
-        rows = np.cumsum([m, m, m, arguments, arguments])
-        of_detectors = slice(arguments - 2 * g, arguments - g)
-        past, last = np.zeros((self.lag, m, self.runs)), np.zeros((1, g, self.runs))
-        for until, records in self.parts(0, count, self.memory(count), recorded=True):
-            signals = np.concatenate(records, axis=2)[..., : self.runs]
-            part = dict(zip(names, np.split(signals, rows, axis=1), strict=True))
-            outputs = np.concatenate([past, part["w"]])
-            part["delayed"], past = outputs[: len(signals)], outputs[len(signals) :]
-            references = np.concatenate([last, part["subtracted"][:, of_detectors]])
-            part["reference"], last = (references[1:] + references[:-1]) / 2, references[-1:]
-            part["time"] = self.step * np.arange(until - len(signals) + 1, until + 1)
-            yield {name: values[max(0, len(signals) - until) :] for name, values in part.items()}
-
     def identity(self) -> dict[str, object]:
         """Return all that the results depend on, in a JSON form; functions by their values."""
         loop, digest = self.scheme.loop, hashlib.sha256()
@@ -270,21 +274,6 @@ class _Run:
             digest.update(matrix.tobytes())
         numbers = {name: getattr(self, name) for name in ("runs", "seed", "step", "steps")}
         return {**numbers, "loop_sha256": digest.hexdigest(), "software": cluster.software()}
-
-    def _check_divergence(self, diverged: NDArray[np.int64]) -> None:
-        found = [(step, path) for path, step in diverged.tolist() if path >= 0]
-        if found:
-            step, path = min(found)
-            raise RuntimeError(
-                f"path {path} of seed {self.seed} diverges: by {step * self.step:.4g} s an output "
-                f"is not a number or beyond {kernel.GROWTH:g} times its size at the start; the "
-                f"loop is not stable, or the step, {self.step:.4g} s, is too long for it"
-            )
-
-
-def _stacked(forms: Sequence[Matrix]) -> NDArray[np.float64]:
-    """Return quadratic forms as one array, (forms, ., .)."""
-    return np.array(forms, dtype=float) if len(forms) else np.zeros((0, 0, 0))
 
 
 def _warn(plant: AugmentedSystem, result: statistics.SimulationResult) -> None:
