@@ -61,7 +61,7 @@ def coefficients(problem: Problem) -> np.ndarray:
 
 
 def simulator(problem: Problem, precision: str):
-    """Return a function of paths, steps and seed, with the (2, paths) squared errors."""
+    """Return a function of paths, steps and seed, with errors and slips."""
     function = getattr(compiled(problem.order), f"{precision}_precision")
     array, integer, word = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint64
     function.argtypes = (array, array, integer, integer, word, integer, array)
@@ -70,7 +70,7 @@ def simulator(problem: Problem, precision: str):
     readout = np.concatenate([problem.filtered, problem.smoothed])
 
     def simulate(paths: int, steps: int, seed: int) -> np.ndarray:
-        squares = np.empty((2, paths))
+        results = np.empty((3, paths))  # squared errors, filtered and smoothed, and cycle slips
         function(
             numbers.ctypes.data,
             readout.ctypes.data,
@@ -78,9 +78,9 @@ def simulator(problem: Problem, precision: str):
             problem.delay,
             seed,
             paths,
-            squares.ctypes.data,
+            results.ctypes.data,
         )
-        return squares
+        return results
 
     return simulate
 
@@ -88,7 +88,7 @@ def simulator(problem: Problem, precision: str):
 def prepare(problem: Problem, precision: str) -> Simulate:
     """Return the compiled simulation."""
     simulate = simulator(problem, precision)
-    return lambda *arguments: Sample.of(*simulate(*arguments))
+    return lambda *arguments: Sample.of(*simulate(*arguments)[:2])
 
 
 PEERS = tuple(

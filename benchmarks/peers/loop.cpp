@@ -209,8 +209,9 @@ struct Block {
   static constexpr int vectors = LANES * sizeof(Real) / BYTES;
   Generator generators[VECTORS];
   Vector phase[vectors], x[vectors][ORDER];
+  Vector turns[vectors], slips[vectors];  // where the paths are locked, and how often they moved
 
-  Block(uint64_t seed, uint64_t first_path) : phase{}, x{} {
+  Block(uint64_t seed, uint64_t first_path) : phase{}, x{}, turns{}, slips{} {
     for (int v = 0; v < VECTORS; v++) generators[v] = seeded(seed, first_path + v * WIDTH);
   }
 
@@ -235,6 +236,19 @@ struct Block {
     }
   }
 
+  // Move a path that is three quarters of a turn from where it is locked to the next such point.
+  void count_slips(const Coefficients<Real> &k) {
+    constexpr Real turn = 6.283185307179586;
+    const Vector zero{}, limit = zero + Real(0.75) * turn;
+    for (int v = 0; v < vectors; v++) {
+      Vector away = phase[v] - turns[v];
+      for (int j = 0; j < ORDER; j++) away -= k.reference[j] * x[v][j];
+      Vector passed = (away > limit ? zero + 1 : zero) - (away < -limit ? zero + 1 : zero);
+      turns[v] += turn * passed;
+      slips[v] += passed * passed;
+    }
+  }
+
   void advance(const Coefficients<Real> &k, int64_t steps) {
     Floats noise[CHUNK * 2 * VECTORS];
     for (int64_t done = 0; done < steps; done += CHUNK) {
@@ -242,14 +256,16 @@ struct Block {
       fill(generators, count, noise);
       for (int first = 0; first < vectors; first += CHAINS)
         chains(k, first, count, (const typename P::Noise *)noise);
+      count_slips(k);
     }
   }
 };
 
-// Squared errors of `paths` paths after `steps` steps: the filtered ones, then the smoothed ones.
+// Squared errors of `paths` paths after `steps` steps: the filtered ones, then the smoothed ones, and
+// then the cycle slips.
 template <class Real>
 static void simulate(const double *coefficients, const double *readout, int64_t steps,
-                     int64_t delay, uint64_t seed, int64_t paths, double *squares) {
+                     int64_t delay, uint64_t seed, int64_t paths, double *results) {
   typedef typename Precision<Real>::Vector Vector;
   constexpr int width = BYTES / sizeof(Real);
   Coefficients<Real> k;
@@ -267,18 +283,19 @@ static void simulate(const double *coefficients, const double *readout, int64_t 
         filtered -= readout[j] * block.x[v][j][w];
         smoothed -= readout[ORDER + j] * block.x[v][j][w];
       }
-      squares[path + lane] = filtered * filtered;
-      squares[paths + path + lane] = smoothed * smoothed;
+      results[path + lane] = filtered * filtered;
+      results[paths + path + lane] = smoothed * smoothed;
+      results[2 * paths + path + lane] = block.slips[v][w];
     }
   }
 }
 
 extern "C" void single_precision(const double *coefficients, const double *readout, int64_t steps,
-                                 int64_t delay, uint64_t seed, int64_t paths, double *squares) {
-  simulate<float>(coefficients, readout, steps, delay, seed, paths, squares);
+                                 int64_t delay, uint64_t seed, int64_t paths, double *results) {
+  simulate<float>(coefficients, readout, steps, delay, seed, paths, results);
 }
 
 extern "C" void mixed_precision(const double *coefficients, const double *readout, int64_t steps,
-                                int64_t delay, uint64_t seed, int64_t paths, double *squares) {
-  simulate<double>(coefficients, readout, steps, delay, seed, paths, squares);
+                                int64_t delay, uint64_t seed, int64_t paths, double *results) {
+  simulate<double>(coefficients, readout, steps, delay, seed, paths, results);
 }

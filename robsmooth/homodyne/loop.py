@@ -28,6 +28,7 @@ the copy's output is zero, or zero. It is the loop of `robsmooth.estimators.loop
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag, expm
@@ -71,6 +72,7 @@ class Loop:
         r"""Drift of :math:`(\varphi, \hat x)`, each sine replaced by a slope, 1/s."""
         return self.drift + self.gains @ np.diag([sine_slope, copy_slope]) @ self.arguments
 
+    @lru_cache(maxsize=4)  # noqa: B019, of a few loops
     def covariance(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
         r"""Stationary covariance of :math:`(\varphi, \hat x)`, each sine replaced by a slope."""
         drift = self.linearised_drift(sine_slope, copy_slope)
@@ -99,7 +101,7 @@ class Loop:
         lagged = float(P[0, 0] + 2 * smoothed @ cross + smoothed @ P @ smoothed)
         return float(filtered @ P @ filtered), lagged
 
-    def equivalent_slopes(self) -> tuple[float, float]:
+    def equivalent_slopes(self, tolerance: float = _SLOPE_TOLERANCE) -> tuple[float, float]:
         """Return slopes by statistical linearisation; UnstableLoopError: the loop loses lock."""
         S, inverse = self.error_coordinates()
         rows = self.arguments @ S
@@ -107,7 +109,7 @@ class Loop:
             np.ones(2),
             lambda slopes: ((rows @ self.stationary_root(slopes, S, inverse)) ** 2).sum(axis=1),
             lambda variances: np.exp(-0.5 * variances),
-            tolerance=_SLOPE_TOLERANCE,
+            tolerance=tolerance,
             largest=LARGEST_VARIANCE,
         )
         return tuple(slopes.tolist())

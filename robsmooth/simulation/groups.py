@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Protocol
 import numba
 import numpy as np
 
+from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support import cluster, validation
 from robsmooth._support.checkpoint import Journal
 from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix
-from robsmooth.simulation.noise import BLOCK
 from robsmooth.simulation.statistics import Tally
 
 if TYPE_CHECKING:

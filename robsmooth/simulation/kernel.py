@@ -14,9 +14,10 @@ from numba import njit, prange, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from robsmooth._numerics.vectors import BLOCK, fma
 from robsmooth._support.kernels import kept
 from robsmooth.simulation import noise
-from robsmooth.simulation.noise import BLOCK, DRAWS, SOURCES, WORDS, fma
+from robsmooth.simulation.noise import DRAWS, SOURCES, WORDS
 
 Floats = NDArray[np.float64]
 

@@ -4,23 +4,22 @@ import hashlib
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
+from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support import cluster, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.checkpoint import open_journal
-from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.simulation import groups, kernel, statistics
 from robsmooth.simulation import loop as loops
 from robsmooth.simulation.groups import checked_seed, threads
 from robsmooth.simulation.kernel import CHUNK
-from robsmooth.simulation.noise import BLOCK
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.functions import on_arrays
 

@@ -47,6 +47,12 @@ def simulation(estimator, parameters=PARAMETERS, options=None, **arguments):
 # --- the scheme -----------------------------------------------------------------------------------
 
 
+def control_of(coefficients):
+    """The transition of a step, the root of its noise, and that of the stationary covariance."""
+    rows = len(coefficients.control)
+    return *np.split(coefficients.control, [rows], axis=1), coefficients.start
+
+
 def integrated_noise(drift, Q, step):
     return quad_vec(lambda s: expm(drift * s) @ Q @ expm(drift * s).T, 0, step, epsrel=1e-10)[0]
 
@@ -57,7 +63,7 @@ def test_linear_part_of_a_step_is_exact(estimator, step):
     loop = homodyne_loop(PARAMETERS, estimator)
     slopes = control_slopes(loop)
     drift, B = loop.linearised_drift(*slopes), loop.noise
-    transition, root, *_, start = coefficients_of(loop, step, slopes)
+    transition, root, start = control_of(coefficients_of(loop, step, slopes))
     assert_allclose(transition, expm(drift * step), rtol=1e-10, atol=1e-12)
     expected = integrated_noise(drift, B @ B.T, step)
     size = np.sqrt(np.diag(expected))
@@ -73,7 +79,7 @@ def test_linear_part_of_a_step_is_exact(estimator, step):
 def test_noise_of_a_long_step_leaves_the_stationary_covariance(estimator, step):
     loop = homodyne_loop(PARAMETERS, estimator)
     drift, B = loop.linearised_drift(), loop.noise
-    transition, root, *_ = coefficients_of(loop, step, (1.0, 1.0))
+    transition, root, _ = control_of(coefficients_of(loop, step, (1.0, 1.0)))
     P = solve_continuous_lyapunov(drift, -B @ B.T)
     size = np.sqrt(np.diag(P))
     expected = P - expm(drift * step) @ P @ expm(drift * step).T
@@ -87,7 +93,7 @@ def plain_splitting(loop, given, draws):
     """The scheme as its equations are written: the outputs of BLOCK paths."""
     h, (warm_up, delay, _) = given.step, given.schedule
     slopes = np.array(control_slopes(loop))
-    transition, root, *_, start = given.coefficients
+    transition, root, start = control_of(given.coefficients)
     m = root.shape[1]
     draws = draws.reshape(-1, m, BLOCK).astype(float)
     gains, rows = loop.gains[1:], loop.arguments
@@ -149,7 +155,7 @@ def plain_splitting(loop, given, draws):
 def test_kernel_agrees_with_the_scheme_as_it_is_written(estimator, options):
     given = simulation(estimator, options=options, duration=6e-6, step=1.55e-7, seed=3)
     loop = homodyne_loop(PARAMETERS, estimator, **options)
-    m = given.coefficients.root.shape[1]
+    (m,) = given.compiled_for
     draws = gaussians(3, BLOCK, (2 + given.steps) * m // 2)
     expected = plain_splitting(loop, given, draws)
     assert_allclose(given.simulate(1, 1)[0], expected, rtol=1e-7, atol=1e-12)

@@ -6,7 +6,6 @@ from numpy.testing import assert_array_equal
 
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo import euler, splitting
-from robsmooth.simulation.noise import BLOCK
 from tests.helpers.loops import PARAMETERS, kalman_filter, printed_smoother
 
 each_order = pytest.mark.parametrize(
@@ -18,7 +17,8 @@ each_order = pytest.mark.parametrize(
 def test_coefficients_lie_where_their_indices_say(estimator):
     loop = homodyne_loop(PARAMETERS, estimator)
     of_splitting = splitting.coefficients_of(loop, 1e-7, (0.9, 0.8))
-    n, m = loop.order, of_splitting.root.shape[1]
+    n = loop.order
+    m = of_splitting.control.shape[1] - 1 - n
     assert m in (1 + n, 2 + n) and m % 2 == 0
     for coefficients, indices in (
         (euler.coefficients_of(loop, 1e-7), euler.indices(n)),
@@ -28,12 +28,3 @@ def test_coefficients_lie_where_their_indices_say(estimator):
         for part, index in zip(coefficients, indices, strict=True):
             assert_array_equal(flat[index : index + np.size(part)], np.ravel(part))
         assert index + np.size(part) == flat.size
-
-
-@pytest.mark.parametrize("n", [1, 2, 3, 8])
-def test_rows_of_a_state_follow_each_other_and_a_block_wide(n):
-    rows = splitting.rows_of(n)
-    counts = {"control": n, "difference": n}
-    widths = [BLOCK * counts.get(name, 1) for name in rows._fields[:-1]]
-    assert_array_equal(np.diff(rows), widths)
-    assert rows.phase == 0

@@ -39,7 +39,7 @@ from tests.helpers.loops import printed_smoother, same_numbers, threads_of_kerne
 from tests.helpers.waiting import PATIENCE, wait_until
 
 NOISY = with_parameters(kappa=4e5)
-RUNS, BLOCKS = 1333, 11  # the last block is not a whole one
+RUNS, BLOCKS = 677, 11  # the last block is not a whole one
 MORE_THREADS = min(numba.config.NUMBA_NUM_THREADS, 2)
 WITH_THE_TESTS = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
 

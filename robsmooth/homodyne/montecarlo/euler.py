@@ -7,51 +7,45 @@ One step of a path, with the `Coefficients`:
     \varphi &\leftarrow \varphi + a\varphi + q\,g_2,\\
     \hat x &\leftarrow \hat x + F\hat x + b_c\sin(c\hat x) + b_s[\sin(\varphi - r\hat x) + w g_1] .
 
-`BLOCK` paths are simulated side by side in vector registers. The order n is the length of the tuple
-`order`, which the compiler knows: it unrolls the sums over states, vectorises the loop over paths,
-and keeps the state of a path in registers for a step. Each order is compiled once and kept on disk.
-Numba inlines the callees, because linked ones use registers worse.
+The order n is the length of the tuple `order`, which the compiler knows. Each order is compiled
+once and kept on disk. Numba inlines the callees, because linked ones use registers worse.
 """
 
 from collections import namedtuple
 
 import numpy as np
 from numba import njit, prange
-from numba.cpython.unsafe.tuple import tuple_setitem
 from numba.extending import register_jitable
 
+from robsmooth._numerics.vectors import BLOCK, LANES, add_product, fma, load, store
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
 from robsmooth.simulation import noise
-from robsmooth.simulation.noise import BLOCK, DRAWS, SOURCES, TURN, WORDS, fma, sine, slip
+from robsmooth.simulation.noise import DRAWS, SOURCES, TURN, WORDS, sine, slip
 
-CHUNK = 32  # steps for which noise is drawn ahead (32 KiB), and between two looks at the lock
-OUTPUTS = 3  # of a path: squared filtered and smoothed error at the end, and cycle slips
-FILTERED, SMOOTHED, SLIPS = range(OUTPUTS)
+CHUNK = 32  # steps for which noise is drawn ahead (16 KiB), and between two looks at the lock
+# Of a path: squared filtered and smoothed error at the end, cycle slips, turns away.
+FILTERED, SMOOTHED, SLIPS, TURNS = range(4)
+OUTPUTS = TURNS + 1
 UNDAMPED = 1e-12  # of a mode's rate: less damping is rounding
 
 # Of a step; in a kernel, where each begins in the flat array of all.
-Coefficients = namedtuple(
-    "Coefficients", "increments reference copy sine_gain copy_gain noise decay diffusion"
-)
+Coefficients = namedtuple("Coefficients", "arguments response noise decay diffusion")
 
 
 @register_jitable
 def indices(n):
     """Return where the coefficients begin; in a kernel these are constants."""
-    v = n * n  # where the vectors begin
-    s = v + 4 * n  # and the scalars
-    return Coefficients(0, v, v + n, v + 2 * n, v + 3 * n, s, s + 1, s + 2)
+    scalars = 2 * n + n * (n + 2)
+    return Coefficients(0, 2 * n, scalars, scalars + 1, scalars + 2)
 
 
 def coefficients_of(loop: Loop, step: float) -> Coefficients:
     """Return the coefficients of a step, in s."""
     root, tiny = np.sqrt(step), np.finfo(np.float32).tiny
     coefficients = Coefficients(
-        step * loop.drift[1:, 1:],  # (n, n), F
-        -loop.arguments[0, 1:],  # (n,), r
-        loop.arguments[1, 1:],  # (n,), c
-        *(step * loop.gains[1:].T),  # (n,) each, b_s and b_c
+        loop.arguments[:, 1:],  # (2, n), -r and c
+        step * np.hstack([loop.drift[1:, 1:], loop.gains[1:, ::-1]]),  # (n, n + 2): F, b_c, b_s
         noise=loop.sine_noise / root,  # w
         decay=step * loop.drift[0, 0],  # a
         diffusion=root * loop.noise[0, 0],  # q
@@ -70,82 +64,61 @@ def longest_stable_step(loop: Loop) -> float:
 @njit(inline="always")
 def euler_steps(order, coefficients, steps, state, gaussians):
     """Advance a block by `steps` steps with the noise of `fill_gaussians`."""
-    n = len(order)
-    at = indices(n)
-    shot_noise = coefficients[at.noise]
-    decay, diffusion = coefficients[at.decay], coefficients[at.diffusion]
+    at, pair = indices(len(order)), (order[0], order[0])
     for step in range(steps):
-        draw = step * DRAWS * BLOCK
-        for path in range(BLOCK):
-            phase = state[path]
-            error = phase
-            copied = coefficients[at.copy] * state[BLOCK + path]
-            x = order
-            for j in range(n):
-                x = tuple_setitem(x, j, state[(1 + j) * BLOCK + path])
-                error = fma(-coefficients[at.reference + j], x[j], error)
-                if j > 0:
-                    copied = fma(coefficients[at.copy + j], x[j], copied)
-            phase = fma(decay, phase, phase)
-            state[path] = fma(diffusion, gaussians[draw + BLOCK + path], phase)
-            measured = fma(shot_noise, gaussians[draw + path], sine(error))
-            predicted = sine(copied)
-            for i in range(n):
-                y = x[i]
-                for j in range(n):
-                    y = fma(coefficients[at.increments + i * n + j], x[j], y)
-                y = fma(coefficients[at.copy_gain + i], predicted, y)
-                y = fma(coefficients[at.sine_gain + i], measured, y)
-                state[(1 + i) * BLOCK + path] = y
+        for path in range(0, BLOCK, LANES):
+            g1, g2 = load(gaussians, step * DRAWS * BLOCK + path, pair)
+            (phase,), x = load(state, path, order[:1]), load(state, BLOCK + path, order)
+            error, copied = add_product(coefficients, at.arguments, x, (phase, 0.0))
+            measured = fma(coefficients[at.noise], g1, sine(error))
+            x = add_product(coefficients, at.response, (*x, sine(copied), measured), x)
+            phase = fma(coefficients[at.decay], phase, phase)
+            phase = fma(coefficients[at.diffusion], g2, phase)
+            store(state, path, (phase, *x))
 
 
 @njit(inline="always")
-def advance(order, coefficients, readout, steps, state, generator, gaussians, turns, result):
+def advance(order, coefficients, readout, steps, state, generator, gaussians, result):
     """Advance a block by `steps` steps, and count its cycle slips."""
-    n = len(order)
     done = 0
     while done < steps:
         count = min(CHUNK, steps - done)
         noise.fill_gaussians(generator, count, gaussians)
         euler_steps(order, coefficients, count, state, gaussians)
         done += count
-        for path in range(BLOCK):
-            away = np.float64(state[path]) - turns[path]
-            for j in range(n):
-                away = fma(-readout[2 * n + j], np.float64(state[(1 + j) * BLOCK + path]), away)
-            passed = slip(away)
-            turns[path] += TURN * passed
-            result[SLIPS * BLOCK + path] += abs(passed)
+        for path in range(0, BLOCK, LANES):
+            (phase,), x = load(state, path, order[:1]), load(state, BLOCK + path, order)
+            _, _, lock = add_product(readout, 0, x, (0.0, 0.0, phase))
+            slips, turns = load(result, SLIPS * BLOCK + path, (0.0, 0.0))
+            passed = slip(lock - turns)
+            slips, turns = fma(passed, passed, slips), fma(passed, TURN, turns)
+            store(result, SLIPS * BLOCK + path, (slips, turns))
 
 
 @njit
 def collect(order, readout, state, delayed, result):
     """Write the squared errors against the phase now, and against `delayed`, that a delay ago."""
-    n = len(order)
-    for path in range(BLOCK):
-        filtered, smoothed = np.float64(state[path]), np.float64(delayed[path])
-        for j in range(n):
-            x = np.float64(state[(1 + j) * BLOCK + path])
-            filtered = fma(-readout[j], x, filtered)
-            smoothed = fma(-readout[n + j], x, smoothed)
-        result[FILTERED * BLOCK + path] = filtered * filtered
-        result[SMOOTHED * BLOCK + path] = smoothed * smoothed
+    for path in range(0, BLOCK, LANES):
+        (phase,), x = load(state, path, order[:1]), load(state, BLOCK + path, order)
+        (before,) = load(delayed, path, order[:1])
+        filtered, smoothed, _ = add_product(readout, 0, x, (phase, before, 0.0))
+        store(result, FILTERED * BLOCK + path, (filtered * filtered, smoothed * smoothed))
 
 
 @njit(inline="always")
 def simulate_block(order, coefficients, readout, schedule, seed, first_path, result):
     """Simulate paths `first_path` to `first_path + BLOCK - 1`, from zero to the end."""
     before, delay = schedule
-    generator = np.empty(WORDS * BLOCK, np.uint32)
-    gaussians = np.empty(CHUNK * DRAWS * BLOCK, np.float32)
-    state = np.zeros((1 + len(order)) * BLOCK, coefficients.dtype)  # phase, then estimator
-    delayed = np.empty(BLOCK, state.dtype)
-    turns = np.zeros(BLOCK)
+    generator = noise.aligned(WORDS * BLOCK, np.uint32)
+    gaussians = noise.aligned(CHUNK * DRAWS * BLOCK, np.float32)
+    state = noise.aligned((1 + len(order)) * BLOCK, coefficients.dtype)  # phase, then estimator
+    delayed = noise.aligned(BLOCK, coefficients.dtype)
+    state[:] = 0
     noise.seed_paths(seed, first_path, generator)
     result[:] = 0
-    advance(order, coefficients, readout, before, state, generator, gaussians, turns, result)
+    advance(order, coefficients, readout, before, state, generator, gaussians, result)
     delayed[:] = state[:BLOCK]
-    advance(order, coefficients, readout, delay, state, generator, gaussians, turns, result)
+    advance(order, coefficients, readout, delay, state, generator, gaussians, result)
     collect(order, readout, state, delayed, result)
 
 
@@ -153,7 +126,7 @@ def simulate_block(order, coefficients, readout, schedule, seed, first_path, res
 def simulate_blocks(order, coefficients, readout, schedule, seed, first, results, code=SOURCES):
     """Simulate consecutive blocks: block b has the paths from b BLOCK on.
 
-    The rows of the readout are the filtered and the smoothed estimate and the oscillator's phase.
+    The rows of the readout are filtered and smoothed estimate and oscillator's phase, all negative.
     The schedule has the steps before the delayed phase is recorded, and those of the delay. The
     results, (blocks, OUTPUTS * BLOCK), depend neither on threads nor on the split into calls.
     """

@@ -9,13 +9,13 @@ from typing import ClassVar, Self
 import numpy as np
 
 from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
+from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop, decay_rate
 from robsmooth.homodyne.montecarlo import euler, splitting
 from robsmooth.simulation.groups import blocks_of, checked_seed, threads
-from robsmooth.simulation.noise import BLOCK
 from robsmooth.simulation.statistics import Tally, control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
@@ -51,7 +51,7 @@ class Simulation:
     group_steps: ClassVar[int] = 400_000_000  # about half a second
     kernel: ClassVar[ModuleType]
     default_runs: ClassVar[int]
-    compiled_for: ClassVar[tuple] = ()  # besides the order and the precision
+    compiled_for: ClassVar[tuple[int, ...]] = ()  # besides the order and the precision
 
     @property
     def blocks(self) -> int:
@@ -64,10 +64,10 @@ class Simulation:
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
         with threads():
             self.kernel.simulate_blocks(
-                *self.compiled_for,
                 (real(0),) * n,
+                *((real(0),) * count for count in self.compiled_for),
                 np.concatenate([np.ravel(part) for part in self.coefficients]).astype(real),
-                self.readout.ravel(),
+                -self.readout.ravel(),
                 self.schedule,
                 np.uint64(self.seed),
                 first,
@@ -166,10 +166,10 @@ class ErgodicSimulation(Simulation):
         return replace(simulation, weights=weights)
 
     @property
-    def compiled_for(self) -> tuple:
-        """The Gaussians of a step, and the copy of the nonlinearity if it has an effect."""
-        runs_copy = self.coefficients.copy.any() and self.coefficients.copy_gain.any()
-        return (np.float32(0),) * self.coefficients.root.shape[1], (0,) * int(runs_copy)
+    def compiled_for(self) -> tuple[int, ...]:
+        """The number of Gaussians of a step."""
+        rows, columns = self.coefficients.control.shape
+        return (columns - rows,)
 
     def reduce(self, outputs: Matrix) -> Matrix:
         """Return the errors, and the errors less the weighted excess of the control."""
