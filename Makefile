@@ -49,10 +49,13 @@ lab: $(ENVIRONMENT)  ## open the notebooks in JupyterLab (beside others that run
 	@JUPYTERLAB_WORKSPACES_DIR='$(CURDIR)/build/lab' $(BIN)/jupyter lab \
 	  $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB) notebooks
 
+# A file's tests run in one process, in the order of tests/conftest.py: the longest files first.
+PARALLEL = -n 2 --dist loadfile --no-loadscope-reorder
+
 test: $(DEVELOPMENT)  ## lint, format check, and all tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest $(PARALLEL)
 
 # The rooms that need no extra but these three, in an environment of their own, without the lock.
 LIBRARY        = $(addprefix tests/,support numerics systems estimators analysis simulation io homodyne)
@@ -63,7 +66,7 @@ test-library: .uv/stamp  ## the library's tests, without the lock: see RESOLUTIO
 	@$(UV) pip install --quiet --python $(LIBRARY_PYTHON) --resolution '$(RESOLUTION)' \
 	  --editable '.[control,cluster,records]' --group test
 	@$(UV) pip list --python $(LIBRARY_PYTHON)
-	$(LIBRARY_PYTHON) -m pytest -n 2 --dist loadfile $(LIBRARY)
+	$(LIBRARY_PYTHON) -m pytest $(PARALLEL) $(LIBRARY)
 
 test-browser: $(DEVELOPMENT)  ## the notebooks and the report in chromium, which apt installs if need be
 	@$(BIN)/python -m tests.interface.browser.chromium

@@ -1,6 +1,7 @@
 """What tests share: reproducible property tests, one BLAS thread, and a run of all notebooks."""
 
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -8,6 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from tests.helpers.runs import once, quick
 
+TESTS = Path(__file__).parent
 settings.register_profile(
     "robsmooth",
     deadline=None,  # the first call of a solver pays for its import
@@ -16,6 +18,28 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow],
 )
 settings.load_profile("robsmooth")
+
+# Files that take longest, in this order. They begin first, so that no worker ends with one of them.
+LONGEST = [
+    "project/test_notebooks.py",
+    "project/test_benchmarks.py",
+    "estimators/test_constant.py",
+    "analysis/test_choice.py",
+    "estimators/test_minimax_properties.py",
+    "estimators/test_tuned.py",
+    "workbench/test_runner.py",
+    "project/test_wheel.py",
+    "project/test_typing.py",
+    "support/test_kernels.py",
+    "homodyne/test_steps.py",
+    "explorer/test_explorer.py",
+]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest; all else stays in its order."""
+    ranks = {TESTS / name: rank for rank, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
 
 
 @pytest.fixture

@@ -137,7 +137,7 @@ def test_an_undamped_mode_and_an_unstable_one_set_no_limit_to_the_step():
     st.floats(-3, 3),
     st.floats(-2, 1),
     st.floats(-9, -3),
-    st.integers(0, 6),
+    st.sampled_from([0, 2, 6]),  # orders: a pilot is compiled for each
     st.sampled_from(sorted(PROTOCOLS)),
 )
 def test_the_default_step_never_warns_and_is_never_refused(speed, noise, lag, order, protocol):

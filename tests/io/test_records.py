@@ -484,8 +484,8 @@ def test_an_interruption_leaves_all_as_it_was(tmp_path, monkeypatch, target):
 
 @pytest.mark.parametrize("name", ["y.csv", "y.npy"])
 def test_memory_is_that_of_a_chunk(tmp_path, name):
-    """64 MB of numbers in memory would show, as would 48 MB of text."""
-    rows = 4_000_000
+    """24 MB of numbers in memory would show, as would 18 MB of text."""
+    rows = 1_500_000
     source = tmp_path / name
     if name == "y.npy":
         np.lib.format.open_memmap(source, "w+", np.float64, (rows, 2)).flush()

@@ -1,28 +1,18 @@
-"""What a newcomer reads first: the example runs as printed, the links lead somewhere."""
+"""What a newcomer reads first: its pages run as printed, its links lead somewhere.
+
+The examples of the README are run by `test_wheel`.
+"""
 
 import re
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests.helpers.compilers import STRICT, compile_c
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
-
-
-def test_the_examples_on_ones_own_system_run_as_printed(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    samples = np.random.default_rng(0).standard_normal((100, 2))
-    np.savetxt("record.csv", samples, header="y,reference", comments="", delimiter=",")
-    examples = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
-    assert len(examples) == 2
-    exec(compile("\n".join(examples), "README.md", "exec"), {})
-    (printed,) = re.findall(r"```text\n(.*?)```", TEXT, flags=re.DOTALL)
-    assert capsys.readouterr().out == printed
-    assert np.load("smoothed.npy").shape == (100, 1)
 
 
 def page(name, language):

@@ -44,7 +44,7 @@ def programs(tmp_path_factory):
 @pytest.mark.parametrize(
     "checker",
     [
-        ["mypy", "--strict", "--cache-dir=.cache", "--no-error-summary", "."],
+        ["mypy", "--strict", f"--cache-dir={ROOT}/build/mypy", "--no-error-summary", "."],
         ["basedpyright", "--level=error", f"--pythonpath={sys.executable}"],
     ],
     ids=["mypy", "pyright"],

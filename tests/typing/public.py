@@ -179,7 +179,7 @@ assert_type(result, rs.MonteCarloResult)
 assert_type(result.smoothed, rs.MeanSquare)
 assert_type(result.smoothed.mean_square, float)
 assert_type(result.provenance, dict[str, Any])
-study = rs.parameter_study(paper, [1e-6], [1], [0.4], [1.0], runs=128)
+study = rs.parameter_study(paper, [1e-6], [2], [0.4], [1.0], runs=128)
 assert_type(study, rs.Study)
 assert_type(study.ratio, Floats)
 
