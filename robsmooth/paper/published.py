@@ -10,6 +10,7 @@ from decimal import Decimal
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.smoother import RobustSmoother, design_equations
-from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
+from robsmooth.simulation.statistics import MeanSquare
 from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.delay import DelayModel
 from robsmooth.workbench import provenance
@@ -175,8 +176,8 @@ def _errors(stored: Mapping[str, Mapping[str, float]]) -> Mapping[str, MeanSquar
     return found
 
 
-def write_simulation(data: Path | str, results: Mapping[str, MonteCarloResult], seed: int) -> None:
-    """Write the results without their run times to a folder, and their provenance beside them."""
+def write_simulation(data: Path | str, results: Mapping[str, Any], seed: int) -> None:
+    """Write `MonteCarloResult`s without their run times to a folder, and their provenance."""
     path, cases = Path(data) / RESULTS, {name: case.to_dict() for name, case in results.items()}
     for case in cases.values():
         del case["wall_time"], case["provenance"]

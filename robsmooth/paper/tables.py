@@ -18,11 +18,11 @@ from robsmooth.estimators.smoother import RobustSmoother
 from robsmooth.homodyne import HomodyneParameters, fraction_inside
 from robsmooth.homodyne.loop import homodyne_loop, linearised, statistical_linearisation
 from robsmooth.homodyne.moments import stationary_errors
-from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
 from robsmooth.paper import published
+from robsmooth.simulation.statistics import MeanSquare
 
 Records = Iterator[dict[str, Any]]  # the cells of a row, by column
-Results = Mapping[str, MonteCarloResult]
+Results = Mapping[Any, Any]  # a MonteCarloResult for each case
 ErrorsByMethod = dict[str, dict[str, MeanSquare]]  # by the name of an error, then by method
 
 
@@ -119,8 +119,8 @@ def predicted_errors(
         moments, approximate = stationary_errors(of, design), statistical_linearisation(of, design)
         for output in ("filtered", "smoothed") if design.plant.delay > 0.0 else ("filtered",):
             truncation = getattr(moments, f"{output}_truncation")
-            found[f"{name}, {output}"] = {
-                "paper's protocol": getattr(paper[name], output),
+            literal = {"paper's protocol": getattr(paper[name], output)} if name in paper else {}
+            found[f"{name}, {output}"] = literal | {
                 "ergodic": getattr(ergodic[name], output),
                 "moments": MeanSquare(getattr(moments, output), truncation),
                 "statistical linearisation": MeanSquare(getattr(approximate, output), 0.0),
@@ -134,11 +134,11 @@ def errors_by_method(found: ErrorsByMethod) -> Records:
     estimated truncation), and statistical linearisation.
     """
     for error, methods in found.items():
-        moments = methods["moments"]
+        moments, literal = methods["moments"], methods.get("paper's protocol")
         linearised = methods["statistical linearisation"].mean_square
         yield {
             "error": error,
-            "paper's protocol (rad²)": _estimate(methods["paper's protocol"]),
+            "paper's protocol (rad²)": literal and _estimate(literal),
             "ergodic protocol (rad²)": _estimate(methods["ergodic"], ".6f"),
             "Hermite-Galerkin moments (rad²)": _estimate(moments, ".8f", ".0e"),
             "statistical linearisation (rad²)": f"{linearised:.6f}",
@@ -147,7 +147,7 @@ def errors_by_method(found: ErrorsByMethod) -> Records:
 
 
 @_table()
-def noise_sweep(found: Mapping[float, MonteCarloResult]) -> Records:
+def noise_sweep(found: Results) -> Records:
     """The filtered error of the printed smoother as the phase noise grows."""
     for factor, simulated in found.items():
         yield {
