@@ -17,7 +17,7 @@ _HIDING = {"__import__", "eval", "exec", "import_module"}  # what these import i
 
 def modules_in(package: Path) -> dict[str, Path]:
     """Return the modules of the package in a folder, by name."""
-    paths = {path.relative_to(package.parent): path for path in sorted(package.rglob("*.py"))}
+    paths = {path.relative_to(package.parent): path for path in package.rglob("*.py")}
     names = {".".join(place.with_suffix("").parts): path for place, path in paths.items()}
     return {name.removesuffix(".__init__"): path for name, path in names.items()}
 
@@ -25,49 +25,42 @@ def modules_in(package: Path) -> dict[str, Path]:
 def dependencies(code: str, modules: Mapping[str, Path]) -> set[str]:
     """Return the modules that code imports, itself or through others; all if it cannot be told."""
     names, found = frozenset(modules), {_ROOT}
-    waiting = {*imports(code, names)} - found
+    waiting = {*_imports(code, names)} - found
     while waiting:
         name = waiting.pop()
         if name not in names:
             return {*names}
         found.add(name)
         text = modules[name].read_text(encoding="utf-8")
-        waiting = (waiting | {name.rpartition(".")[0]} | imports(text, names)) - found
+        waiting = (waiting | {name.rpartition(".")[0]} | _imports(text, names)) - found
     return found
 
 
 @cache
-def imports(code: str, modules: frozenset[str]) -> frozenset[str]:
+def _imports(code: str, modules: frozenset[str]) -> set[str]:
     """Return the modules of the package that code itself imports."""
     try:
         nodes = list(ast.walk(ast.parse(code)))
     except SyntaxError:  # such as a command of IPython
-        return frozenset({_ANY})
-    words = [node.id for node in nodes if isinstance(node, ast.Name)]
+        return {_ANY}
     attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
-    found: set[str] = set()
-    roots: set[str] = set()  # names of the package in this code
+    words = [node.id for node in nodes if isinstance(node, ast.Name)]
+    aliases = [each for node in nodes if isinstance(node, ast.Import) for each in node.names]
+    ours = [each for each in aliases if each.name.partition(".")[0] == _ROOT]
+    roots = {each.asname or _ROOT for each in ours if each.name == _ROOT or not each.asname}
+    members = [(_ROOT, a.attr) for a in attributes if getattr(a.value, "id", "") in roots]
+    handed_on = sum(word in roots for word in words) > len(members)
     for node in nodes:
-        if isinstance(node, ast.Import):
-            ours = [each for each in node.names if each.name.partition(".")[0] == _ROOT]
-            found |= {each.name for each in ours}
-            roots |= {
-                each.asname or _ROOT for each in ours if _ROOT in (each.name, each.asname or _ROOT)
-            }
-        elif isinstance(node, ast.ImportFrom) and str(node.module).partition(".")[0] == _ROOT:
-            found |= {_home(node.module, each.name, modules) for each in node.names}
-    used = [node.attr for node in attributes if getattr(node.value, "id", "") in roots]
-    found |= {_home(_ROOT, name, modules) for name in used}
-    handed_on = sum(word in roots for word in words) > len(used)
-    hides = not _HIDING.isdisjoint([*words, *(node.attr for node in attributes)])
-    return frozenset(found | {_ANY} if handed_on or hides else found)
+        if isinstance(node, ast.ImportFrom) and str(node.module).partition(".")[0] == _ROOT:
+            members += [(node.module, each.name) for each in node.names]
+    found = {_home(*member, modules) for member in members} | {each.name for each in ours}
+    hides = not _HIDING.isdisjoint([*words, *(each.attr for each in attributes)])
+    return found | {_ANY} if handed_on or hides else found
 
 
 def _home(module: str, name: str, modules: frozenset[str]) -> str:
     """Return the module that a name in a module is, or else the one that defines it."""
+    if module == _ROOT and f"{_ROOT}.{name}" not in modules:
+        module = _HOMES.get(name, _ROOT if name.startswith("_") else _ANY)  # such as __version__
     inner = f"{module}.{name}"
-    if inner in modules or module != _ROOT:
-        return inner if inner in modules else module
-    if name.startswith("_"):  # such as __version__
-        return _ROOT
-    return _home(_HOMES[name], name, modules) if name in _HOMES else _ANY
+    return inner if inner in modules else module
