@@ -286,7 +286,7 @@ def _quasi_newton(
             best = point.mean_square, trial
         return math.log(point.mean_square), point.slack * trial / point.mean_square
 
-    start, options = np.log(theta), {"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-11}
+    start, options = np.log(theta), {"maxiter": iterations, "ftol": 1e-15, "gtol": 1e-7}
     box = list(zip(start - _LARGEST_CHANGE, start + _LARGEST_CHANGE, strict=True))
     minimize(objective, start, jac=True, method="L-BFGS-B", bounds=box, options=options)
     return best[1]

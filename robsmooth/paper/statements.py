@@ -181,7 +181,7 @@ def less_sensitive(smoothed: np.ndarray, filtered: np.ndarray) -> Finding:
 
 def robust_against_kalman(simulation: published.SimulatedErrors) -> Finding:
     """Test that the NGCF's error is below the Kalman-Bucy filter's by three standard errors."""
-    robust, kalman = (simulation[name]["filtered"] for name in ("NGCF", "Kalman-Bucy"))
+    robust, kalman = (simulation[name]["filtered"] for name in published.AVERAGED)
     difference = robust.mean_square - kalman.mean_square
     noise = math.hypot(robust.standard_error, kalman.standard_error)
     share = difference / kalman.mean_square

@@ -1,10 +1,8 @@
 """The tables of the notebooks."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import wraps
-from inspect import signature
 from typing import Any
 
 from scipy.optimize import brentq
@@ -14,150 +12,47 @@ from robsmooth._support.notation import matrix as matrix
 from robsmooth._support.tables import Table
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.smoother import RobustSmoother
-from robsmooth.homodyne import HomodyneParameters, fraction_inside
-from robsmooth.homodyne.loop import homodyne_loop, linearised, statistical_linearisation
-from robsmooth.homodyne.moments import stationary_errors
-from robsmooth.homodyne.montecarlo import MeanSquare, MonteCarloResult
+from robsmooth.homodyne import HomodyneParameters
+from robsmooth.homodyne.loop import homodyne_loop, linearised
 from robsmooth.paper import published
-
-Records = Iterator[dict[str, Any]]  # the cells of a row, by column
-Results = Mapping[str, MonteCarloResult]
-ErrorsByMethod = dict[str, dict[str, MeanSquare]]  # by the name of an error, then by method
+from robsmooth.simulation.statistics import MeanSquare
 
 
-def _table(digits: int = 4) -> Callable[[Callable[..., Records]], Callable[..., Table]]:
-    """Make a function return a table of its records; its docstring is the format of the caption."""
-
-    def decorate(records: Callable[..., Records]) -> Callable[..., Table]:
-        @wraps(records)
-        def table(*args: Any) -> Table:
-            given = signature(records).bind(*args).arguments
-            caption = " ".join(records.__doc__.split()).format_map(given)
-            return Table.of_records(records(*args), caption, digits)
-
-        return table
-
-    return decorate
-
-
-def _estimate(found: MeanSquare, form: str = ".5f", error_form: str | None = None) -> str:
+def estimate(found: MeanSquare, form: str = ".5f", error_form: str | None = None) -> str:
+    """Return a mean square and its standard error in words."""
     value, error = found.mean_square, found.standard_error
     return "none" if math.isnan(value) else f"{value:{form}} ± {error:{error_form or form}}"
 
 
-def _numbers(values: Iterable[complex], digits: int = 4) -> str:
-    """Return numbers in a row, one of each conjugate pair."""
-    upper = (value for value in values if value.imag >= 0.0)
-    return ", ".join(f"{value:.{digits}g}" for value in upper).replace("+0j", "")
+def sign_readings(tau: float, multipliers: Sequence[float]) -> Table:
+    """Return the gains at a tau and lambda for each reading of the X equation."""
+    records: list[dict[str, Any]] = []
 
-
-@_table()
-def sector_ranges(values: HomodyneParameters, variance: float) -> Records:
-    """How far each assumption on the sine holds, and how long the loop is within it, for a
-    Gaussian error of variance {variance:.4f} rad².
-    """
-    wide, narrow = values.sector_slope, values.lower_slope
-    readings = {
-        f"sin e between {wide:.1f} e and e, as gamma = (1 - m)/2 says": values.sector_range(wide),
-        f"sin e between {narrow:.1f} e and e, as the design uses": values.sector_range(),
-        f"sin e - e Lipschitz with constant {values.gamma:g}": values.lipschitz_range,
-    }
-    for text, reach in readings.items():
-        inside = fraction_inside(reach, variance)
-        record = {"what is assumed": text, "holds up to (rad)": reach}
-        yield record | {"time inside": f"{inside:.5%}", "time outside": f"{1 - inside:.1e}"}
-
-
-@_table(digits=5)
-def sign_readings(tau: float, multipliers: Sequence[float]) -> Records:
-    """The gains at the printed tau and lambda for each reading of the X equation."""
-
-    def record(text: str, A_c: Matrix, B_c: Matrix, C_c: Matrix, bound: float) -> dict[str, Any]:
+    def add(text: str, A_c: Matrix, B_c: Matrix, C_c: Matrix, bound: float) -> None:
         gains = {"$A_c[0,0]$": A_c[0, 0], "$B_c[0,1]$": B_c[0, 1], "$C_c[0,0]$": C_c[0, 0]}
-        return {"sign": text} | gains | {"$C_c[1,0]$": C_c[1, 0], "$V$": bound}
+        records.append({"sign": text} | gains | {"$C_c[1,0]$": C_c[1, 0], "$V$": bound})
 
     for text, sign in {"+, as written": 1.0, "-, flipped": -1.0, "left out": 0.0}.items():
         try:
             design, bound = published.signed_design(tau, multipliers, sign)
-            yield record(text, design.A_c, design.B_c, design.C_c, bound)
+            add(text, design.A_c, design.B_c, design.C_c, bound)
         except RiccatiError:
-            yield {"sign": text, "$A_c[0,0]$": "no real solution"}
+            records.append({"sign": text, "$A_c[0,0]$": "no real solution"})
     names = ("A_c", "B_c", "C_c", "V at the printed tau, lambda")
-    yield record("printed", *map(published.printed, names))
+    add("printed", *map(published.printed, names))
+    caption = "The gains at the printed tau and lambda for each reading of the X equation."
+    return Table.of_records(records, caption, digits=5)
 
 
-@_table()
-def designs(compared: Mapping[str, Estimator]) -> Records:
-    """The designs compared. V bounds half the filtered error covariance with the fictitious noise
-    of the copies; of a pair of complex poles one is shown.
-    """
-    for name, design in compared.items():
-        record = {"design": name}
-        if isinstance(design, RobustSmoother):
-            record |= {"$V$ (rad²)": design.bound, r"$\tau$ (rad² s)": f"{design.tau:.4g}"}
-            record[r"$\lambda$"] = _numbers(design.multipliers)
-        yield record | {"poles (1/s)": _numbers(design.poles, digits=3)}
-
-
-@_table()
-def simulations(results: Results, caption: str) -> Records:
-    """{caption}"""
+def simulations(results: Mapping[str, Any], caption: str) -> Table:
+    """Return the errors and slips of each `MonteCarloResult`."""
+    records = []
     for name, found in results.items():
-        record = {"case": name, "filtered (rad²)": _estimate(found.filtered)}
-        record["smoothed (rad²)"] = _estimate(found.smoothed) if found.provenance["delay"] else None
-        record |= {"runs": found.runs, "cycle slips": found.slips}
-        yield record | {"in how many runs": found.slipped_paths}
-
-
-def predicted_errors(
-    compared: Mapping[str, Estimator], paper: Results, ergodic: Results, of: HomodyneParameters
-) -> ErrorsByMethod:
-    """Return the errors by each method; the standard error of moments is their truncation."""
-    found = {}
-    for name, design in compared.items():
-        moments, approximate = stationary_errors(of, design), statistical_linearisation(of, design)
-        for output in ("filtered", "smoothed") if design.plant.delay > 0.0 else ("filtered",):
-            truncation = getattr(moments, f"{output}_truncation")
-            found[f"{name}, {output}"] = {
-                "paper's protocol": getattr(paper[name], output),
-                "ergodic": getattr(ergodic[name], output),
-                "moments": MeanSquare(getattr(moments, output), truncation),
-                "statistical linearisation": MeanSquare(getattr(approximate, output), 0.0),
-            }
-    return found
-
-
-@_table()
-def errors_by_method(found: ErrorsByMethod) -> Records:
-    """Three routes, one number: simulation (± one standard error), moments without sampling (±
-    estimated truncation), and statistical linearisation.
-    """
-    for error, methods in found.items():
-        moments = methods["moments"]
-        linearised = methods["statistical linearisation"].mean_square
-        yield {
-            "error": error,
-            "paper's protocol (rad²)": _estimate(methods["paper's protocol"]),
-            "ergodic protocol (rad²)": _estimate(methods["ergodic"], ".6f"),
-            "Hermite-Galerkin moments (rad²)": _estimate(moments, ".8f", ".0e"),
-            "statistical linearisation (rad²)": f"{linearised:.6f}",
-            "its error": f"{linearised / moments.mean_square - 1:+.2%}",
-        }
-
-
-@_table()
-def noise_sweep(found: Mapping[float, MonteCarloResult]) -> Records:
-    """The filtered error of the printed smoother as the phase noise grows."""
-    for factor, simulated in found.items():
-        yield {
-            "phase noise": f"{factor:g}",
-            "all runs (rad²)": _estimate(simulated.filtered, ".4f"),
-            "runs in lock (rad²)": _estimate(simulated.filtered_in_lock, ".4f"),
-            "slips": simulated.slips,
-            "runs that slipped": f"{simulated.slipped_paths} of {simulated.runs}",
-            "slips (1/s)": f"{simulated.slip_rate:.3g}",
-        }
+        smoothed = estimate(found.smoothed) if found.provenance["delay"] else None
+        record = {"case": name, "filtered (rad²)": estimate(found.filtered)}
+        record |= {"smoothed (rad²)": smoothed, "runs": found.runs, "cycle slips": found.slips}
+        records.append(record | {"in how many runs": found.slipped_paths})
+    return Table.of_records(records, caption)
 
 
 def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParameters) -> Table:

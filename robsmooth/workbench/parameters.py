@@ -9,7 +9,7 @@ import ast
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from robsmooth._support import validation
 
@@ -48,15 +48,20 @@ class Parameter(NamedTuple):
         return value
 
 
-def read(notebook: Path) -> dict[str, Parameter]:
-    """Parameters of a notebook by name, their defaults checked."""
+def code_cells(notebook: Path) -> list[Any]:
+    """Return the cells of a notebook that hold code."""
     import nbformat
 
     try:
         cells = nbformat.read(notebook, as_version=4).cells
     except (OSError, ValueError, AttributeError, nbformat.ValidationError) as error:
         raise PipelineError(f"{notebook.name}: not a readable notebook ({error})") from error
-    code = [cell for cell in cells if cell.cell_type == "code"]
+    return [cell for cell in cells if cell.cell_type == "code"]
+
+
+def read(notebook: Path) -> dict[str, Parameter]:
+    """Parameters of a notebook by name, their defaults checked."""
+    code = code_cells(notebook)
     tagged = [cell.source for cell in code if "parameters" in cell.metadata.get("tags", [])]
     if len(tagged) != 1:
         message = f"exactly one code cell must be tagged parameters, not {len(tagged)}"

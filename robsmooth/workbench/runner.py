@@ -15,7 +15,8 @@ from robsmooth._support import cluster, files
 from robsmooth._support.extras import extra
 from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
-from robsmooth.workbench.execution import Execution
+from robsmooth.workbench.dependencies import dependencies, modules_in
+from robsmooth.workbench.execution import Execution, start_server
 from robsmooth.workbench.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineError, unknown
 from robsmooth.workbench.provenance import sha256
 
@@ -114,6 +115,7 @@ def plan(run: Request) -> list[Task]:
     with extra("notebooks", "a run of the notebooks"):
         for package in NEEDED:
             metadata.version(package)  # without an import; an error where it is not installed
+    start_server()  # while the notebooks are read
     folder = run.root / "notebooks"
     profiles = _profiles(folder)
     names = select(profiles["notebooks"], run.only)
@@ -166,7 +168,7 @@ def _profiles(folder: Path) -> dict:
         profiles = tomllib.loads((folder / "profiles.toml").read_text())
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
-    listed = sorted(profiles.get("notebooks", []))
+    listed = profiles.get("notebooks", [])
     for path in sorted(folder.glob("[0-9][0-9]_*.ipynb")):  # other names may be a user's
         if path.stem not in listed:
             raise PipelineError(f"notebooks/{path.name} is not listed in profiles.toml")
@@ -178,9 +180,13 @@ def _profiles(folder: Path) -> dict:
 
 
 def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
-    sources = [path for path in PACKAGE.rglob("*") if path.suffix in {".py", ".pyi", ".mplstyle"}]
+    modules = modules_in(PACKAGE)
+    code = "\n".join(each.source for each in cell.code_cells(notebook))
+    used = dependencies(f"import {__name__}\n{code}", modules)
+    sources = [path for path in PACKAGE.rglob("*") if path.suffix in {".pyi", ".mplstyle"}]
+    sources += [modules[name] for name in used]
     inputs = [*(run.root / name for name in provenance.INPUTS), notebook]
-    named = {str(path.relative_to(PACKAGE.parent)): path for path in sorted(sources)}
+    named = {str(path.relative_to(PACKAGE.parent)): path for path in sources}
     named |= {path.name: path for path in inputs if path.is_file()}
     digests = {name: sha256(path) for name, path in named.items()}
     environment = [platform.python_version(), platform.system(), platform.machine()]

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from robsmooth._support.plots import draw_curves, styles
-from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.parameters import HomodyneParameters
-from robsmooth.homodyne.study import Study
 from robsmooth.paper.figures import style
+from robsmooth.simulation.statistics import MeanSquare
 from robsmooth.systems.delay import pade_delay
 
 Array = NDArray[np.float64]
@@ -124,8 +123,8 @@ def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Fig
     return figure
 
 
-def where_smoothing_pays(study: Study, gamma: float, lag: float) -> Figure:
-    """Draw the share of the filtered error that smoothing saves, over lag, noise and order."""
+def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
+    """Draw what smoothing saves of the filtered error over lag, noise and order of a `Study`."""
     ratio = study.ratio[study.gammas.index(gamma)]
     lags, noises = np.array(study.lags), np.array(study.noises)
     middle = int(np.argmin(np.abs(np.log(noises))))
