@@ -17,6 +17,7 @@ from robsmooth._support.tables import Table
 from robsmooth.workbench import provenance
 
 PACKAGES = ("jax", "diffrax", "dynamax", "filterpy", "stonesoup", "statsmodels", "slycot")
+ALONE = ("race", "throughput", "from_files", "kalman", "latency", "riccati", "growth")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -62,15 +63,14 @@ def measure(quick: bool, peers: str) -> dict:
     """Measure what wants one core in processes of their own, and the rest here, on all."""
     started, load = time.perf_counter(), os.getloadavg()[0]
     effort = ["--quick"] if quick else []
-    results = {"race": in_own_process("race", "--peers", peers, *effort)}
-    for part, module in (("records", "throughput"), ("files", "from_files")):
-        results[part] = in_own_process(module, *effort)
-    for part in ("kalman", "latency", "riccati", "growth", "processes"):
-        results[part] = in_own_process(part, *effort)
+    results = {}
+    for parts in [ALONE] if quick else [[part] for part in ALONE]:
+        results |= in_own_process("alone", *parts, "--peers", peers, *effort)
+    results["processes"] = in_own_process("processes", *effort)
     results["scales"] = scales.scales(scales.QUICK if quick else scales.FULL)
-    waits = targets(3 if quick else 31, QUICK_STATES if quick else STATES)
+    waits = targets(1 if quick else 31, QUICK_STATES if quick else STATES)
     results["targets"] = [*waits, import_time(results["scales"]["first_call"]["import"])]
-    results["guarantees"] = guarantees(1 if quick else 5)
+    results["guarantees"] = guarantees(*((1, 2) if quick else (5,)))
     about = provenance.collect(started=started)
     about["machine"] |= {"instructions": machine.instruction_set(), "blas": machine.blas()}
     about |= {"load_before": load, "compiler": cpp.version()}

@@ -24,7 +24,7 @@ def is_complete(results: dict) -> bool:
 
 def disagreeing(results: dict) -> list[str]:
     """Return the peers whose results are not robsmooth's."""
-    contenders = [results[part]["contenders"] for part in ("records", "latency")]
+    contenders = [results[part]["contenders"] for part in ("throughput", "latency")]
     measured = [results["race"]["peers"], *contenders, *results["kalman"]["uses"].values()]
     named = [(name, row) for rows in measured for name, row in rows.items()]
     named += [(row["name"], row) for row in results["riccati"]["rows"]]

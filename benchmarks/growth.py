@@ -1,14 +1,14 @@
 """How time grows with the size of a system and the length of a record, as fitted exponents.
 
-The system is a chain of masses on springs, driven and measured at its first one. Run as ``python -m
-benchmarks.growth``, in a process of its own on one core, as `benchmarks.race`; it prints JSON.
+The system is a chain of masses on springs, driven and measured at its first one. Run as
+``python -m benchmarks.alone growth``.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from benchmarks.race import measure_alone, middle, say
+from benchmarks.race import middle, say
 from benchmarks.timing import interleaved
 
 NOISE, SIZE = 0.3, 0.1  # of the measurement; of an uncertainty, of a spring's constant
@@ -174,10 +174,6 @@ def growth(rounds: int, quick: bool, curves: tuple[Curve, ...] = CURVES) -> list
     return rows
 
 
-def measure(quick: bool) -> dict:
+def measure(quick: bool, _peers: str) -> dict:
     """Measure as much as for a test of the benchmarks, or all."""
     return {"curves": growth(1 if quick else 3, quick)}
-
-
-if __name__ == "__main__":
-    measure_alone(measure, __doc__)

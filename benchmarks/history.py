@@ -28,16 +28,16 @@ def _ratios(results: dict) -> Iterator[tuple[str, float, list[float]]]:
             if not name.startswith("robsmooth"):
                 ratio, quartiles = (peer[f"ratio_{precision}{end}"] for end in ("", "_quartiles"))
                 yield f"{precision}, times {name}", ratio, quartiles
-    for name, row in results["records"]["contenders"].items():
+    for name, row in results["throughput"]["contenders"].items():
         if not name.startswith("robsmooth"):
             yield f"a record, times {name}", row["ratio"], row["ratio_quartiles"]
-        elif name != "robsmooth":  # beside robsmooth without copies and gaps
-            yield _inverted(name, row)
+        elif name != "robsmooth":
+            yield _inverted(f"a record by {name}, times that without", row)
     for rows in results["kalman"]["uses"].values():
         for name, row in rows.items():
             if not name.startswith("robsmooth"):
                 yield f"a record, times {name}", row["ratio"], row["ratio_quartiles"]
-    for name, row in results["files"]["paths"].items():
+    for name, row in results["from_files"]["paths"].items():
         yield f"{name}, share of its reader", row["share"], row["share_quartiles"]
     by_hand = results["latency"]["contenders"]["NumPy, matrix times vector"]
     yield "a step, times NumPy", 1 / by_hand["ratio"], _inverse(by_hand["ratio_quartiles"])
@@ -47,13 +47,13 @@ def _ratios(results: dict) -> Iterator[tuple[str, float, list[float]]]:
             yield name, row["ratio"], row["ratio_quartiles"]
     for row in results["targets"]:
         if "ratio" in row:
-            yield _inverted(row["name"], row)
+            yield _inverted(f"{row['name']}, in yardsticks", row)
     for row in results["scales"]["threads"][1:]:
         yield f"{row['threads']} threads, times one", row["speed_up"], row["quartiles"]
 
 
 def _inverted(name: str, row: dict) -> tuple[str, float, list[float]]:
-    return f"{name}, a yardstick's", 1 / row["ratio"], _inverse(row["ratio_quartiles"])
+    return name, 1 / row["ratio"], _inverse(row["ratio_quartiles"])
 
 
 def _inverse(quartiles: list[float]) -> list[float]:

@@ -1,13 +1,12 @@
 """How many samples a second Kalman smoothers take: robsmooth's beside those of other packages.
 
 All smooth the example with its exact delay, from a stationary start, and are compared with
-robsmooth's estimates. Run as ``python -m benchmarks.kalman``, in a process of its own that is kept
-on one core, as `benchmarks.race`; it prints JSON.
+robsmooth's estimates. Run as
+``python -m benchmarks.alone kalman``.
 """
 
 from collections.abc import Callable
 
-from benchmarks.race import measure_alone
 from benchmarks.throughput import DT, FULL, QUICK, Effort, raced
 
 AGREEMENT = 1e-6  # of the largest estimate: dynamax regularises, by 1e-9 of a unit
@@ -31,10 +30,9 @@ def ours(system, delay: float) -> dict[str, Callable]:
     return {FIXED_LAG: fixed_lag, WHOLE: whole_record}
 
 
-def kalman(effort: Effort, smoothers=None) -> dict:
+def kalman(effort: Effort, smoothers) -> dict:
     """Measure both kinds of smoothing, each among its own."""
     from benchmarks.problem import Unavailable
-    from benchmarks.smoothers import SMOOTHERS
     from benchmarks.smoothers.problem import sampled
     from robsmooth import homodyne
     from robsmooth.paper.published import DELAY
@@ -45,7 +43,7 @@ def kalman(effort: Effort, smoothers=None) -> dict:
     for uses, own in ours(system, DELAY).items():
         name = f"robsmooth, {uses}"
         runs, differs = {name: own}, {}
-        for smoother in SMOOTHERS if smoothers is None else smoothers:
+        for smoother in smoothers:
             if smoother.uses == uses:
                 try:
                     runs[smoother.name] = smoother.prepare(model)
@@ -60,5 +58,10 @@ def kalman(effort: Effort, smoothers=None) -> dict:
     return {"rounds": effort.rounds, "uses": found, "skipped": skipped}
 
 
-if __name__ == "__main__":
-    measure_alone(lambda quick: kalman(QUICK if quick else FULL), __doc__)
+def measure(quick: bool, peers: str) -> dict:
+    """Measure as much as for a test of the benchmarks, or all, of the packages so named."""
+    from benchmarks.smoothers import SMOOTHERS
+
+    parts = peers.split(",")
+    chosen = [each for each in SMOOTHERS if any(part in each.name for part in parts)]
+    return kalman(QUICK if quick else FULL, chosen)

@@ -2,8 +2,8 @@
 
 The smoother is that of `benchmarks.throughput`, with its delay model, of three states. Calls from
 Python are timed one by one, those of C as a loop. All that run it without a copy of the sine give
-the same estimates. Run as ``python -m benchmarks.latency``, in a process of its own that is kept on
-one core, as `benchmarks.race`; it prints JSON.
+the same estimates. Run as
+``python -m benchmarks.alone latency``.
 """
 
 import ctypes
@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from benchmarks.race import measure_alone, middle, say
+from benchmarks.race import middle, say
 from benchmarks.throughput import AGREEMENT, DT
 
 OURS, COPIED = "robsmooth, step", "robsmooth, step, compiled copy"
@@ -149,5 +149,6 @@ def timed(step: Callable, y):
     return times
 
 
-if __name__ == "__main__":
-    measure_alone(lambda quick: latency(QUICK if quick else FULL), __doc__)
+def measure(quick: bool, _peers: str) -> dict:
+    """Measure as much as for a test of the benchmarks, or all."""
+    return latency(QUICK if quick else FULL)

@@ -41,7 +41,7 @@ def words(results: dict) -> Iterator[str]:
         f"In a new process the first simulation answers in {call['call']:.2f} s, after an import "
         f"of {call['import']:.1f} s."
     )
-    records = results["records"]["contenders"]
+    records = results["throughput"]["contenders"]
     ours, copies = records["robsmooth"], records["robsmooth, compiled copies"]
     yield (
         f"A record is smoothed at {ours['rate'] / 1e6:.0f} million samples a second, "
@@ -49,7 +49,7 @@ def words(results: dict) -> Iterator[str]:
         f"{span(records['scipy.signal.dlsim']['ratio'])} times its dlsim; with compiled copies, "
         f"which lfilter cannot have, at {copies['rate'] / 1e6:.0f} million."
     )
-    paths = results["files"]["paths"]
+    paths = results["from_files"]["paths"]
     csv, npy = (f"{paths[name]['rate'] / 1e6:.1f}" for name in ("csv to npy", "npy to npy"))
     yield (
         f"From file to file it is {csv} million rows a second from CSV, of which PyArrow alone "

@@ -1,13 +1,13 @@
 """How long a Kalman-Bucy filter takes to design, beside python-control, SLICOT and SciPy.
 
 The systems are those of `benchmarks.growth`. The gains are compared with robsmooth's, which also
-checks the system, certifies its solution, and has the equations of an estimator. Run as ``python -m
-benchmarks.riccati``, in a process of its own on one core, as `benchmarks.race`; it prints JSON.
+checks the system, certifies its solution, and has the equations of an estimator. Run as
+``python -m benchmarks.alone riccati``.
 """
 
 from collections.abc import Callable
 
-from benchmarks.race import measure_alone, middle
+from benchmarks.race import middle
 from benchmarks.timing import interleaved
 
 OURS = "robsmooth, kalman_bucy"
@@ -77,10 +77,6 @@ def designs(states=STATES, rounds: int = ROUNDS) -> dict:
     return {"rounds": rounds, "rows": rows, "skipped": skipped}
 
 
-def measure(quick: bool) -> dict:
+def measure(quick: bool, _peers: str) -> dict:
     """Measure as much as for a test of the benchmarks, or all."""
     return designs(QUICK_STATES, QUICK_ROUNDS) if quick else designs()
-
-
-if __name__ == "__main__":
-    measure_alone(measure, __doc__)

@@ -88,7 +88,7 @@ def scale_tables(results: dict) -> Iterator[Table]:
 
 def records_table(results: dict) -> Table:
     """Return how many samples of a record are smoothed in a second."""
-    records = results["records"]
+    records = results["throughput"]
     rows = [
         (
             name,
@@ -113,7 +113,7 @@ def records_table(results: dict) -> Table:
 
 def files_table(results: dict) -> Table:
     """Return how many rows a second are smoothed from file to file."""
-    measured = results["files"]
+    measured = results["from_files"]
     rows = []
     for name, row in measured["paths"].items():
         rates = [span(row[of] / 1e6, [q / 1e6 for q in row[f"{of}_quartiles"]]) for of in RATES]
@@ -265,7 +265,7 @@ def summary_table(results: dict) -> Table:
                 off = f"{max(peer['standard_errors_off'].values(), key=abs):+.1f} s.e."
                 cells = name, ratio(peer, precision, quartiles=True), off
                 rows.append((f"path-steps, {precision}", *cells))
-    works = {"samples, delay model": results["records"]["contenders"]}
+    works = {"samples, delay model": results["throughput"]["contenders"]}
     works |= {f"samples, {uses}": found for uses, found in results["kalman"]["uses"].items()}
     for work, contenders in works.items():
         for name, row in contenders.items():

@@ -1,15 +1,15 @@
 """How many samples a second a smoother takes, beside SciPy, python-control and its own C.
 
 The smoother is the fixed-lag smoother of the example, of three states. All that run it without
-copies of the sine give the same estimates. Run as ``python -m benchmarks.throughput``, in a process
-of its own that is kept on one core, as `benchmarks.race`; it prints JSON.
+copies of the sine give the same estimates. Run as
+``python -m benchmarks.alone throughput``.
 """
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from benchmarks.race import measure_alone, middle, say
+from benchmarks.race import middle, say
 
 OURS = "robsmooth"
 DT = 1e-7  # s
@@ -148,5 +148,6 @@ def measured(run: Callable, y) -> float:
     return len(y) / (time.perf_counter() - started)
 
 
-if __name__ == "__main__":
-    measure_alone(lambda quick: throughput(QUICK if quick else FULL), __doc__)
+def measure(quick: bool, _peers: str) -> dict:
+    """Measure as much as for a test of the benchmarks, or all."""
+    return throughput(QUICK if quick else FULL)

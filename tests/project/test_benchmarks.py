@@ -3,6 +3,7 @@
 import json
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,15 +12,33 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks import __main__ as bench
-from benchmarks import latency, race, report, throughput
+from benchmarks import (
+    aims,
+    exported,
+    growth,
+    history,
+    kalman,
+    latency,
+    machine,
+    processes,
+    race,
+    report,
+    riccati,
+    tables,
+    targets,
+    throughput,
+)
 from benchmarks.peers import PEERS, cpp, numpy_vectorised, octave, robsmooth_kernel
 from benchmarks.problem import Sample, Unavailable, literal_problem
-from robsmooth import cli
+from benchmarks.smoothers import SMOOTHERS
+from benchmarks.smoothers.problem import FIXED_LAG, WHOLE, Smoother, sampled
+from robsmooth import cli, homodyne
+from robsmooth.estimators import baselines
 
 ROOT = Path(__file__).resolve().parents[2]
 BY_NAME = {peer.name: peer for peer in PEERS}
 # Paths that each simulates in about a second, whatever the machine's speed is.
-# JAX and diffrax are not in the development environment.
+# Others' packages, JAX's for one, are not in the development environment.
 TESTED = {
     "C++, single": 16_000,
     "C++, mixed": 16_000,
@@ -149,23 +168,103 @@ def test_a_wrong_contender_is_found_out(monkeypatch):
     assert [name for name, row in found.items() if not row["agrees"]] == ["other"]
 
 
+@pytest.fixture(scope="module")
+def model():
+    return sampled(homodyne.PAPER.uncertain_system(), throughput.DT, lag=31)
+
+
+def filtered(model, y):
+    """The estimates of a Kalman filter, from its textbook."""
+    z, P, estimates = np.zeros(len(model.F)), model.stationary, []
+    for row in y:
+        z, P = model.F @ z, model.F @ P @ model.F.T + model.Q
+        gain = P @ model.h.T / (model.h @ P @ model.h.T + model.R)
+        z, P = z + gain @ (row - model.h @ z), P - gain @ model.h @ P
+        estimates.append(model.c @ z)
+    return np.array(estimates)[:, 0]
+
+
+def test_the_filter_of_the_delay_line_is_the_exact_fixed_lag_smoother(model):
+    y = np.random.default_rng(0).standard_normal((200, 1))
+    smoother = baselines.fixed_lag_smoother(homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
+    expected = smoother.discretize(throughput.DT).run(y)[:, 0]
+    assert_allclose(filtered(model.with_delay_line(), y), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_smoother_that_is_wrong_or_other_or_absent_is_said_to_be(model):
+    def absent(_):
+        raise Unavailable("it is not installed")
+
+    def doubled(given):
+        return lambda y: 2 * filtered(given.with_delay_line(), y)
+
+    smoothers = [
+        Smoother("right", FIXED_LAG, lambda given: partial(filtered, given.with_delay_line())),
+        Smoother("wrong", FIXED_LAG, doubled),
+        Smoother("other", FIXED_LAG, doubled, differs="it doubles"),
+        Smoother("absent", WHOLE, absent),
+    ]
+    found = kalman.kalman(throughput.Effort(rounds=1, seconds=1e-6), smoothers)
+    agrees = {name: row["agrees"] for name, row in found["uses"][FIXED_LAG].items()}
+    ours = f"robsmooth, {FIXED_LAG}"
+    assert agrees == {ours: True, "right": True, "wrong": False, "other": True}
+    assert found["skipped"] == {"absent": "it is not installed"}
+    assert found["uses"][FIXED_LAG]["other"]["off_late"] > 0.5
+
+
+@pytest.mark.parametrize("smoother", SMOOTHERS, ids=lambda smoother: smoother.name)
+def test_anothers_smoother_gives_the_same_estimates_or_says_why_not(smoother, model):
+    y = np.random.default_rng(0).standard_normal((300, 1))
+    try:
+        estimates = smoother.prepare(model)(y)
+    except Unavailable as reason:
+        pytest.skip(str(reason))
+    expected = kalman.ours(homodyne.PAPER.uncertain_system(), 3.1e-6)[smoother.uses](y)[:, 0]
+    off = np.abs(estimates - expected) / np.abs(expected).max()
+    assert (off[150:].max() < kalman.AGREEMENT) != bool(smoother.differs)
+    assert off[150:].max() < 0.1
+
+
+def test_the_designs_of_others_have_the_same_gain():
+    found = riccati.designs(states=(4,), rounds=1)["rows"]
+    assert [row["name"] for row in found[:3]] == list(riccati.contenders(growth.chain(4)))[:3]
+    assert all(row["agrees"] for row in found)
+
+
+def test_an_exponent_fits_what_grows():
+    work = np.zeros(1)
+
+    def squared(size):
+        def call():
+            for _ in range(size * size):
+                work[0] += 1
+
+        return call
+
+    curve = growth.Curve("counting", "size", (100, 200, 400), (), squared, "")
+    (row,) = growth.growth(rounds=5, quick=False, curves=(curve,))
+    assert row["sizes"] == [100, 200, 400]
+    assert 1.5 < row["exponent"] < 2.5
+
+
 def test_c_code_that_steps_otherwise_is_found_out(monkeypatch):
-    if latency.shutil.which("cc") is None:
+    if exported.shutil.which("cc") is None:
         pytest.skip("there is no compiler cc")
     effort = latency.Effort(rounds=1, calls=10, samples=10)
     right = latency.latency(effort)["contenders"]
     assert all(row["agrees"] for row in right.values())
     assert list(map(len, (row["nanoseconds"] for row in right.values()))) == [3, 3, 3, 3, 1, 1, 1]
-    monkeypatch.setattr(latency, "DRIVER", latency.DRIVER.replace("B[i] * y[k]", "B[i] * 2 * y[k]"))
+    driver = exported.DRIVER.replace("B[i] * y[k]", "B[i] * 2 * y[k]")
+    monkeypatch.setattr(exported, "DRIVER", driver)
     wrong = latency.latency(effort)["contenders"]
     assert [name for name, row in wrong.items() if not row["agrees"]] == [latency.BY_HAND]
 
 
 def test_without_a_compiler_the_steps_of_python_are_timed(monkeypatch, results):
-    monkeypatch.setattr(latency.shutil, "which", lambda name: None)
+    monkeypatch.setattr(exported.shutil, "which", lambda name: None)
     found = latency.latency(latency.Effort(rounds=1, calls=10, samples=10))
     assert not any(name.startswith("C,") for name in found["contenders"])
-    (table,) = report.latency_tables({**results, "latency": found})
+    (table,) = tables.latency_tables({**results, "latency": found})
     assert f"| {latency.OURS} |" in table.markdown()
 
 
@@ -197,6 +296,11 @@ def test_bench_measures_and_prints(capfd):
         "runs^",
         "steps^",
         "lfilter |",
+        "| robsmooth, at a fixed lag |",
+        "| control.lqe, SciPy |",
+        "| nonlinearities g |",
+        "| two processes of a Dask cluster |",
+        "| design_smoother of the example |",
         "csv to csv |",
         "| 99.9% |",
     ):
@@ -234,25 +338,99 @@ def test_a_peer_that_disagrees_is_marked(results):
         "peers": {**peers, "Python loop": {**peers["Python loop"], "agrees": False}},
     }
     changed = {**results, "race": wrong}
-    assert report.disagreeing(changed) == ["Python loop"]
-    assert "DISAGREES" in report.peers_table(changed).markdown()
-    assert not report.is_complete(changed)
+    assert aims.disagreeing(changed) == ["Python loop"]
+    assert "DISAGREES" in tables.peers_table(changed).markdown()
+    assert not aims.is_complete(changed)
 
 
 def test_a_design_that_takes_too_long_is_said_to(results):
-    slow = {**results, "design": {"design": 0.02, "sweep": 0.06, "both": 0.08}}
-    said = set(report.shortfalls(slow)) - set(report.shortfalls(results))
-    assert said == {"design and sweep take 80 ms; the aim is 50 ms"}
+    first, *others = results["targets"]
+    slow = {**results, "targets": [{**first, "measured": 0.08}, *others]}
+    said = set(aims.shortfalls(slow)) - set(aims.shortfalls(results))
+    assert said == {"design_smoother of the example: 80 ms; the aim is 1 ms"}
 
 
 def test_a_minimax_smoother_that_takes_too_long_is_said_to(results):
     first, *others = results["guarantees"]
     slow = {**results, "guarantees": [{**first, "seconds": 2.0}, *others]}
-    (sentence,) = set(report.shortfalls(slow)) - set(report.shortfalls(results))
+    (sentence,) = set(aims.shortfalls(slow)) - set(aims.shortfalls(results))
     assert sentence.startswith("the minimax smoother of the paper's example, smoothed takes 2.0 s")
 
 
+# --- former runs ---------------------------------------------------------------------------------
+
+
+def test_a_ratio_is_worse_only_beyond_a_tenth_and_the_quartiles():
+    before = {name: [1.0, 0.95, 1.05] for name in ("same", "less", "spread", "worse", "better")}
+    now = {
+        "same": [1.0, 0.9, 1.1],
+        "less": [0.92, 0.91, 0.93],  # by less than a tenth
+        "spread": [0.85, 0.7, 1.0],
+        "worse": [0.85, 0.8, 0.9],
+        "better": [1.5, 1.4, 1.6],
+        "new": [1.0, 1.0, 1.0],
+    }
+    run = {"written": "2026-01-02T00:00:00", "commit": "a" * 40, "figures": before}
+    found = history.compared(now, [{**run, "figures": {}}, run])
+    assert [row["name"] for row in found["rows"]] == list(before)
+    assert [row["name"] for row in found["rows"] if row["worse"]] == ["worse"]
+    said = aims.regressions({"since": found})
+    assert said == ["WORSE than on 2026-01-02: worse: 0.85, before 1.00"]
+
+
+def test_runs_are_kept_by_machine_and_the_last_is_compared_with(tmp_path, results):
+    about, figures = results["about"], history.figures(results)
+    for date in ("2026-01-01", "2026-01-02"):
+        path = history.keep({**about, "written": date}, figures, tmp_path)
+    assert path.name == f"{machine.slug(about['machine'])}.json"
+    runs = history.former(about["machine"], tmp_path)
+    assert [run["written"] for run in runs] == ["2026-01-01", "2026-01-02"]
+    assert history.former({**about["machine"], "cores": 64}, tmp_path) == []
+    found = history.compared(figures, runs)
+    assert found["written"] == "2026-01-02"
+    assert len(found["rows"]) == len(figures)
+    assert not any(row["worse"] for row in found["rows"])
+
+
+def test_of_every_ratio_that_is_kept_the_higher_is_the_better(results):
+    waits = [row for row in results["targets"] if "ratio" in row]
+    slower = {**results, "targets": [{**row, "ratio": 2 * row["ratio"]} for row in waits]}
+    before, now = history.figures(results), history.figures(slower)
+    changed = {name for name in before if now[name] != before[name]}
+    assert len(changed) == len(waits)
+    assert all(now[name][0] < before[name][0] for name in changed)
+
+
+# --- past one machine ----------------------------------------------------------------------------
+
+
+def test_the_cost_is_what_the_measured_rates_make_it():
+    measured = {"rates": {"one": 1e8}, "speed_up": {"processes": [1.6, 1.5, 1.7]}, "call": 0.01}
+    found = processes.cost(measured)
+    assert found["share"] == 0.8
+    assert {row["path_steps"]: row["core_seconds"] for row in found["rows"]}[1e12] == 1e12 / 8e7
+    assert_allclose(found["fed"], found["call"] / 0.01)
+    assert found["call"] == 80.0  # s, of the largest call at that rate
+
+
 # --- the record ----------------------------------------------------------------------------------
+
+
+def test_the_record_says_why_what_grows_faster_than_a_cube_does(results):
+    curves = results["growth"]["curves"]
+    against = {curve["against"] for curve in curves}
+    assert {"states n", "uncertainties k", "nonlinearities g", "samples"} <= against
+    for curve in curves:
+        assert curve["reason"]
+        assert curve["exponent"] < 3.3, curve["name"]  # dense linear algebra, and its memory
+
+
+def test_the_record_has_the_packages_that_smooth_and_design(results):
+    measured = [name for rows in results["kalman"]["uses"].values() for name in rows]
+    assert {smoother.name for smoother in SMOOTHERS} <= {*measured, *results["kalman"]["skipped"]}
+    assert results["processes"]["same_bits"]
+    named = [target.name for target in targets.TARGETS]
+    assert [row["name"] for row in results["targets"]][: len(named)] == named
 
 
 def test_the_record_certifies_what_a_prototype_did_or_less(results):
@@ -271,11 +449,11 @@ def test_the_report_is_of_the_record(results):
 
 
 def test_the_record_is_complete_and_the_readme_says_which_aims_it_misses(results):
-    assert report.is_complete(results)
+    assert aims.is_complete(results)
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert all(f"- Missed here: {missed}.\n" in text for missed in report.shortfalls(results))
+    assert all(f"- Missed here: {missed}.\n" in text for missed in aims.shortfalls(results))
     peers = results["race"]["peers"]
-    for (name, precision), aim in report.AIMS.items():
+    for (name, precision), aim in aims.RACE.items():
         met = peers[name][f"ratio_{precision}"] >= aim
         assert met == (f"times as fast as {name}; the aim is" not in text), name
 
@@ -293,14 +471,14 @@ def test_the_record_scales(results):
 
 
 def test_the_record_smooths_millions_of_samples_a_second(results):
-    records = results["records"]["contenders"]
+    records = results["throughput"]["contenders"]
     for name in ("robsmooth", "robsmooth, a gap in ten", "robsmooth, compiled copies"):
         assert records[name]["rate"] > 1e6, name
     assert records["scipy.signal.lfilter"]["ratio"] > 0.1  # lfilter has neither gaps nor copies
 
 
 def test_the_record_says_what_files_cost(results):
-    paths = results["files"]["paths"]
+    paths = results["from_files"]["paths"]
     assert list(paths) == ["csv to csv", "csv to npy", "npy to npy", "parquet to npy"]
     for name, row in paths.items():
         assert row["rate"] > 5e5, name
