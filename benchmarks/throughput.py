@@ -39,10 +39,8 @@ MOST = 2_000_000  # samples of a round: 16 MB
 
 def contenders() -> dict[str, Callable]:
     """Return the ways to run a record (N, 1), each from a state of zero."""
-    import control
     import numpy as np
     from numba import njit
-    from scipy import signal
 
     from benchmarks import exported
     from robsmooth import homodyne
@@ -77,28 +75,40 @@ def contenders() -> dict[str, Callable]:
         y[::10] = np.nan
         return run(ours)(y)
 
+    library = exported.compiled(ours, compiled, parameters)
+    in_c = {"C, to_c": exported.looped(library.run_linear)} if library else {}
+
+    return {
+        OURS: run(ours),
+        **in_c,
+        **others(estimator),
+        "robsmooth, exact delay": run(exact),
+        "robsmooth, a gap in ten": with_gaps,
+        "robsmooth, compiled copies": run(compiled),
+        "robsmooth, copies in Python": run(interpreted),
+    }
+
+
+def others(estimator) -> dict[str, Callable]:
+    """Return other packages' ways to run a linear system in discrete time."""
+    import control
+    import numpy as np
+    from scipy import signal
+
     matrices = (estimator.A_c, estimator.B_c[:, :1], estimator.C_a, [[0.0]])
     A, B, C, _, _ = signal.cont2discrete(matrices, DT)
     sampled = (A, B, C @ A, C @ B, DT)  # the estimate at the end of a sample is of that sample
     numerator, denominator = signal.ss2tf(*sampled[:4])
     plant = control.ss(*sampled)
-    library = exported.compiled(ours, compiled, parameters)
-    in_c = {"C, to_c": exported.looped(library.run_linear)} if library else {}
 
     def forced_response(y):
         times = DT * np.arange(len(y))
         return control.forced_response(plant, times, y[:, 0]).outputs[:, None]
 
     return {
-        OURS: run(ours),
         "scipy.signal.lfilter": lambda y: signal.lfilter(numerator[0], denominator, y, axis=0),
-        **in_c,
         "scipy.signal.dlsim": lambda y: signal.dlsim(sampled, y)[1],
         "control.forced_response": forced_response,
-        "robsmooth, exact delay": run(exact),
-        "robsmooth, a gap in ten": with_gaps,
-        "robsmooth, compiled copies": run(compiled),
-        "robsmooth, copies in Python": run(interpreted),
     }
 
 
