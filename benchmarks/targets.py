@@ -116,7 +116,7 @@ def targets(rounds: int, states: int = STATES) -> list[dict]:
         row = {"name": target.name, "aim": target.aim, "unit": "s", "measured": seconds}
         ratio, spread = middle(np.divide(times[target.name], times["yardstick"]) / target.parts)
         rows.append(row | {"quartiles": quartiles, "ratio": ratio, "ratio_quartiles": spread})
-    return [*rows, in_covariances(max(rounds // 5, 1), states)]
+    return [*rows, in_covariances(max(rounds // 10, 1), states)]
 
 
 def in_covariances(rounds: int, states: int) -> dict:
