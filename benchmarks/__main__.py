@@ -90,9 +90,12 @@ def keep(results: dict) -> None:
     """Write the results, where everybody took part who should have."""
     if aims.is_complete(results):
         report.write(results)
-        path = history.keep(results["about"], history.figures(results))
         print("written: benchmarks/results.md, .json, scaling.*, and the README's block")
-        print(f"appended: benchmarks/history/{path.name}")
+        if aims.is_overloaded(results["about"]):
+            print("not kept for later runs to compare with: the machine was too busy")
+        else:
+            path = history.keep(results["about"], history.figures(results))
+            print(f"appended: benchmarks/history/{path.name}")
     else:
         wanted = ", ".join(name for name, _ in aims.RACE)
         print(f"nothing is written, because not all of these could be measured: {wanted}")

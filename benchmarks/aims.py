@@ -66,6 +66,11 @@ def disturbances(results: dict) -> list[str]:
     ]
 
 
+def is_overloaded(about: dict) -> bool:
+    """Tell whether others had as much to do as the whole machine can: then times mean nothing."""
+    return about["load_before"] > about["machine"]["cores"]
+
+
 def shortfalls(results: dict) -> list[str]:
     """Say which aims are not met."""
     return [*_slow_waits(results), *_slow_designs(results), *_slow_races(results)]

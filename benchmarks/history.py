@@ -60,9 +60,9 @@ def _inverse(quartiles: list[float]) -> list[float]:
     return [1 / value for value in reversed(quartiles)]
 
 
-def former(machine: dict, folder: Path = FOLDER) -> list[dict]:
+def former(machine: dict, folder: Path | None = None) -> list[dict]:
     """Return the runs of this kind of machine, the oldest first."""
-    path = folder / f"{slug(machine)}.json"
+    path = (folder or FOLDER) / f"{slug(machine)}.json"
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
 
 
@@ -84,8 +84,9 @@ def compared(now: dict[str, list[float]], runs: list[dict]) -> dict:
     return {"written": last["written"], "commit": last["commit"], "rows": rows}
 
 
-def keep(about: dict, now: dict[str, list[float]], folder: Path = FOLDER) -> Path:
+def keep(about: dict, now: dict[str, list[float]], folder: Path | None = None) -> Path:
     """Append a run to those of its machine; return the file."""
+    folder = folder or FOLDER
     folder.mkdir(exist_ok=True)
     path = folder / f"{slug(about['machine'])}.json"
     rounded = {name: [float(f"{value:.4g}") for value in values] for name, values in now.items()}

@@ -21,9 +21,8 @@ def results():
 @pytest.fixture(scope="module")
 def undisturbed(results):
     """The record, where others did not have the whole machine when it was measured."""
-    load, cores = results["about"]["load_before"], results["about"]["machine"]["cores"]
-    if load > cores:
-        pytest.skip(f"the record is of a machine with a load of {load:.1f}: times mean nothing")
+    if aims.is_overloaded(results["about"]):
+        pytest.skip("the record is of a machine that had too much else to do: times mean nothing")
     return results
 
 
@@ -39,6 +38,16 @@ def test_an_incomplete_run_is_not_written(results, capsys):
     peers = {name: peer for name, peer in results["race"]["peers"].items() if "JAX" not in name}
     bench.keep({**results, "race": {**results["race"], "peers": peers}})
     assert "nothing is written" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("load", "kept"), [(1.0, True), (2.5, False)])
+def test_a_run_on_a_busy_machine_is_not_compared_with(load, kept, results, monkeypatch, tmp_path):
+    monkeypatch.setattr(report, "write", lambda results: None)
+    monkeypatch.setattr(history, "FOLDER", tmp_path)
+    about = {**results["about"], "load_before": load}
+    about["machine"] = {**about["machine"], "cores": 2}
+    bench.keep({**results, "about": about})
+    assert bool(list(tmp_path.iterdir())) == kept
 
 
 def test_a_peer_that_disagrees_is_marked(results):
