@@ -76,7 +76,7 @@ report: $(DEVELOPMENT)  ## all of it to read, as one offline site in build/PROFI
 	@$(BIN)/robsmooth figures --profile '$(PROFILE)'
 	@$(BIN)/python -m docs --profile '$(PROFILE)'
 
-bench: .venv/bench.stamp  ## measure the speed against NumPy, JAX, C++ and others (four minutes)
+bench: .venv/bench.stamp  ## measure the speed against NumPy, JAX, C++ and others (five minutes)
 	@$(BIN)/robsmooth bench --write
 
 format: $(DEVELOPMENT)  ## format code and notebooks; take out notebook outputs

@@ -6,14 +6,18 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import metadata
 
-from benchmarks import report, scales
-from benchmarks.design import design_and_sweep
+from benchmarks import aims, history, machine, report, scales, tables
 from benchmarks.guarantees import guarantees
 from benchmarks.peers import cpp
+from benchmarks.targets import QUICK_STATES, STATES, import_time, targets
+from robsmooth._support.tables import Table
 from robsmooth.workbench import provenance
+
+PACKAGES = ("jax", "diffrax", "dynamax", "filterpy", "stonesoup", "statsmodels", "slycot")
+ALONE = ("race", "throughput", "from_files", "kalman", "latency", "riccati", "growth")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,19 +31,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("--write wants everything measured: leave out --quick and --peers")
 
     results = measure(options.quick, options.peers)
-    for table in (
-        report.peers_table(results),
-        *report.scale_tables(results),
-        report.records_table(results),
-        report.files_table(results),
-        *report.latency_tables(results),
-        report.design_table(results),
-        report.guarantees_table(results),
-    ):
+    for table in printed(results):
         print(table)
-    for text in report.skipped(results) if options.quick else report.remarks(results):
+    for text in aims.skipped(results) if options.quick else aims.remarks(results):
         print(text)
-    if wrong := report.disagreeing(results):
+    if wrong := aims.disagreeing(results):
         print(f"the results of {', '.join(wrong)} disagree with robsmooth's", file=sys.stderr)
         return 1
     if options.write:
@@ -47,38 +43,61 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def printed(results: dict) -> Iterator[Table]:
+    """Yield all tables."""
+    yield tables.peers_table(results)
+    yield from tables.scale_tables(results)
+    yield tables.records_table(results)
+    yield from tables.kalman_tables(results)
+    yield tables.files_table(results)
+    yield from tables.latency_tables(results)
+    yield tables.riccati_table(results)
+    yield tables.growth_table(results)
+    yield tables.guarantees_table(results)
+    yield from tables.cost_tables(results)
+    yield tables.aims_table(results)
+    yield tables.summary_table(results)
+
+
 def measure(quick: bool, peers: str) -> dict:
-    """Race the peers and the records on one core, and then measure robsmooth's scales on all."""
+    """Measure what wants one core in processes of their own, and the rest here, on all."""
     started, load = time.perf_counter(), os.getloadavg()[0]
-    race = on_one_core("benchmarks.race", "--peers", peers, *(["--quick"] if quick else []))
-    records = on_one_core("benchmarks.throughput", *(["--quick"] if quick else []))
-    files = on_one_core("benchmarks.from_files", *(["--quick"] if quick else []))
-    latency = on_one_core("benchmarks.latency", *(["--quick"] if quick else []))
-    curves = scales.scales(scales.QUICK if quick else scales.FULL)
-    waits = design_and_sweep(5 if quick else 31)
-    certified = guarantees(1 if quick else 5)
+    effort = ["--quick"] if quick else []
+    results = {}
+    for parts in [ALONE] if quick else [[part] for part in ALONE]:
+        results |= in_own_process("alone", *parts, "--peers", peers, *effort)
+    results["processes"] = in_own_process("processes", *effort)
+    results["scales"] = scales.scales(scales.QUICK if quick else scales.FULL)
+    waits = targets(1 if quick else 31, QUICK_STATES if quick else STATES)
+    results["targets"] = [*waits, import_time(results["scales"]["first_call"]["import"])]
+    results["guarantees"] = guarantees(*((1, 2) if quick else (5,)))
     about = provenance.collect(started=started)
-    about["load_before"] = load
-    about["compiler"] = cpp.version()
-    about["versions"] |= {name: version(name) for name in ("jax", "diffrax")}
-    measured = {"race": race, "scales": curves, "records": records, "files": files}
-    measured["latency"] = latency
-    return {"about": about, **measured, "design": waits, "guarantees": certified}
+    about["machine"] |= {"instructions": machine.instruction_set(), "blas": machine.blas()}
+    about |= {"load_before": load, "compiler": cpp.version()}
+    about["versions"] |= {name: version(name) for name in PACKAGES}
+    results |= {"about": about}
+    results["since"] = history.compared(history.figures(results), history.former(about["machine"]))
+    return results
 
 
-def on_one_core(module: str, *arguments: str) -> dict:
-    """Return what a module prints in a process of its own, which it keeps on one core."""
-    command = [sys.executable, "-m", module, *arguments]
+def in_own_process(module: str, *arguments: str) -> dict:
+    """Return what a module of the benchmark prints in a process of its own."""
+    command = [sys.executable, "-m", f"benchmarks.{module}", *arguments]
     return json.loads(subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout)
 
 
 def keep(results: dict) -> None:
     """Write the results, where everybody took part who should have."""
-    if report.is_complete(results):
+    if aims.is_complete(results):
         report.write(results)
         print("written: benchmarks/results.md, .json, scaling.*, and the README's block")
+        if aims.is_overloaded(results["about"]):
+            print("not kept for later runs to compare with: the machine was too busy")
+        else:
+            path = history.keep(results["about"], history.figures(results))
+            print(f"appended: benchmarks/history/{path.name}")
     else:
-        wanted = ", ".join(name for name, _ in report.AIMS)
+        wanted = ", ".join(name for name, _ in aims.RACE)
         print(f"nothing is written, because not all of these could be measured: {wanted}")
 
 

@@ -2,8 +2,7 @@
 
 The smoother is the fixed-lag smoother of the example with its delay model, of one measurement.
 PyArrow in one thread reads CSV and Parquet, NumPy reads NPY. Run as
-``python -m benchmarks.from_files``, in a process of its own that is kept on one core, as
-`benchmarks.race`; it prints JSON.
+``python -m benchmarks.alone from_files``.
 """
 
 import tempfile
@@ -11,7 +10,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.race import measure_alone, middle, say
+from benchmarks.race import middle, say
 from benchmarks.throughput import DT, FULL, QUICK
 
 PATHS = (("csv", "csv"), ("csv", "npy"), ("npy", "npy"), ("parquet", "npy"))
@@ -85,10 +84,6 @@ def timed(call: Callable[[], object]) -> float:
     return time.perf_counter() - started
 
 
-def measure(quick: bool) -> dict:
+def measure(quick: bool, _peers: str) -> dict:
     """Measure as much as for a test of the benchmarks, or all."""
     return from_files((QUICK if quick else FULL).rounds, MOST // 50 if quick else MOST)
-
-
-if __name__ == "__main__":
-    measure_alone(measure, __doc__)

@@ -2,65 +2,21 @@
 
 The smoother is that of `benchmarks.throughput`, with its delay model, of three states. Calls from
 Python are timed one by one, those of C as a loop. All that run it without a copy of the sine give
-the same estimates. Run as ``python -m benchmarks.latency``, in a process of its own that is kept on
-one core, as `benchmarks.race`; it prints JSON.
+the same estimates. Run as
+``python -m benchmarks.alone latency``.
 """
 
 import ctypes
-import shutil
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
-from benchmarks.race import measure_alone, middle, say
+from benchmarks.race import middle, say
 from benchmarks.throughput import AGREEMENT, DT
 
 OURS, COPIED = "robsmooth, step", "robsmooth, step, compiled copy"
 GENERATED, COPIES, BY_HAND = "C, to_c", "C, to_c, a copy", "C, loop over matrices"
 PERCENTILES = (50.0, 99.0, 99.9)
-FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-lm")
-DRIVER = """
-#include "linear.h"
-#include "copied.h"
-
-void run_linear(long rows, const double *y, double *estimates)
-{
-    linear_state s;
-    double filtered;
-    linear_init(&s);
-    for (long k = 0; k < rows; k++)
-        linear_step(&s, y + k, estimates + k, &filtered);
-}
-
-void run_copied(long rows, const double *y, double *estimates)
-{
-    copied_state s;
-    double filtered, reference = 0;
-    copied_init(&s);
-    for (long k = 0; k < rows; k++)
-        copied_step(&s, y + k, &reference, estimates + k, &filtered);
-}
-
-void run_matrices(long rows, const double *y, double *estimates, int n, const double *A,
-    const double *B, const double *C)
-{
-    double x[2][32] = {{0}};
-    for (long k = 0; k < rows; k++) {
-        const double *now = x[k % 2];
-        double *next = x[(k + 1) % 2];
-        estimates[k] = 0;
-        for (int i = 0; i < n; i++) {
-            next[i] = B[i] * y[k];
-            for (int j = 0; j < n; j++)
-                next[i] += A[i * n + j] * now[j];
-            estimates[k] += C[i] * next[i];
-        }
-    }
-}
-"""
 
 
 @dataclass(frozen=True)
@@ -91,6 +47,7 @@ def contenders() -> tuple[dict[str, Callable], dict[str, Callable]]:
     import numba
     import numpy as np
 
+    from benchmarks import exported
     from robsmooth import homodyne
     from robsmooth.estimators import baselines
     from robsmooth.paper.published import DELAY
@@ -135,41 +92,16 @@ def contenders() -> tuple[dict[str, Callable], dict[str, Callable]]:
         COPIED: fresh(copied),
         "NumPy, matrix times vector": multiplied,
     }
-    expression = f"{size!r} * (sin(x / {scale!r}) - {slope!r} * x / {scale!r})"
-    library = compiled({"linear": (linear, []), "copied": (copied, [expression])})
+    library = exported.compiled(linear, copied, parameters)
     matrices = [len(A), *(each.ctypes.data_as(ctypes.c_void_p) for each in (A, B, C))]
-
-    def looped(function, *more):
-        def run(y):
-            estimates = np.empty_like(y)
-            pointers = (each.ctypes.data_as(ctypes.c_void_p) for each in (y, estimates))
-            function(ctypes.c_long(len(y)), *pointers, *more)
-            return estimates
-
-        return run
 
     if library is None:
         return stepped, {}
     return stepped, {
-        GENERATED: looped(library.run_linear),
-        COPIES: looped(library.run_copied),
-        BY_HAND: looped(library.run_matrices, *matrices),
+        GENERATED: exported.looped(library.run_linear),
+        COPIES: exported.looped(library.run_copied),
+        BY_HAND: exported.looped(library.run_matrices, *matrices),
     }
-
-
-def compiled(estimators: dict) -> ctypes.CDLL | None:
-    """Write and compile estimators; None where there is no compiler."""
-    if shutil.which("cc") is None:
-        return None
-    with tempfile.TemporaryDirectory() as folder:
-        sources = [Path(folder) / "driver.c"]
-        sources[0].write_text(DRIVER)
-        for name, (discrete, expressions) in estimators.items():
-            sources.append(Path(folder) / f"{name}.c")
-            discrete.to_c(sources[-1], [*expressions] or None)
-        target = Path(folder) / "steps.so"
-        subprocess.run(["cc", *sources, *FLAGS, "-o", target], check=True)
-        return ctypes.CDLL(str(target))
 
 
 def latency(effort: Effort) -> dict:
@@ -217,5 +149,6 @@ def timed(step: Callable, y):
     return times
 
 
-if __name__ == "__main__":
-    measure_alone(lambda quick: latency(QUICK if quick else FULL), __doc__)
+def measure(quick: bool, _peers: str) -> dict:
+    """Measure as much as for a test of the benchmarks, or all."""
+    return latency(QUICK if quick else FULL)

@@ -1,21 +1,15 @@
 """All peers on one core, interleaved: each round runs each of them once.
 
 The machine's speed drifts, so a peer is compared with robsmooth within a round, and the ratio is
-the median over the rounds. Run as ``python -m benchmarks.race``, in a process of its own that is
-kept on one core before any library has started its threads; it prints JSON.
+the median over the rounds. Run as ``python -m benchmarks.alone race``.
 """
 
-import argparse
-import json
 import math
-import os
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 OURS = ("robsmooth, single", "robsmooth, mixed")
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 CHECKED_STEPS = 2000  # 20 us: the loop forgets its start in 2
 REFERENCE_SEED = 2**32
 FEWEST_PATHS = 100
@@ -45,17 +39,6 @@ class Effort:
 
 FULL = Effort(rounds=15, seconds=0.25, check_seconds=0.8, reference_paths=1_000_000)
 QUICK = Effort(rounds=3, seconds=0.02, check_seconds=0.05, reference_paths=40_000)
-
-
-def pin() -> bool:
-    """Keep this process on one core, and its libraries on one thread; tell whether it worked."""
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false"
-    try:
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    except (AttributeError, OSError):  # not a Linux
-        return False
-    return True
 
 
 def race(effort: Effort, names: list[str]) -> dict:
@@ -160,28 +143,6 @@ def say(text: str) -> None:
         print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
 
 
-def measure_alone(measure: Callable[[bool], dict], description: str | None) -> None:
-    """Measure, quickly or not, on one core, and print what came out as JSON."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--quick", action="store_true")
-    options = parser.parse_args()
-    pinned = pin()
-    result = measure(options.quick)
-    say("")
-    print(json.dumps({"pinned": pinned, **result}))
-
-
-def main() -> None:
-    """Race, and print what came out as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--peers", default="", help="parts of names, with commas (default: all)")
-    options = parser.parse_args()
-    pinned = pin()
-    result = race(QUICK if options.quick else FULL, options.peers.split(","))
-    say("")
-    print(json.dumps({"pinned": pinned, **result}))
-
-
-if __name__ == "__main__":
-    main()
+def measure(quick: bool, peers: str) -> dict:
+    """Race as much as for a test of the benchmarks, or all."""
+    return race(QUICK if quick else FULL, peers.split(","))

@@ -1,8 +1,8 @@
 """The benchmark: its peers simulate what robsmooth does, and the README says what was measured."""
 
-import json
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,15 +11,27 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks import __main__ as bench
-from benchmarks import latency, race, report, throughput
+from benchmarks import (
+    exported,
+    growth,
+    kalman,
+    latency,
+    race,
+    report,
+    riccati,
+    throughput,
+)
 from benchmarks.peers import PEERS, cpp, numpy_vectorised, octave, robsmooth_kernel
 from benchmarks.problem import Sample, Unavailable, literal_problem
-from robsmooth import cli
+from benchmarks.smoothers import SMOOTHERS
+from benchmarks.smoothers.problem import FIXED_LAG, WHOLE, Smoother, sampled
+from robsmooth import cli, homodyne
+from robsmooth.estimators import baselines
 
 ROOT = Path(__file__).resolve().parents[2]
 BY_NAME = {peer.name: peer for peer in PEERS}
 # Paths that each simulates in about a second, whatever the machine's speed is.
-# JAX and diffrax are not in the development environment.
+# Others' packages, JAX's for one, are not in the development environment.
 TESTED = {
     "C++, single": 16_000,
     "C++, mixed": 16_000,
@@ -40,11 +52,6 @@ def problem():
 def reference(problem):
     simulate = robsmooth_kernel.prepare(problem, "mixed")
     return simulate(100_000, race.CHECKED_STEPS, race.REFERENCE_SEED)
-
-
-@pytest.fixture(scope="module")
-def results():
-    return json.loads((report.FOLDER / "results.json").read_text(encoding="utf-8"))
 
 
 def prepared(name, problem):
@@ -150,24 +157,90 @@ def test_a_wrong_contender_is_found_out(monkeypatch):
     assert [name for name, row in found.items() if not row["agrees"]] == ["other"]
 
 
+@pytest.fixture(scope="module")
+def model():
+    return sampled(homodyne.PAPER.uncertain_system(), throughput.DT, lag=31)
+
+
+def filtered(model, y):
+    """The estimates of a Kalman filter, from its textbook."""
+    z, P, estimates = np.zeros(len(model.F)), model.stationary, []
+    for row in y:
+        z, P = model.F @ z, model.F @ P @ model.F.T + model.Q
+        gain = P @ model.h.T / (model.h @ P @ model.h.T + model.R)
+        z, P = z + gain @ (row - model.h @ z), P - gain @ model.h @ P
+        estimates.append(model.c @ z)
+    return np.array(estimates)[:, 0]
+
+
+def test_the_filter_of_the_delay_line_is_the_exact_fixed_lag_smoother(model):
+    y = np.random.default_rng(0).standard_normal((200, 1))
+    smoother = baselines.fixed_lag_smoother(homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
+    expected = smoother.discretize(throughput.DT).run(y)[:, 0]
+    assert_allclose(filtered(model.with_delay_line(), y), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_smoother_that_is_wrong_or_other_or_absent_is_said_to_be(model):
+    def absent(_):
+        raise Unavailable("it is not installed")
+
+    def doubled(given):
+        return lambda y: 2 * filtered(given.with_delay_line(), y)
+
+    smoothers = [
+        Smoother("right", FIXED_LAG, lambda given: partial(filtered, given.with_delay_line())),
+        Smoother("wrong", FIXED_LAG, doubled),
+        Smoother("other", FIXED_LAG, doubled, differs="it doubles"),
+        Smoother("absent", WHOLE, absent),
+    ]
+    found = kalman.kalman(throughput.Effort(rounds=1, seconds=1e-6), smoothers)
+    agrees = {name: row["agrees"] for name, row in found["uses"][FIXED_LAG].items()}
+    ours = f"robsmooth, {FIXED_LAG}"
+    assert agrees == {ours: True, "right": True, "wrong": False, "other": True}
+    assert found["skipped"] == {"absent": "it is not installed"}
+    assert found["uses"][FIXED_LAG]["other"]["off_late"] > 0.5
+
+
+@pytest.mark.filterwarnings("ignore")  # those of other packages are theirs
+@pytest.mark.parametrize("smoother", SMOOTHERS, ids=lambda smoother: smoother.name)
+def test_anothers_smoother_gives_the_same_estimates_or_says_why_not(smoother, model):
+    y = np.random.default_rng(0).standard_normal((300, 1))
+    try:
+        estimates = smoother.prepare(model)(y)
+    except Unavailable as reason:
+        pytest.skip(str(reason))
+    expected = kalman.ours(homodyne.PAPER.uncertain_system(), 3.1e-6)[smoother.uses](y)[:, 0]
+    off = np.abs(estimates - expected) / np.abs(expected).max()
+    assert (off[150:].max() < kalman.AGREEMENT) != bool(smoother.differs)
+    assert off[150:].max() < 0.1
+
+
+def test_the_designs_of_others_have_the_same_gain():
+    found = riccati.designs(states=(4,), rounds=1)["rows"]
+    assert [row["name"] for row in found[:3]] == list(riccati.contenders(growth.chain(4)))[:3]
+    assert all(row["agrees"] for row in found)
+
+
+def test_an_exponent_fits_the_largest_sizes(monkeypatch):
+    times = {"10": [9.0] * 3, "100": [2.0, 4.0, 2.0], "200": [8.0] * 3, "400": [32.0, 64.0, 32.0]}
+    monkeypatch.setattr(growth, "interleaved", lambda calls, rounds: times)
+    curve = growth.Curve("counting", "size", (10, 100, 200, 400), (), lambda size: None, "")
+    (row,) = growth.growth(rounds=3, quick=False, curves=(curve,))
+    assert row["seconds"] == [9.0, 2.0, 8.0, 32.0]
+    assert_allclose(row["exponent"], 2.0)
+
+
 def test_c_code_that_steps_otherwise_is_found_out(monkeypatch):
-    if latency.shutil.which("cc") is None:
+    if exported.shutil.which("cc") is None:
         pytest.skip("there is no compiler cc")
     effort = latency.Effort(rounds=1, calls=10, samples=10)
     right = latency.latency(effort)["contenders"]
     assert all(row["agrees"] for row in right.values())
     assert list(map(len, (row["nanoseconds"] for row in right.values()))) == [3, 3, 3, 3, 1, 1, 1]
-    monkeypatch.setattr(latency, "DRIVER", latency.DRIVER.replace("B[i] * y[k]", "B[i] * 2 * y[k]"))
+    driver = exported.DRIVER.replace("B[i] * y[k]", "B[i] * 2 * y[k]")
+    monkeypatch.setattr(exported, "DRIVER", driver)
     wrong = latency.latency(effort)["contenders"]
     assert [name for name, row in wrong.items() if not row["agrees"]] == [latency.BY_HAND]
-
-
-def test_without_a_compiler_the_steps_of_python_are_timed(monkeypatch, results):
-    monkeypatch.setattr(latency.shutil, "which", lambda name: None)
-    found = latency.latency(latency.Effort(rounds=1, calls=10, samples=10))
-    assert not any(name.startswith("C,") for name in found["contenders"])
-    (table,) = report.latency_tables({**results, "latency": found})
-    assert f"| {latency.OURS} |" in table.markdown()
 
 
 def test_a_workload_takes_the_time_it_is_given():
@@ -187,7 +260,12 @@ def test_statistics_are_of_the_squares():
 
 
 def test_bench_measures_and_prints(capfd):
-    kept = [ROOT / "README.md", *report.FOLDER.glob("results.*"), *report.FOLDER.glob("scaling.*")]
+    written = [
+        path
+        for name in ("results.*", "scaling.*", "history/*")
+        for path in report.FOLDER.glob(name)
+    ]
+    kept = [ROOT / "README.md", *written]
     before = [path.stat().st_mtime_ns for path in kept]
     assert bench.main(["--quick", "--peers", "NumPy,Octave"]) == 0
     printed = capfd.readouterr().out
@@ -198,6 +276,11 @@ def test_bench_measures_and_prints(capfd):
         "runs^",
         "steps^",
         "lfilter |",
+        "| robsmooth, at a fixed lag |",
+        "| control.lqe, SciPy |",
+        "| nonlinearities g |",
+        "| two processes of a Dask cluster |",
+        "| design_smoother of the example |",
         "csv to csv |",
         "| 99.9% |",
     ):
@@ -220,89 +303,3 @@ def test_a_quick_run_is_not_written(capfd):
     with pytest.raises(SystemExit, match="2"):
         bench.main(["--quick", "--write"])
     assert "leave out --quick" in capfd.readouterr().err
-
-
-def test_an_incomplete_run_is_not_written(results, capsys):
-    peers = {name: peer for name, peer in results["race"]["peers"].items() if "JAX" not in name}
-    bench.keep({**results, "race": {**results["race"], "peers": peers}})
-    assert "nothing is written" in capsys.readouterr().out
-
-
-def test_a_peer_that_disagrees_is_marked(results):
-    peers = results["race"]["peers"]
-    wrong = {
-        **results["race"],
-        "peers": {**peers, "Python loop": {**peers["Python loop"], "agrees": False}},
-    }
-    changed = {**results, "race": wrong}
-    assert report.disagreeing(changed) == ["Python loop"]
-    assert "DISAGREES" in report.peers_table(changed).markdown()
-    assert not report.is_complete(changed)
-
-
-def test_a_design_that_takes_too_long_is_said_to(results):
-    slow = {**results, "design": {"design": 0.02, "sweep": 0.06, "both": 0.08}}
-    said = set(report.shortfalls(slow)) - set(report.shortfalls(results))
-    assert said == {"design and sweep take 80 ms; the aim is 50 ms"}
-
-
-def test_a_minimax_smoother_that_takes_too_long_is_said_to(results):
-    first, *others = results["guarantees"]
-    slow = {**results, "guarantees": [{**first, "seconds": 2.0}, *others]}
-    (sentence,) = set(report.shortfalls(slow)) - set(report.shortfalls(results))
-    assert sentence.startswith("the minimax smoother of the paper's example, smoothed takes 2.0 s")
-
-
-# --- the record ----------------------------------------------------------------------------------
-
-
-def test_the_record_certifies_what_a_prototype_did_or_less(results):
-    for row in results["guarantees"]:
-        assert row["minimax"] <= row["reference"]
-        assert row["minimax"] <= min(row["classical"], row["tuned"]) * (1 + 1e-6)
-
-
-def test_the_readme_quotes_the_record(results):
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert f"{report.BEGIN}\n{report.readme_block(results)}{report.END}" in text
-
-
-def test_the_report_is_of_the_record(results):
-    assert (report.FOLDER / "results.md").read_text(encoding="utf-8") == report.markdown(results)
-
-
-def test_the_record_is_complete_and_the_readme_says_which_aims_it_misses(results):
-    assert report.is_complete(results)
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert all(f"- Missed here: {missed}.\n" in text for missed in report.shortfalls(results))
-    peers = results["race"]["peers"]
-    for (name, precision), aim in report.AIMS.items():
-        met = peers[name][f"ratio_{precision}"] >= aim
-        assert met == (f"times as fast as {name}; the aim is" not in text), name
-
-
-def test_the_record_scales(results):
-    scales = results["scales"]
-    for what in ("runs", "steps"):
-        assert abs(scales[what]["exponent"] - 1) < 0.05
-    assert scales["memory"][-1]["megabytes"] < 1.1 * scales["memory"][0]["megabytes"]
-    assert scales["first_call"]["call"] < 1.0
-    for row in scales["orders"][1:]:
-        assert row["relative"] < 1 + row["order"]  # no order falls off a cliff
-    (two,) = [row for row in scales["threads"] if row["threads"] == 2]
-    assert two["speed_up"] > 1.8
-
-
-def test_the_record_smooths_millions_of_samples_a_second(results):
-    records = results["records"]["contenders"]
-    for name in ("robsmooth", "robsmooth, a gap in ten", "robsmooth, compiled copies"):
-        assert records[name]["rate"] > 1e6, name
-    assert records["scipy.signal.lfilter"]["ratio"] > 0.1  # lfilter has neither gaps nor copies
-
-
-def test_the_record_says_what_files_cost(results):
-    paths = results["files"]["paths"]
-    assert list(paths) == ["csv to csv", "csv to npy", "npy to npy", "parquet to npy"]
-    for name, row in paths.items():
-        assert row["rate"] > 5e5, name
-        assert row["share"] < 1.0, name
