@@ -178,9 +178,6 @@ class DeltaSweep(Frozen, NDArrayOperatorsMixin):
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[np.float64]:
         return np.array(self.covariances, dtype=dtype, copy=copy)
 
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        return getattr(ufunc, method)(*(getattr(x, "covariances", x) for x in inputs), **options)
-
     def __getitem__(self, index: Any) -> Any:
         return self.covariances[index]
 

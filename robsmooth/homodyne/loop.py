@@ -225,8 +225,7 @@ def statistical_linearisation(
 
     Parameters
     ----------
-    parameters, smoother, oscillator, copy, shot_noise
-        As in `monte_carlo`.
+    parameters, smoother, oscillator, copy, shot_noise : as in `monte_carlo`
 
     Returns
     -------

@@ -138,8 +138,7 @@ def stationary_errors(
 
     Parameters
     ----------
-    parameters, smoother, oscillator, copy, shot_noise
-        As in `monte_carlo`.
+    parameters, smoother, oscillator, copy, shot_noise : as in `monte_carlo`
 
     Raises
     ------

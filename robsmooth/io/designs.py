@@ -100,18 +100,15 @@ def save(value: "Saved", path: str | os.PathLike[str]) -> None:
 def load(
     path: str | os.PathLike[str], functions: Mapping[str, Callable[[Any], Any]] | None = None
 ) -> "Saved":
-    """Load a file that `save` or a user wrote.
+    """Load what `save` or a user wrote to a file.
+
+    The guarantee of a `RobustSmoother` or `MinimaxSmoother` is computed anew.
 
     Parameters
     ----------
     path : str or path, ends in .toml or .json
     functions : mapping of str to callable, optional
         The functions of nonlinearities, by their names in the file. A design needs none.
-
-    Returns
-    -------
-    UncertainSystem, AugmentedSystem, Estimator or DiscreteSmoother
-        The guarantee of a `RobustSmoother` or `MinimaxSmoother` is computed anew.
 
     Raises
     ------
