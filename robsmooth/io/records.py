@@ -14,7 +14,6 @@ from typing import Any, Literal
 import numpy as np
 
 from robsmooth._support import validation
-from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.discrete import OUTPUTS, SHORTEST, DiscreteSmoother
 from robsmooth.io import formats, targets
@@ -131,10 +130,10 @@ def smooth_record(
             return smoother.times(len(y), output) if timed else np.empty(len(y)), w
         return own[:, 0] + (0.0 if smoother.instants else length) - delay, w
 
+    record.shown = progress
     pieces = _checked(record, chosen, ends, smoother.dt, regular, chunk)
     if not regular:
         pieces = _with_lengths(pieces, smoother.dt, smoother.instants)
-    pieces = _shown(record, pieces, progress)
     if target is None and isinstance(record, formats.Chunks):
         return (smooth(values)[1] for values in pieces)
     before = smoother._checkpoint()
@@ -166,14 +165,6 @@ def _target(record: Record, target: Any, delimiter: str | None, resume: bool) ->
     if resume and path.suffix.lower() == ".gz":
         raise ValueError(f"target must be no file in gzip where resume=True, got {path}")
     return path, mark
-
-
-def _shown(record: Record, pieces: Iterator[Matrix], progress: bool) -> Iterator[Matrix]:
-    """Show how much of a record is read."""
-    with progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress) as bar:
-        for values in pieces:
-            yield values
-            bar.update(record.read - bar.n)
 
 
 def _choice(
