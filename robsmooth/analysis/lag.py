@@ -25,7 +25,6 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.systems.system import UncertainSystem
 
 Design = Callable[[UncertainSystem, float, int], Estimator]
-Floats = NDArray[np.float64]
 
 _MOST_ORDER = 8  # that `choose_lag` tries
 _LEAST_GAIN = 1e-6  # of the gain from filtering to two-sided smoothing: the rest at the longest lag
@@ -52,11 +51,11 @@ class LagSweep(Frozen):
     (array([[0.0594, 0.0496]]), array([0.0593, 0.0495]))
     """
 
-    lags: Floats
+    lags: Matrix
     orders: NDArray[np.int_]
     nominal: Matrix
     worst: Matrix
-    optimal: Floats
+    optimal: Matrix
 
     def __repr__(self) -> str:
         sizes = f"{len(self.orders)} orders x {len(self.lags)} lags"
@@ -82,7 +81,7 @@ _classical = partial(baselines.fixed_lag_smoother, copies=True)
 @one_thread
 def lag_sweep(
     system: UncertainSystem,
-    lags: Sequence[float] | Floats,
+    lags: Sequence[float] | Matrix,
     orders: Sequence[int] | NDArray[np.int_],
     design: Design | None = None,
     *,
@@ -274,7 +273,7 @@ def _longest_lag(system: UncertainSystem) -> float:
     return lag
 
 
-def _errors_of_lags(system: UncertainSystem, order: int, longest: float) -> tuple[Floats, Floats]:
+def _errors_of_lags(system: UncertainSystem, order: int, longest: float) -> tuple[Matrix, Matrix]:
     """Return lags from zero on, the best one included, and the classical errors."""
     error = partial(_classical_error, system, order)
     lags = np.append(0.0, _LAGS * longest)

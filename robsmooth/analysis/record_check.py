@@ -8,13 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2, norm
 
 from robsmooth._support import plots, validation
-from robsmooth._support.validation import Frozen
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.estimators.discrete import DiscreteSmoother
 
 _LEVEL = 0.01  # false-alarm rate of the three tests together
 _LAGS = 20  # samples, the longest lag of the correlations
 _PAIRS = 50  # of samples, the fewest for a correlation, times the number of measurements
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +46,9 @@ class RecordCheck(Frozen):
     ((100, 1), 0.0)
     """
 
-    innovations: Floats
+    innovations: Matrix
     mean_square: float
-    correlations: Floats
+    correlations: Matrix
     p_mean: float
     p_mean_square: float
     p_white: float
@@ -156,7 +155,7 @@ def check_record(
     )
 
 
-def _correlations(values: Floats, seen: NDArray[np.bool_], lag: int) -> Floats:
+def _correlations(values: Matrix, seen: NDArray[np.bool_], lag: int) -> Matrix:
     """Return the correlations at a lag, NaN where pairs are too few."""
     pairs = seen[lag:].T.astype(float) @ seen[:-lag]
     size = np.sqrt((values**2).sum(axis=0) / seen.sum(axis=0))
