@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -185,8 +185,7 @@ def best_smoother(
 
     Parameters
     ----------
-    plant : AugmentedSystem
-        Made by `augment`.
+    plant : AugmentedSystem, made by `augment`
     against : {"admissible", "constant"}
         The error to minimise: the certified worst, under every admissible uncertainty (it may vary
         in time and depend on the past), or the worst under constant ones (unknown parameters).
@@ -257,9 +256,7 @@ def _warn_of_coarse_delay(classical: Candidate) -> None:
         )
 
 
-def _designs(
-    plant: AugmentedSystem, against: str, output: str
-) -> dict[str, Callable[[], Estimator]]:
+def _designs(plant: AugmentedSystem, against: str, output: str) -> dict[str, partial[Estimator]]:
     """Return a function for each candidate that designs it, the classical smoother first."""
     classical = baselines.fixed_lag_smoother, plant.system, plant.delay, plant.order
     designs = {

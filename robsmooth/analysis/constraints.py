@@ -35,9 +35,7 @@ class AnalysisBound(Frozen):
     mean_square : float
         Bound on the mean square error under every admissible uncertainty, in the squared unit of w;
         infinity where no multipliers give a bound.
-    gap : float
-        The relative distance from `mean_square` to the error under an admissible input, to first
-        order.
+    gap : float, relative, from `mean_square` to the error under an admissible input, to first order
     fraction : float
         The share of the uncertainty for which there is a bound: 0 for a loop unstable without it.
     multipliers : (k + 3g,) array, empty without a bound

@@ -51,10 +51,9 @@ def _check_norm(plant: AugmentedSystem, Delta: Matrix) -> None:
     weights = np.array([1.0] * (Delta.shape[1] - 2 * len(constants)) + 2 * constants)
     norm = float(np.linalg.norm(Delta / weights, 2)) if Delta.size else 0.0
     if norm > 1.0 + _NORM_ERROR:
-        raise ValueError(
-            "Delta must have norm at most 1, with columns of nonlinearities divided by their "
-            f"Lipschitz constants, got {norm:.6g}; allow_inadmissible=True lifts this limit"
-        )
+        what = "with columns of nonlinearities divided by their Lipschitz constants"
+        advice = "allow_inadmissible=True lifts this limit"
+        raise ValueError(f"Delta must have norm at most 1, {what}, got {norm:.6g}; {advice}")
 
 
 def _stationary_error(A: Matrix, B: Matrix, estimator: Estimator, output: str) -> Matrix:

@@ -220,11 +220,9 @@ def choose_lag(
         if least <= target:
             break
     else:
-        raise InfeasibleDesignError(
-            "The target",
-            f"no order up to {_MOST_ORDER} has an error of at most {target:.6g} at any lag; the "
-            f"least that was found is {least:.6g}",
-        )
+        none = f"no order up to {_MOST_ORDER} has an error of at most {target:.6g} at any lag"
+        detail = f"{none}; the least that was found is {least:.6g}"
+        raise InfeasibleDesignError("The target", detail)
     error, first = partial(_classical_error, system, order), (errors <= target).argmax()
     low, high = lags[first - 1 : first + 1]
     tolerance = {"xtol": 1e-12 * high, "rtol": 1e-12}
@@ -254,10 +252,9 @@ def _target(system: UncertainSystem, target: float | None, fraction: float | Non
         target = filtering - fraction * (filtering - two_sided)
     target = validation.positive("target", target)
     if not target > two_sided + _LEAST_GAIN * (filtering - two_sided):
-        raise ValueError(
-            f"target must be above {two_sided:.6g}, the error of two-sided smoothing, which no lag "
-            f"reaches, got {target:.6g}; filtering has {filtering:.6g}"
-        )
+        limit = f"{two_sided:.6g}, the error of two-sided smoothing, which no lag reaches"
+        given = f"{target:.6g}; filtering has {filtering:.6g}"
+        raise ValueError(f"target must be above {limit}, got {given}")
     return target
 
 

@@ -112,8 +112,7 @@ def check_record(
     smoother : DiscreteSmoother
         Of a classical or a tuned design, made by ``estimator.discretize(dt)``. Its state stays. The
         noises of a tuned design's model are not the plant's.
-    y, reference, inputs
-        The record, as in `DiscreteSmoother.run`.
+    y, reference, inputs : the record, as in `DiscreteSmoother.run`
 
     Raises
     ------
@@ -135,12 +134,10 @@ def check_record(
     validation.instance("smoother", smoother, DiscreteSmoother)
     z = smoother.innovations(y, reference=reference, inputs=inputs)
     seen = np.isfinite(z)
-    if len(z) <= _LAGS or not seen.any(axis=0).all():
-        raise ValueError(
-            f"y must have more than {_LAGS} rows and samples of each measurement, got {len(z)} "
-            f"rows with {seen.sum(axis=0).tolist()} samples"
-        )
     values, count = np.where(seen, z, 0.0), seen.sum(axis=0)
+    if len(z) <= _LAGS or not count.all():
+        rule = f"y must have more than {_LAGS} rows and samples of each measurement"
+        raise ValueError(f"{rule}, got {len(z)} rows with {count.tolist()} samples")
     total = (values**2).sum()
     correlations = np.array([_correlations(values, seen, d) for d in range(1, _LAGS + 1)])
     squared, known = np.nansum(correlations**2), np.isfinite(correlations).sum()

@@ -92,8 +92,7 @@ class Loop:
     def linear_errors(self, *slopes: float) -> tuple[float, float]:
         """Filtered and smoothed mean square error, rad^2, each sine replaced by a slope."""
         P = self.covariance(*slopes)
-        filtered = np.concatenate([[1.0], -self.readout[0]])
-        smoothed = np.concatenate([[0.0], -self.readout[1]])
+        filtered, smoothed = np.hstack([[[1.0], [0.0]], -self.readout[:2]])
         # covariance of the state now and the phase a delay ago
         cross = (expm(self.linearised_drift(*slopes) * self.delay) @ P)[:, 0]
         lagged = float(P[0, 0] + 2 * smoothed @ cross + smoothed @ P @ smoothed)
@@ -129,10 +128,8 @@ def decay_rate(drift: Matrix) -> float:
     """Return the decay rate of the slowest mode, 1/s; UnstableLoopError: it is not positive."""
     slowest = 0.0 + modes.rates(drift)[0]  # no minus zero
     if not slowest > 0.0:
-        raise UnstableLoopError(
-            "the loop has no stationary state: linearised, its slowest mode has the decay rate "
-            f"{slowest:.3g} 1/s"
-        )
+        why = f"linearised, its slowest mode has the decay rate {slowest:.3g} 1/s"
+        raise UnstableLoopError(f"the loop has no stationary state: {why}")
     return slowest
 
 
@@ -160,9 +157,8 @@ def homodyne_loop(
     rows = (scale * estimator.C_f, scale * estimator.C_a, estimator.C_c[1:], scale * estimator.C_f)
     steering = rows[OSCILLATORS.index(oscillator)]
     if oscillator == "copy" and not steering.any():
-        raise ValueError(
-            "oscillator must be 'filtered', 'smoothed' or 'none' where no copy runs, got 'copy'"
-        )
+        allowed = "'filtered', 'smoothed' or 'none' where no copy runs"
+        raise ValueError(f"oscillator must be {allowed}, got 'copy'")
     reference = None if oscillator == "none" else steering
     drift, noise, inputs, outputs = matrices(estimator, loop="real", reference=reference)
     # the first channel is an uncertainty that is zero; the sine and its copy follow
@@ -186,10 +182,8 @@ def _estimator(smoother: Estimator, system: UncertainSystem, copy: bool) -> Esti
     validation.instance("smoother", smoother, Estimator)
     own = smoother.plant.system
     if (own.m, own.l) != (1, 1) or own.g > 1:
-        raise ValueError(
-            "smoother must have one output, one measurement and at most one nonlinearity, got "
-            f"m={own.m}, l={own.l} and g={own.g}"
-        )
+        rule = "one output, one measurement and at most one nonlinearity"
+        raise ValueError(f"smoother must have {rule}, got m={own.m}, l={own.l} and g={own.g}")
     runs, missing = np.array([1.0, float(copy)])[: 1 + own.g], 1 - own.g
     return Estimator(
         plant=augment(system, smoother.plant.delay, order=0),

@@ -161,17 +161,14 @@ def stationary_errors(
     loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
     unknowns = _unknowns(1 + loop.order, LEAST_DEGREE)
     if unknowns > MOST_UNKNOWNS:
-        raise ValueError(
-            f"the {loop.order} states of smoother make {unknowns} unknowns at the least degree; at "
-            f"most {MOST_UNKNOWNS} are allowed"
-        )
+        made = f"the {loop.order} states of smoother make {unknowns} unknowns at the least degree"
+        raise ValueError(f"{made}; at most {MOST_UNKNOWNS} are allowed")
     result = _converged(whitened(loop))
     relative = result._relative_truncation
     if not relative <= LARGEST_TRUNCATION:
-        raise ArithmeticError(
-            "the loop is so noisy that it slips: the expansion does not converge (relative "
-            f"truncation error {relative:.2g} at degree {result.degree}); use monte_carlo instead"
-        )
+        what = "the loop is so noisy that it slips: the expansion does not converge"
+        error = f"relative truncation error {relative:.2g} at degree {result.degree}"
+        raise ArithmeticError(f"{what} ({error}); use monte_carlo instead")
     return result
 
 
@@ -278,10 +275,9 @@ def whitened(loop: Loop) -> WhitenedLoop:
     # Far out of lock there are slopes again: the noise averages the sine to zero.
     largest = deviations[loop.arguments[:, 1:].any(axis=1)].max(initial=0.0)
     if largest > LARGEST_DEVIATION:
-        raise UnstableLoopError(
-            "the loop is not in lock: by statistical linearisation the argument of its sine has "
-            f"the standard deviation {largest:.3g} rad, which must be at most pi/2"
-        )
+        what = "by statistical linearisation the argument of its sine has the standard deviation"
+        got = f"{largest:.3g} rad, which must be at most pi/2"
+        raise UnstableLoopError(f"the loop is not in lock: {what} {got}")
     # The arguments of the sines that matter span the first coordinates.
     gains = inverse @ loop.gains / rate
     active = deviations**3 * np.linalg.norm(gains, axis=0) > _NEGLIGIBLE_REMAINDER
@@ -318,8 +314,6 @@ def _white_coordinates(loop: Loop, slopes: Matrix) -> tuple[Matrix, Matrix, floa
     white = loop.stationary_root(slopes, S, inverse)
     rounding = np.abs(white @ white.T - np.eye(rank)).max(initial=0.0)
     if rounding > _LARGEST_ROUNDING:
-        raise ArithmeticError(
-            "the covariance of the linearised loop is lost in rounding: its rates, or the scales "
-            "of the estimator's states, are too far apart"
-        )
+        why = "its rates, or the scales of the estimator's states, are too far apart"
+        raise ArithmeticError(f"the covariance of the linearised loop is lost in rounding: {why}")
     return S, inverse, rounding

@@ -213,9 +213,8 @@ def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[
     if len(found) != wanted:
         given = ", ".join(record.name(i) for i in found[:10])
         advice = "; its .T has a row for each sample" if record.size == wanted else record.advice
-        raise ValueError(
-            f"{name} must name {wanted} columns of {path}, got {len(found)}: {given}{advice}"
-        )
+        given = f"{len(found)}: {given}{advice}"
+        raise ValueError(f"{name} must name {wanted} columns of {path}, got {given}")
     return found
 
 
@@ -258,10 +257,10 @@ def _checked(
                 advice = "times must rise; a missing row is a row of nan"
                 if regular:
                     advice += ", time=False takes all as regular, regular=False any times"
-                raise ValueError(
-                    f"{place(i, -1)}: {times[i]:.15g} s is {late[i]:.6g} samples after the row "
-                    f"before and {drift[i]:+.6g} off regular times with dt = {dt:g} s; {advice}"
-                )
+                after = f"{late[i]:.6g} samples after the row before"
+                off = f"{drift[i]:+.6g} off regular times with dt = {dt:g} s"
+                time = f"{times[i]:.15g} s is {after} and {off}"
+                raise ValueError(f"{place(i, -1)}: {time}; {advice}")
             last = times[-1]
         yield values
         done += len(values)
