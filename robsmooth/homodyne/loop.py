@@ -21,8 +21,7 @@ As :math:`u`, :math:`\tilde\nu` and the estimates are linear in :math:`\hat x`, 
 
 The phase u is the filtered or the smoothed estimate, or :math:`\tilde\nu/2\alpha\gamma`, with which
 the copy's output is zero, or zero. It is the loop of `robsmooth.estimators.loop` with the reference
-:math:`2\alpha\gamma u`, written with sines:
-:math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) - (\beta/\gamma)v`.
+:math:`2\alpha\gamma u`, written with sines.
 """
 
 import math

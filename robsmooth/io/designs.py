@@ -70,11 +70,9 @@ def save(value: "Saved", path: str | os.PathLike[str]) -> None:
 
     Examples
     --------
-    >>> import tempfile
     >>> import robsmooth as rs
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     rs.save(rs.homodyne.PAPER.uncertain_system(), folder + "/system.toml")
-    ...     rs.load(folder + "/system.toml").A
+    >>> rs.save(rs.homodyne.PAPER.uncertain_system(), "system.toml")
+    >>> rs.load("system.toml").A
     array([[-9140.]])
     """
     path, language = _language(path)
@@ -122,11 +120,9 @@ def load(
 
     Examples
     --------
-    >>> import tempfile
     >>> import robsmooth as rs
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     rs.save(rs.homodyne.PAPER.uncertain_system(), folder + "/system.json")
-    ...     rs.load(folder + "/system.json").n
+    >>> rs.save(rs.homodyne.PAPER.uncertain_system(), "system.json")
+    >>> rs.load("system.json").n
     1
     """
     path, language = _language(path)

@@ -95,14 +95,12 @@ def _append(
 
 
 def _packed(smoother: DiscreteSmoother) -> str:
-    """Return the memory of a smoother as text."""
     memory, file = smoother._checkpoint()[0], io.BytesIO()
     np.savez(file, *(memory if isinstance(memory, tuple) else [memory]))
     return base64.b64encode(file.getvalue()).decode()
 
 
 def _unpacked(smoother: DiscreteSmoother, text: str) -> Any:
-    """Return the memory of a smoother from its text."""
     arrays = [*np.load(io.BytesIO(base64.b64decode(text))).values()]
     kind = type(smoother._checkpoint()[0])
     return kind(*arrays) if issubclass(kind, tuple) else arrays[0]
