@@ -106,8 +106,7 @@ class Choice:
 
     Attributes
     ----------
-    estimator : Estimator
-        The best: the classical smoother where no other is better by more than 1%.
+    estimator : Estimator, the best; the classical one where no other is better by more than 1%
     name : str, the key of the best in `candidates`
     candidates : dict of str to `Candidate`
         Each with its `estimator` and `judgement`; `refused` says why there is no estimator.

@@ -202,8 +202,7 @@ def delta_sweep(
     ----------
     smoother : Estimator
     nonlinearities : (N,) array
-        The paper's Delta_2 in [-1, 1], the same for every nonlinearity and its copy; the
-        uncertainties are zero.
+        The paper's Delta_2 in [-1, 1], of all nonlinearities and copies. Uncertainties are zero.
     output, loop : as in `error_covariance`, which has the exceptions, too
 
     Returns
@@ -238,9 +237,8 @@ class WorstCase(Frozen):
     Attributes
     ----------
     Delta : (r + 2g, h + 2g) array, with zero blocks for channels without an effect
-    mean_square, nominal : float
-        The mean square error under it and without uncertainty, in the squared unit of w; infinity
-        where the loop is not stable.
+    mean_square, nominal : float, in the squared unit of w
+        The mean square error under it and without uncertainty; infinity in an unstable loop.
 
     Examples
     --------

@@ -94,9 +94,8 @@ def lag_sweep(
     system : UncertainSystem
     lags : sequence of float, at least zero, s
     orders : sequence of int, of the delay's Pade model
-    design : callable, optional
-        Makes an `Estimator` of system, lag and order. Default: the nominal system's fixed-lag
-        smoother with copies of the nonlinearities.
+    design : callable, optional, of system, lag and order
+        Makes an `Estimator`. Default: the fixed-lag smoother with copies of the nonlinearities.
     progress : bool, whether to show a bar
 
     Examples

@@ -22,11 +22,9 @@ class RecordCheck(Frozen):
 
     Attributes
     ----------
-    innovations : (N, l) array
-        By the model they are white, of mean zero and variance one; NaN for a missing measurement.
-    mean_square : float
-        The mean normalised innovation squared, by the model 1: above it the record has more noise,
-        or moves more, than the model says.
+    innovations : (N, l) array, by the model white, of mean zero and variance one; NaN where missing
+    mean_square : float, of the normalised innovations, by the model 1
+        Above it the record has more noise, or moves more, than the model says.
     correlations : (lags, l, l) array
         Entry (d, i, j) is that of measurement i with measurement j, d + 1 samples before, in
         standard deviations: by the model normal, of mean zero and variance one. NaN at a lag with

@@ -1,8 +1,7 @@
 r"""The adaptive homodyne loop of Section IV with a linear estimator in it.
 
 Phase and photocurrent are those of `robsmooth.homodyne.parameters`, with the local oscillator's
-phase :math:`u` for the estimate, and noise of the power s. The measurement and a copy of the
-nonlinearity drive the estimator,
+phase :math:`u` for the estimate, and noise of power s. Measurement and copy drive the estimator,
 
 .. math::
 

@@ -51,8 +51,7 @@ class Study(Frozen):
         Mean square errors, rad^2. "bound": on the filtered one. Linear loop: smoothed, "nominal"
         for the sine's tangent and "edge" at the sector's edge; "optimal", "optimal_filtered" for
         the tangent. Nonlinear loop, paths in lock: "filtered", "smoothed", with the standard errors
-        "filtered_error", "smoothed_error". "slip_rate" is in 1/s. NaN without a design or a path in
-        lock.
+        "filtered_error", "smoothed_error". "slip_rate": 1/s. NaN without a design or path in lock.
     failures : dict of (gamma, noise) to str, why there is no design
 
     Examples

@@ -57,14 +57,12 @@ def save(value: "Saved", path: str | os.PathLike[str]) -> None:
         `RobustSmoother`, from which the rest follows, the matrices and certificate of a
         `MinimaxSmoother`, the matrices of another estimator, and the name of a function. It says
         how a `DiscreteSmoother` was made, and not its state.
-    path : str or path
-        Ends in .toml or .json. The file appears whole or not at all.
+    path : str or path, ends in .toml or .json; the file appears whole or not at all
 
     Raises
     ------
     ValueError, TypeError
-        For another suffix, another kind of object, different functions of one name, or a design
-        that `load` would refuse.
+        For another suffix or kind, different functions of one name, or what `load` would refuse.
     OSError
         Where the file cannot be written.
 
@@ -105,14 +103,12 @@ def load(
     Parameters
     ----------
     path : str or path, ends in .toml or .json
-    functions : mapping of str to callable, optional
-        The functions of nonlinearities, by their names in the file. A design needs none.
+    functions : mapping of the names of functions in the file to callables, optional for a design
 
     Raises
     ------
     ValueError
-        Where the file is not valid, or a certified error does not follow from its multipliers. The
-        message names the file and the field.
+        By file and field: what is not valid, or no certified error of the multipliers given.
     TypeError
         Where `functions` is not a mapping.
     OSError

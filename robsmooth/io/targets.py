@@ -1,8 +1,7 @@
 """Estimates written to a file, by a run that can be resumed.
 
 An interrupted run leaves its file, and a journal of its progress and the smoother's state. To
-resume, the record is read from its begin and compared by a digest, and the file is cut to the size
-in the journal's last note.
+resume, the record is read anew and compared by a digest; the file is cut to the last note's size.
 """
 
 import base64
