@@ -159,10 +159,9 @@ class Choice:
         left, nominal = best / classical, found[0].judgement.nominal / found[1].judgement.nominal
         what = "Robustness" if left < (1.0 - _WORTHWHILE) * nominal else "A closer fit to the delay"
         digits = max(2, math.ceil(-math.log10(left)))  # a small rest is not rounded to zero
-        return (
-            f"{what} buys {100.0 * (1.0 - left):.{digits}g}% here: the {kind} error falls from "
-            f"{classical:.4g} (classical) to {best:.4g} ({self.name})."
-        )
+        gain = f"{100.0 * (1.0 - left):.{digits}g}%"
+        fall = f"from {classical:.4g} (classical) to {best:.4g} ({self.name})"
+        return f"{what} buys {gain} here: the {kind} error falls {fall}."
 
     def __repr__(self) -> str:
         found = self.candidates[self.name].judgement

@@ -116,10 +116,8 @@ def lag_sweep(
         raise TypeError(f"design must be a function of system, lag and order, got {design!r}")
     validation.boolean("progress", progress)
     grid = [(lag, int(order)) for order in orders for lag in lags]
-    cases = [
-        worst_case(design(system, lag, order), loop="real")
-        for lag, order in progress_bar(grid, unit="design", shown=progress)
-    ]
+    bar = progress_bar(grid, unit="design", shown=progress)
+    cases = [worst_case(design(system, lag, order), loop="real") for lag, order in bar]
     errors = np.array([(case.nominal, case.mean_square) for case in cases]).T
     errors = errors.reshape(2, len(orders), len(lags))
     optimal = np.array([_optimal_error(system, lag) for lag in lags])

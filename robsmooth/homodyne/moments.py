@@ -211,11 +211,9 @@ def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
     with np.errstate(over="ignore", invalid="ignore"):
         change = _change(problem, generator[basis.odd][:, basis.odd])
         filtered = problem.filtered @ covariance @ problem.filtered
-        smoothed = (
-            -2 * math.expm1(-problem.phase_decay * problem.delay) * problem.phase_variance
-            + problem.smoothed @ covariance @ problem.smoothed
-            + 2 * problem.phase @ products @ change
-        )
+        moved = -2 * math.expm1(-problem.phase_decay * problem.delay) * problem.phase_variance
+        now = problem.smoothed @ covariance @ problem.smoothed
+        smoothed = moved + now + 2 * problem.phase @ products @ change
     errors = np.array([smoothed, filtered])
     valid = np.isfinite(errors).all() and (errors >= 0).all()
     valid = valid and np.linalg.eigvalsh(covariance)[0] >= 0

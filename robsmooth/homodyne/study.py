@@ -165,10 +165,8 @@ def parameter_study(
 
     nothing, shape = [{}] * (len(orders) * len(lags)), tuple(map(len, axes.values()))
     points = [point for result in results for point in result.get("points", nothing)]
-    quantities = {
-        name: np.array([point.get(name, np.nan) for point in points]).reshape(shape)
-        for name in QUANTITIES
-    }
+    values = {name: [point.get(name, np.nan) for point in points] for name in QUANTITIES}
+    quantities = {name: np.reshape(each, shape) for name, each in values.items()}
     found = zip(columns, results, strict=True)
     failures = {column: result["failure"] for column, result in found if "failure" in result}
     return Study(gammas, noises, orders, lags, quantities, failures)

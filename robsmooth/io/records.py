@@ -267,10 +267,7 @@ def _checked(
 
 
 def _with_lengths(pieces: Iterator[Matrix], dt: float, instants: bool) -> Iterator[Matrix]:
-    """Yield rows with the lengths of their intervals behind their times.
-
-    An interval ends at the next row's time; that of an instant begins at the time before.
-    """
+    """Yield rows and their intervals' lengths, to the next row or, for instants, from the last."""
     before = np.empty((0, 0))
     for values in pieces:
         if instants:

@@ -38,10 +38,7 @@ def written(
     writer: Callable[[Path, int], Any],
     identity: Callable[[], dict[str, Any]] | None,
 ) -> int:
-    """Write the estimates of a record's pieces; return the number of rows.
-
-    A run with an identity resumes an interrupted one with the same.
-    """
+    """Write a record's estimates; return their number. An identity resumes a run that has it."""
     if identity is None:
         with atomic_path(target) as path:
             return _append(smoother, smooth, pieces, path, writer, None)
