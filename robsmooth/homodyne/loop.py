@@ -145,8 +145,7 @@ def homodyne_loop(
     shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
     # A phase that does not decay gets a decay too small to change the errors.
     rate = 2.0 * parameters.alpha * parameters.beta * math.sqrt(parameters.kappa)
-    lam = max(parameters.lam, _LEAST_DECAY * rate)
-    system = replace(parameters, lam=lam).uncertain_system()
+    system = replace(parameters, lam=max(parameters.lam, _LEAST_DECAY * rate)).uncertain_system()
     system = replace(system, D21=math.sqrt(shot_noise) * system.D21)
     estimator = _estimator(smoother, system, copy)
 

@@ -148,11 +148,10 @@ def parameter_study(
     validation.boolean("progress", progress)
 
     study = {**axes, "parameters": vars(parameters), "runs": runs, "seed": seed}
-    identity = {"study": study, "software": cluster.software()}
     columns = list(product(gammas, noises))
     loops = [(replace(parameters, gamma=g, alpha=parameters.alpha / s**0.5),) for g, s in columns]
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
-    with open_journal(checkpoint, identity) as journal:
+    with open_journal(checkpoint, {"study": study, "software": cluster.software()}) as journal:
         results = list(journal.records()) if journal else []
         # columns of a former run count as progress, not for the rate
         extent = {"total": len(loops), "initial": len(results), "unit": "column"}

@@ -125,8 +125,7 @@ def load(
     functions = {} if functions is None else functions
     validation.instance("functions", functions, Mapping)
     try:
-        content = _READERS[language](path.read_bytes().decode("utf-8-sig"))
-        return _object(content, functions)
+        return _object(_READERS[language](path.read_bytes().decode("utf-8-sig")), functions)
     except RecursionError:
         raise ValueError(f"{path.name}: its brackets are nested too deeply") from None
     except (ValueError, TypeError) as error:

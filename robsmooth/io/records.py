@@ -141,8 +141,7 @@ def smooth_record(
         if target is None:
             none = np.empty(0), np.empty((0, smoother.m))
             times, w = map(np.concatenate, zip(none, *map(smooth, pieces), strict=True))
-            frame = isinstance(record, formats.Table)
-            return record.as_given(clock, times, w) if frame else w
+            return record.as_given(clock, times, w) if isinstance(record, formats.Table) else w
         given = {"columns": chosen, "clock": clock, "delimiter": mark, "chunk": chunk}
         identity = (lambda: given | {"first date": str(record.origin)}) if resume else None
         writer = partial(targets.writer, record, clock, mark, smoother.m)
