@@ -71,10 +71,9 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     Examples
     --------
     >>> import robsmooth as rs
-    >>> system = rs.homodyne.PAPER.uncertain_system()
-    >>> classical = rs.baselines.fixed_lag_smoother(system, 3.1e-6, order=2, copies=True)
-    >>> round(rs.judge(classical).certified, 4)
-    0.0899
+    >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
+    >>> round(rs.judge(ngcf, "filtered").certified, 4)
+    0.1388
     """
     validation.instance("estimator", estimator, Estimator)
     validation.choice("output", output, COSTS)
