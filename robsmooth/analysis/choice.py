@@ -7,8 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
-
 from robsmooth._support import tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import CoarseDelayWarning, InfeasibleDesignError, UnstableLoopError
@@ -242,7 +240,7 @@ def _warn_of_coarse_delay(classical: Candidate) -> None:
     estimator, smoothed = classical.estimator, classical.judgement.nominal
     assert estimator is not None
     Delta = estimator.plant.structured_delta()
-    filtered = float(np.trace(error_covariance(estimator, Delta, "filtered", "real")))
+    filtered = float(error_covariance(estimator, Delta, "filtered", "real").trace())
     if smoothed > _WORSE * filtered:
         warnings.warn(
             f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: the "

@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Frozen, Matrix
@@ -52,7 +51,7 @@ class AnalysisBound(Frozen):
     mean_square: float
     gap: float
     fraction: float
-    multipliers: NDArray[np.float64]
+    multipliers: Matrix
     feedback: Matrix
 
     def __repr__(self) -> str:

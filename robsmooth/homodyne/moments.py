@@ -41,7 +41,6 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import qr, solve_triangular
 from scipy.sparse.linalg import expm_multiply, splu
@@ -188,7 +187,7 @@ def _converged(problem: WhitenedLoop) -> StationaryErrors:
             return best
 
 
-def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> StationaryErrors:
+def _result(problem: WhitenedLoop, errors: list[Matrix], degree: int) -> StationaryErrors:
     """Return the last errors, with the truncation estimated from the last two steps in degree."""
     with np.errstate(invalid="ignore"):  # infinite errors have the truncation nan
         steps = np.abs(np.diff(errors[-3:], axis=0))
@@ -197,7 +196,7 @@ def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> Statio
     return StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree)
 
 
-def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
+def _errors(problem: WhitenedLoop, degree: int) -> Matrix:
     """Mean square errors, smoothed and filtered; infinite if no law has these moments."""
     basis = HermiteBasis(len(problem.drift), degree)
     generator = _generator(problem, basis)
@@ -240,7 +239,7 @@ def _remainder(row: Matrix, slope: float, basis: HermiteBasis) -> sparse.csr_arr
     return product
 
 
-def _stationary_moments(generator: sparse.csr_array) -> NDArray[np.float64]:
+def _stationary_moments(generator: sparse.csr_array) -> Matrix:
     """Solve m L = 0, m_0 = 1, over the polynomials of even degree."""
     matrix = generator[1:, 1:].T.tocsc()
     right = -generator[[0], 1:].toarray()[0]
@@ -251,7 +250,7 @@ def _stationary_moments(generator: sparse.csr_array) -> NDArray[np.float64]:
     return np.array([1.0, *moments])
 
 
-def _change(problem: WhitenedLoop, generator: sparse.csr_array) -> NDArray[np.float64]:
+def _change(problem: WhitenedLoop, generator: sparse.csr_array) -> Matrix:
     """(e^{L delay} - 1) (phi - C_a x_hat) in the polynomials of odd degree."""
     error = np.zeros(generator.shape[0])
     error[: len(problem.drift)] = problem.smoothed
