@@ -24,7 +24,7 @@ class RecordCheck(Frozen):
     ----------
     innovations : (N, l) array, by the model white, of mean zero and variance one; NaN where missing
     mean_square : float, of the normalised innovations, by the model 1
-        Above it the record has more noise, or moves more, than the model says.
+        Above 1 the record has more noise, or moves more, than the model says.
     correlations : (lags, l, l) array
         Entry (d, i, j) is that of measurement i with measurement j, d + 1 samples before, in
         standard deviations: by the model normal, of mean zero and variance one. NaN at a lag with

@@ -103,12 +103,12 @@ def load(
     Parameters
     ----------
     path : str or path, ends in .toml or .json
-    functions : mapping of the names of functions in the file to callables, optional for a design
+    functions : mapping of names in the file to callables, optional; a design needs none
 
     Raises
     ------
     ValueError
-        By file and field: what is not valid, or no certified error of the multipliers given.
+        For what is not valid, or does not give its certified error. It names the file and field.
     TypeError
         Where `functions` is not a mapping.
     OSError
