@@ -31,8 +31,7 @@ def open_journal(
 ) -> "Iterator[Journal | None]":
     """Open or make a computation's journal, with its folders; without a path, give None.
 
-    The identity is all that the records depend on. Another file is never overwritten: it raises a
-    CheckpointError.
+    The identity is all that the records depend on. Another file raises a CheckpointError and stays.
     """
     if path is None:
         yield None

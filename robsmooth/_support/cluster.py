@@ -91,10 +91,8 @@ def workers(client: "Client") -> int:
             return threads
         if time.monotonic() >= asked + JOIN_TIME:
             address = client.scheduler.address
-            raise ConnectionError(
-                f"no worker has joined the scheduler at {address} for {JOIN_TIME:g} s: start one, "
-                f"as with `dask worker {address}`"
-            )
+            none = f"no worker has joined the scheduler at {address} for {JOIN_TIME:g} s"
+            raise ConnectionError(f"{none}: start one, as with `dask worker {address}`")
         time.sleep(0.1)
 
 
@@ -163,10 +161,8 @@ def _compute(wanted: dict[str, str], function: bytes, arguments: bytes) -> Any:
         if here.get(name) != wanted.get(name)
     )
     if differences:
-        raise RuntimeError(
-            f"a worker has other software than the client: {differences}; start the workers in "
-            "the same environment, and again after each change of it"
-        )
+        advice = "start the workers in the same environment, and again after each change of it"
+        raise RuntimeError(f"a worker has other software than the client: {differences}; {advice}")
     return _loads(function)(*pickle.loads(arguments))
 
 
@@ -206,10 +202,9 @@ def _check_client(client: "Client") -> None:
 
 
 def _lost(client: "Client") -> ConnectionError:
-    return ConnectionError(
-        f"there is no connection to the Dask scheduler (the client is {client.status}): it ended, "
-        "does not answer or was restarted, or the client was closed"
-    )
+    why = "it ended, does not answer or was restarted, or the client was closed"
+    lost = f"there is no connection to the Dask scheduler (the client is {client.status})"
+    return ConnectionError(f"{lost}: {why}")
 
 
 def _check_scheduler(address: str, timeout: float) -> None:

@@ -6,8 +6,7 @@ class InfeasibleDesignError(ValueError):
 
     Attributes
     ----------
-    condition : str
-        The condition that fails, as the paper names it, e.g. ``"Assumption 3.2"``.
+    condition : str, the one that fails, as the paper names it, e.g. ``"Assumption 3.2"``
     """
 
     def __init__(self, condition: str, detail: str, verb: str = "fails") -> None:

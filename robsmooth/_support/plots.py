@@ -26,7 +26,7 @@ _PLACES: dict[str | int, int] = {  # a number is the order of a delay's model
 }
 # A pale band for the truth or an ideal, under the estimates.
 _BAND = {"color": "0.78", "linestyle": "-", "linewidth": 2.5}
-_BANDS = ("true", "exact optimum", "both optimal, linear loop")
+_BANDS = dict.fromkeys(("true", "exact optimum", "both optimal, linear loop"), _BAND)
 
 
 def styles(names: Iterable[str | int]) -> list[dict[str, Any]]:
@@ -35,10 +35,9 @@ def styles(names: Iterable[str | int]) -> list[dict[str, Any]]:
 
     properties = mpl.rc_params_from_file(STYLE, use_default_template=False)["axes.prop_cycle"]
     cycle = [look | {"color": mpl.colors.to_hex(look["color"])} for look in properties]
-    bands = dict.fromkeys(_BANDS, _BAND)
     others = itertools.cycle(set(range(len(cycle))) - set(_PLACES.values()))
     return [
-        bands.get(name) or cycle[_PLACES[name] if name in _PLACES else next(others)]
+        _BANDS.get(name) or cycle[_PLACES[name] if name in _PLACES else next(others)]
         for name in names
     ]
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 Cell = str | int | float | None
 
-# A number, perhaps with an error, a unit or a per cent sign.
-_NUMBER = re.compile(r"[-+−]?(\d[\d.,]*(e[-+]?\d+)?|inf|nan)(\s?[%±µ].*)?")
+# A number, perhaps with an error, a unit or a per cent sign; or nothing.
+_NUMBER = re.compile(r"([-+−]?(\d[\d.,]*(e[-+]?\d+)?|inf|nan)(\s?[%±µ].*)?)?")
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Table:
     def html(self) -> str:
         """Return the table for HTML with MathJax, in a box that scrolls it where it is too wide."""
         columns = list(zip(*self._printed_rows(), strict=True)) or [()] * len(self.columns)
-        sides = ["right" if _numeric(column) else "left" for column in columns]
-        styles = [f'style="text-align: {side}"' for side in sides]
+        numeric = [any(column) and all(map(_NUMBER.fullmatch, column)) for column in columns]
+        styles = [f'style="text-align: {"right" if each else "left"}"' for each in numeric]
         names = map(_html, self.columns)
         header = "".join(map('<th scope="col" {}>{}</th>'.format, styles, names))
         rows = ("".join(map(self._html_cell, row, styles)) for row in self.rows)
@@ -76,8 +76,7 @@ class Table:
         """Return the table as comma-separated values, numbers to twelve digits."""
         text = io.StringIO()
         full = replace(self, digits=12)  # further digits differ between machines
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerows([self.columns, *full._printed_rows()])
+        csv.writer(text, lineterminator="\n").writerows([self.columns, *full._printed_rows()])
         return text.getvalue()
 
     def save(self, directory: Path | str, name: str) -> None:
@@ -109,12 +108,6 @@ def data_frame(axes: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> "Dat
     shape = [len(axis) for axis in axes.values()]
     columns = {name: np.broadcast_to(each, shape).ravel() for name, each in values.items()}
     return pandas.DataFrame(columns, index).reset_index()
-
-
-def _numeric(column: Sequence[str]) -> bool:
-    """Return whether a column has numbers, and only these."""
-    found = [cell for cell in column if cell]
-    return bool(found) and all(_NUMBER.fullmatch(cell) for cell in found)
 
 
 def _html(text: str) -> str:

@@ -110,7 +110,6 @@ class Frozen:
 
 
 def _all_frozen(value: Any) -> Any:
-    """Return a value with read-only arrays."""
     if isinstance(value, np.ndarray):
         return frozen(value)
     if isinstance(value, tuple):

@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Frozen, Matrix
@@ -32,14 +31,10 @@ class AnalysisBound(Frozen):
 
     Attributes
     ----------
-    mean_square : float
-        Bound on the mean square error under every admissible uncertainty, in the squared unit of w;
-        infinity where no multipliers give a bound.
-    gap : float
-        The relative distance from `mean_square` to the error under an admissible input, to first
-        order.
-    fraction : float
-        The share of the uncertainty for which there is a bound: 0 for a loop unstable without it.
+    mean_square : float, in the squared unit of w
+        Bound for every admissible uncertainty; infinity where no multipliers give one.
+    gap : float, relative, from `mean_square` to the error under an admissible input, to first order
+    fraction : float, share of the uncertainty that has a bound: 0 for a loop unstable without it
     multipliers : (k + 3g,) array, empty without a bound
         theta, s (unit of w)^2; infinity for a constraint that allows its input no energy.
     feedback : (r + 2g, N) array, empty without a bound
@@ -56,7 +51,7 @@ class AnalysisBound(Frozen):
     mean_square: float
     gap: float
     fraction: float
-    multipliers: NDArray[np.float64]
+    multipliers: Matrix
     feedback: Matrix
 
     def __repr__(self) -> str:

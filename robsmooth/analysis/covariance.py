@@ -51,10 +51,9 @@ def _check_norm(plant: AugmentedSystem, Delta: Matrix) -> None:
     weights = np.array([1.0] * (Delta.shape[1] - 2 * len(constants)) + 2 * constants)
     norm = float(np.linalg.norm(Delta / weights, 2)) if Delta.size else 0.0
     if norm > 1.0 + _NORM_ERROR:
-        raise ValueError(
-            "Delta must have norm at most 1, with columns of nonlinearities divided by their "
-            f"Lipschitz constants, got {norm:.6g}; allow_inadmissible=True lifts this limit"
-        )
+        what = "with columns of nonlinearities divided by their Lipschitz constants"
+        advice = "allow_inadmissible=True lifts this limit"
+        raise ValueError(f"Delta must have norm at most 1, {what}, got {norm:.6g}; {advice}")
 
 
 def _stationary_error(A: Matrix, B: Matrix, estimator: Estimator, output: str) -> Matrix:
@@ -178,9 +177,6 @@ class DeltaSweep(Frozen, NDArrayOperatorsMixin):
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[np.float64]:
         return np.array(self.covariances, dtype=dtype, copy=copy)
 
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        return getattr(ufunc, method)(*(getattr(x, "covariances", x) for x in inputs), **options)
-
     def __getitem__(self, index: Any) -> Any:
         return self.covariances[index]
 
@@ -206,8 +202,7 @@ def delta_sweep(
     ----------
     smoother : Estimator
     nonlinearities : (N,) array
-        The paper's Delta_2 in [-1, 1], the same for every nonlinearity and its copy; the
-        uncertainties are zero.
+        The paper's Delta_2 in [-1, 1], of all nonlinearities and copies. Uncertainties are zero.
     output, loop : as in `error_covariance`, which has the exceptions, too
 
     Returns
@@ -242,9 +237,8 @@ class WorstCase(Frozen):
     Attributes
     ----------
     Delta : (r + 2g, h + 2g) array, with zero blocks for channels without an effect
-    mean_square, nominal : float
-        The mean square error under it and without uncertainty, in the squared unit of w; infinity
-        where the loop is not stable.
+    mean_square, nominal : float, in the squared unit of w
+        The mean square error under it and without uncertainty; infinity in an unstable loop.
 
     Examples
     --------

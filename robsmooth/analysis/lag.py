@@ -25,7 +25,6 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.systems.system import UncertainSystem
 
 Design = Callable[[UncertainSystem, float, int], Estimator]
-Floats = NDArray[np.float64]
 
 _MOST_ORDER = 8  # that `choose_lag` tries
 _LEAST_GAIN = 1e-6  # of the gain from filtering to two-sided smoothing: the rest at the longest lag
@@ -52,11 +51,11 @@ class LagSweep(Frozen):
     (array([[0.0594, 0.0496]]), array([0.0593, 0.0495]))
     """
 
-    lags: Floats
+    lags: Matrix
     orders: NDArray[np.int_]
     nominal: Matrix
     worst: Matrix
-    optimal: Floats
+    optimal: Matrix
 
     def __repr__(self) -> str:
         sizes = f"{len(self.orders)} orders x {len(self.lags)} lags"
@@ -82,7 +81,7 @@ _classical = partial(baselines.fixed_lag_smoother, copies=True)
 @one_thread
 def lag_sweep(
     system: UncertainSystem,
-    lags: Sequence[float] | Floats,
+    lags: Sequence[float] | Matrix,
     orders: Sequence[int] | NDArray[np.int_],
     design: Design | None = None,
     *,
@@ -95,9 +94,8 @@ def lag_sweep(
     system : UncertainSystem
     lags : sequence of float, at least zero, s
     orders : sequence of int, of the delay's Pade model
-    design : callable, optional
-        Makes an `Estimator` of system, lag and order. Default: the nominal system's fixed-lag
-        smoother with copies of the nonlinearities.
+    design : callable, optional, of system, lag and order
+        Makes an `Estimator`. Default: the fixed-lag smoother with copies of the nonlinearities.
     progress : bool, whether to show a bar
 
     Examples
@@ -118,10 +116,8 @@ def lag_sweep(
         raise TypeError(f"design must be a function of system, lag and order, got {design!r}")
     validation.boolean("progress", progress)
     grid = [(lag, int(order)) for order in orders for lag in lags]
-    cases = [
-        worst_case(design(system, lag, order), loop="real")
-        for lag, order in progress_bar(grid, unit="design", shown=progress)
-    ]
+    bar = progress_bar(grid, unit="design", shown=progress)
+    cases = [worst_case(design(system, lag, order), loop="real") for lag, order in bar]
     errors = np.array([(case.nominal, case.mean_square) for case in cases]).T
     errors = errors.reshape(2, len(orders), len(lags))
     optimal = np.array([_optimal_error(system, lag) for lag in lags])
@@ -221,11 +217,9 @@ def choose_lag(
         if least <= target:
             break
     else:
-        raise InfeasibleDesignError(
-            "The target",
-            f"no order up to {_MOST_ORDER} has an error of at most {target:.6g} at any lag; the "
-            f"least that was found is {least:.6g}",
-        )
+        none = f"no order up to {_MOST_ORDER} has an error of at most {target:.6g} at any lag"
+        detail = f"{none}; the least that was found is {least:.6g}"
+        raise InfeasibleDesignError("The target", detail)
     error, first = partial(_classical_error, system, order), (errors <= target).argmax()
     low, high = lags[first - 1 : first + 1]
     tolerance = {"xtol": 1e-12 * high, "rtol": 1e-12}
@@ -255,10 +249,9 @@ def _target(system: UncertainSystem, target: float | None, fraction: float | Non
         target = filtering - fraction * (filtering - two_sided)
     target = validation.positive("target", target)
     if not target > two_sided + _LEAST_GAIN * (filtering - two_sided):
-        raise ValueError(
-            f"target must be above {two_sided:.6g}, the error of two-sided smoothing, which no lag "
-            f"reaches, got {target:.6g}; filtering has {filtering:.6g}"
-        )
+        limit = f"{two_sided:.6g}, the error of two-sided smoothing, which no lag reaches"
+        given = f"{target:.6g}; filtering has {filtering:.6g}"
+        raise ValueError(f"target must be above {limit}, got {given}")
     return target
 
 
@@ -274,7 +267,7 @@ def _longest_lag(system: UncertainSystem) -> float:
     return lag
 
 
-def _errors_of_lags(system: UncertainSystem, order: int, longest: float) -> tuple[Floats, Floats]:
+def _errors_of_lags(system: UncertainSystem, order: int, longest: float) -> tuple[Matrix, Matrix]:
     """Return lags from zero on, the best one included, and the classical errors."""
     error = partial(_classical_error, system, order)
     lags = np.append(0.0, _LAGS * longest)

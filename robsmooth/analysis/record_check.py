@@ -8,13 +8,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2, norm
 
 from robsmooth._support import plots, validation
-from robsmooth._support.validation import Frozen
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.estimators.discrete import DiscreteSmoother
 
 _LEVEL = 0.01  # false-alarm rate of the three tests together
 _LAGS = 20  # samples, the longest lag of the correlations
 _PAIRS = 50  # of samples, the fewest for a correlation, times the number of measurements
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,11 +22,9 @@ class RecordCheck(Frozen):
 
     Attributes
     ----------
-    innovations : (N, l) array
-        By the model they are white, of mean zero and variance one; NaN for a missing measurement.
-    mean_square : float
-        The mean normalised innovation squared, by the model 1: above it the record has more noise,
-        or moves more, than the model says.
+    innovations : (N, l) array, by the model white, of mean zero and variance one; NaN where missing
+    mean_square : float, of the normalised innovations, by the model 1
+        Above 1 the record has more noise, or moves more, than the model says.
     correlations : (lags, l, l) array
         Entry (d, i, j) is that of measurement i with measurement j, d + 1 samples before, in
         standard deviations: by the model normal, of mean zero and variance one. NaN at a lag with
@@ -42,14 +39,13 @@ class RecordCheck(Frozen):
     >>> import numpy as np
     >>> import robsmooth as rs
     >>> discrete = rs.baselines.kalman_bucy(rs.examples.random_walk()).discretize(dt=0.1)
-    >>> found = rs.check_record(discrete, np.zeros((100, 1)))
-    >>> found.innovations.shape, found.mean_square
-    ((100, 1), 0.0)
+    >>> rs.check_record(discrete, np.zeros((100, 1))).mean_square
+    0.0
     """
 
-    innovations: Floats
+    innovations: Matrix
     mean_square: float
-    correlations: Floats
+    correlations: Matrix
     p_mean: float
     p_mean_square: float
     p_white: float
@@ -113,8 +109,7 @@ def check_record(
     smoother : DiscreteSmoother
         Of a classical or a tuned design, made by ``estimator.discretize(dt)``. Its state stays. The
         noises of a tuned design's model are not the plant's.
-    y, reference, inputs
-        The record, as in `DiscreteSmoother.run`.
+    y, reference, inputs : the record, as in `DiscreteSmoother.run`
 
     Raises
     ------
@@ -136,12 +131,10 @@ def check_record(
     validation.instance("smoother", smoother, DiscreteSmoother)
     z = smoother.innovations(y, reference=reference, inputs=inputs)
     seen = np.isfinite(z)
-    if len(z) <= _LAGS or not seen.any(axis=0).all():
-        raise ValueError(
-            f"y must have more than {_LAGS} rows and samples of each measurement, got {len(z)} "
-            f"rows with {seen.sum(axis=0).tolist()} samples"
-        )
     values, count = np.where(seen, z, 0.0), seen.sum(axis=0)
+    if len(z) <= _LAGS or not count.all():
+        rule = f"y must have more than {_LAGS} rows and samples of each measurement"
+        raise ValueError(f"{rule}, got {len(z)} rows with {count.tolist()} samples")
     total = (values**2).sum()
     correlations = np.array([_correlations(values, seen, d) for d in range(1, _LAGS + 1)])
     squared, known = np.nansum(correlations**2), np.isfinite(correlations).sum()
@@ -156,7 +149,7 @@ def check_record(
     )
 
 
-def _correlations(values: Floats, seen: NDArray[np.bool_], lag: int) -> Floats:
+def _correlations(values: Matrix, seen: NDArray[np.bool_], lag: int) -> Matrix:
     """Return the correlations at a lag, NaN where pairs are too few."""
     pairs = seen[lag:].T.astype(float) @ seen[:-lag]
     size = np.sqrt((values**2).sum(axis=0) / seen.sum(axis=0))

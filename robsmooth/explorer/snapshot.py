@@ -83,11 +83,10 @@ class Settings:
     def __post_init__(self):
         for name, slider in SLIDERS.items():
             low, high = slider.si(slider.low), slider.si(slider.high)
-            value = validation.real(name, getattr(self, name), low=low, high=high)
-            object.__setattr__(self, name, value)
+            vars(self)[name] = validation.real(name, getattr(self, name), low=low, high=high)
         if not self.order.is_integer():
             raise ValueError(f"order must be a whole number, got {self.order}")
-        object.__setattr__(self, "order", int(self.order))
+        vars(self)["order"] = int(self.order)
         validation.choice("cost", self.cost, COSTS)
         validation.choice("design", self.design, DESIGNS)
 

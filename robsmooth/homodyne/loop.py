@@ -1,8 +1,7 @@
 r"""The adaptive homodyne loop of Section IV with a linear estimator in it.
 
 Phase and photocurrent are those of `robsmooth.homodyne.parameters`, with the local oscillator's
-phase :math:`u` for the estimate, and noise of the power s. The measurement and a copy of the
-nonlinearity drive the estimator,
+phase :math:`u` for the estimate, and noise of power s. Measurement and copy drive the estimator,
 
 .. math::
 
@@ -21,8 +20,7 @@ As :math:`u`, :math:`\tilde\nu` and the estimates are linear in :math:`\hat x`, 
 
 The phase u is the filtered or the smoothed estimate, or :math:`\tilde\nu/2\alpha\gamma`, with which
 the copy's output is zero, or zero. It is the loop of `robsmooth.estimators.loop` with the reference
-:math:`2\alpha\gamma u`, written with sines:
-:math:`\psi(v) = 2\alpha\sin(v/2\alpha\gamma) - (\beta/\gamma)v`.
+:math:`2\alpha\gamma u`, written with sines.
 """
 
 import math
@@ -94,8 +92,7 @@ class Loop:
     def linear_errors(self, *slopes: float) -> tuple[float, float]:
         """Filtered and smoothed mean square error, rad^2, each sine replaced by a slope."""
         P = self.covariance(*slopes)
-        filtered = np.concatenate([[1.0], -self.readout[0]])
-        smoothed = np.concatenate([[0.0], -self.readout[1]])
+        filtered, smoothed = np.hstack([[[1.0], [0.0]], -self.readout[:2]])
         # covariance of the state now and the phase a delay ago
         cross = (expm(self.linearised_drift(*slopes) * self.delay) @ P)[:, 0]
         lagged = float(P[0, 0] + 2 * smoothed @ cross + smoothed @ P @ smoothed)
@@ -131,10 +128,8 @@ def decay_rate(drift: Matrix) -> float:
     """Return the decay rate of the slowest mode, 1/s; UnstableLoopError: it is not positive."""
     slowest = 0.0 + modes.rates(drift)[0]  # no minus zero
     if not slowest > 0.0:
-        raise UnstableLoopError(
-            "the loop has no stationary state: linearised, its slowest mode has the decay rate "
-            f"{slowest:.3g} 1/s"
-        )
+        why = f"linearised, its slowest mode has the decay rate {slowest:.3g} 1/s"
+        raise UnstableLoopError(f"the loop has no stationary state: {why}")
     return slowest
 
 
@@ -152,8 +147,7 @@ def homodyne_loop(
     shot_noise = validation.real("shot_noise", shot_noise, low=0.0)
     # A phase that does not decay gets a decay too small to change the errors.
     rate = 2.0 * parameters.alpha * parameters.beta * math.sqrt(parameters.kappa)
-    lam = max(parameters.lam, _LEAST_DECAY * rate)
-    system = replace(parameters, lam=lam).uncertain_system()
+    system = replace(parameters, lam=max(parameters.lam, _LEAST_DECAY * rate)).uncertain_system()
     system = replace(system, D21=math.sqrt(shot_noise) * system.D21)
     estimator = _estimator(smoother, system, copy)
 
@@ -162,9 +156,8 @@ def homodyne_loop(
     rows = (scale * estimator.C_f, scale * estimator.C_a, estimator.C_c[1:], scale * estimator.C_f)
     steering = rows[OSCILLATORS.index(oscillator)]
     if oscillator == "copy" and not steering.any():
-        raise ValueError(
-            "oscillator must be 'filtered', 'smoothed' or 'none' where no copy runs, got 'copy'"
-        )
+        allowed = "'filtered', 'smoothed' or 'none' where no copy runs"
+        raise ValueError(f"oscillator must be {allowed}, got 'copy'")
     reference = None if oscillator == "none" else steering
     drift, noise, inputs, outputs = matrices(estimator, loop="real", reference=reference)
     # the first channel is an uncertainty that is zero; the sine and its copy follow
@@ -188,10 +181,8 @@ def _estimator(smoother: Estimator, system: UncertainSystem, copy: bool) -> Esti
     validation.instance("smoother", smoother, Estimator)
     own = smoother.plant.system
     if (own.m, own.l) != (1, 1) or own.g > 1:
-        raise ValueError(
-            "smoother must have one output, one measurement and at most one nonlinearity, got "
-            f"m={own.m}, l={own.l} and g={own.g}"
-        )
+        rule = "one output, one measurement and at most one nonlinearity"
+        raise ValueError(f"smoother must have {rule}, got m={own.m}, l={own.l} and g={own.g}")
     runs, missing = np.array([1.0, float(copy)])[: 1 + own.g], 1 - own.g
     return Estimator(
         plant=augment(system, smoother.plant.delay, order=0),
@@ -227,8 +218,7 @@ def statistical_linearisation(
 
     Parameters
     ----------
-    parameters, smoother, oscillator, copy, shot_noise
-        As in `monte_carlo`.
+    parameters, smoother, oscillator, copy, shot_noise : as in `monte_carlo`
 
     Returns
     -------

@@ -41,7 +41,6 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import qr, solve_triangular
 from scipy.sparse.linalg import expm_multiply, splu
@@ -82,8 +81,7 @@ class StationaryErrors:
     --------
     >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
-    >>> errors = rs.stationary_errors(rs.homodyne.PAPER, kalman)
-    >>> errors.degree
+    >>> rs.stationary_errors(rs.homodyne.PAPER, kalman).degree
     14
     """
 
@@ -138,8 +136,7 @@ def stationary_errors(
 
     Parameters
     ----------
-    parameters, smoother, oscillator, copy, shot_noise
-        As in `monte_carlo`.
+    parameters, smoother, oscillator, copy, shot_noise : as in `monte_carlo`
 
     Raises
     ------
@@ -155,24 +152,20 @@ def stationary_errors(
     --------
     >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
-    >>> errors = rs.stationary_errors(rs.homodyne.PAPER, kalman)
-    >>> print(f"{errors.filtered:.6f} rad^2")
-    0.088235 rad^2
+    >>> round(rs.stationary_errors(rs.homodyne.PAPER, kalman).filtered, 6)
+    0.088235
     """
     loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
     unknowns = _unknowns(1 + loop.order, LEAST_DEGREE)
     if unknowns > MOST_UNKNOWNS:
-        raise ValueError(
-            f"the {loop.order} states of smoother make {unknowns} unknowns at the least degree; at "
-            f"most {MOST_UNKNOWNS} are allowed"
-        )
+        made = f"the {loop.order} states of smoother make {unknowns} unknowns at the least degree"
+        raise ValueError(f"{made}; at most {MOST_UNKNOWNS} are allowed")
     result = _converged(whitened(loop))
     relative = result._relative_truncation
     if not relative <= LARGEST_TRUNCATION:
-        raise ArithmeticError(
-            "the loop is so noisy that it slips: the expansion does not converge (relative "
-            f"truncation error {relative:.2g} at degree {result.degree}); use monte_carlo instead"
-        )
+        what = "the loop is so noisy that it slips: the expansion does not converge"
+        error = f"relative truncation error {relative:.2g} at degree {result.degree}"
+        raise ArithmeticError(f"{what} ({error}); use monte_carlo instead")
     return result
 
 
@@ -194,7 +187,7 @@ def _converged(problem: WhitenedLoop) -> StationaryErrors:
             return best
 
 
-def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> StationaryErrors:
+def _result(problem: WhitenedLoop, errors: list[Matrix], degree: int) -> StationaryErrors:
     """Return the last errors, with the truncation estimated from the last two steps in degree."""
     with np.errstate(invalid="ignore"):  # infinite errors have the truncation nan
         steps = np.abs(np.diff(errors[-3:], axis=0))
@@ -203,7 +196,7 @@ def _result(problem: WhitenedLoop, errors: list[NDArray], degree: int) -> Statio
     return StationaryErrors(*errors[-1].tolist(), *truncation.tolist(), degree)
 
 
-def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
+def _errors(problem: WhitenedLoop, degree: int) -> Matrix:
     """Mean square errors, smoothed and filtered; infinite if no law has these moments."""
     basis = HermiteBasis(len(problem.drift), degree)
     generator = _generator(problem, basis)
@@ -217,11 +210,9 @@ def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
     with np.errstate(over="ignore", invalid="ignore"):
         change = _change(problem, generator[basis.odd][:, basis.odd])
         filtered = problem.filtered @ covariance @ problem.filtered
-        smoothed = (
-            -2 * math.expm1(-problem.phase_decay * problem.delay) * problem.phase_variance
-            + problem.smoothed @ covariance @ problem.smoothed
-            + 2 * problem.phase @ products @ change
-        )
+        moved = -2 * math.expm1(-problem.phase_decay * problem.delay) * problem.phase_variance
+        now = problem.smoothed @ covariance @ problem.smoothed
+        smoothed = moved + now + 2 * problem.phase @ products @ change
     errors = np.array([smoothed, filtered])
     valid = np.isfinite(errors).all() and (errors >= 0).all()
     valid = valid and np.linalg.eigvalsh(covariance)[0] >= 0
@@ -248,7 +239,7 @@ def _remainder(row: Matrix, slope: float, basis: HermiteBasis) -> sparse.csr_arr
     return product
 
 
-def _stationary_moments(generator: sparse.csr_array) -> NDArray[np.float64]:
+def _stationary_moments(generator: sparse.csr_array) -> Matrix:
     """Solve m L = 0, m_0 = 1, over the polynomials of even degree."""
     matrix = generator[1:, 1:].T.tocsc()
     right = -generator[[0], 1:].toarray()[0]
@@ -259,7 +250,7 @@ def _stationary_moments(generator: sparse.csr_array) -> NDArray[np.float64]:
     return np.array([1.0, *moments])
 
 
-def _change(problem: WhitenedLoop, generator: sparse.csr_array) -> NDArray[np.float64]:
+def _change(problem: WhitenedLoop, generator: sparse.csr_array) -> Matrix:
     """(e^{L delay} - 1) (phi - C_a x_hat) in the polynomials of odd degree."""
     error = np.zeros(generator.shape[0])
     error[: len(problem.drift)] = problem.smoothed
@@ -279,10 +270,9 @@ def whitened(loop: Loop) -> WhitenedLoop:
     # Far out of lock there are slopes again: the noise averages the sine to zero.
     largest = deviations[loop.arguments[:, 1:].any(axis=1)].max(initial=0.0)
     if largest > LARGEST_DEVIATION:
-        raise UnstableLoopError(
-            "the loop is not in lock: by statistical linearisation the argument of its sine has "
-            f"the standard deviation {largest:.3g} rad, which must be at most pi/2"
-        )
+        what = "by statistical linearisation the argument of its sine has the standard deviation"
+        got = f"{largest:.3g} rad, which must be at most pi/2"
+        raise UnstableLoopError(f"the loop is not in lock: {what} {got}")
     # The arguments of the sines that matter span the first coordinates.
     gains = inverse @ loop.gains / rate
     active = deviations**3 * np.linalg.norm(gains, axis=0) > _NEGLIGIBLE_REMAINDER
@@ -319,8 +309,6 @@ def _white_coordinates(loop: Loop, slopes: Matrix) -> tuple[Matrix, Matrix, floa
     white = loop.stationary_root(slopes, S, inverse)
     rounding = np.abs(white @ white.T - np.eye(rank)).max(initial=0.0)
     if rounding > _LARGEST_ROUNDING:
-        raise ArithmeticError(
-            "the covariance of the linearised loop is lost in rounding: its rates, or the scales "
-            "of the estimator's states, are too far apart"
-        )
+        why = "its rates, or the scales of the estimator's states, are too far apart"
+        raise ArithmeticError(f"the covariance of the linearised loop is lost in rounding: {why}")
     return S, inverse, rounding

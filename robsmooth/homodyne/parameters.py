@@ -51,11 +51,10 @@ class HomodyneParameters:
     gamma: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lam", validation.real("lam", self.lam, low=0.0))
+        vars(self)["lam"] = validation.real("lam", self.lam, low=0.0)
         for name in ("kappa", "alpha", "beta"):
-            object.__setattr__(self, name, validation.positive(name, getattr(self, name)))
-        gamma = validation.real("gamma", self.gamma, low=0, high=1, without=[0, 1])
-        object.__setattr__(self, "gamma", gamma)
+            vars(self)[name] = validation.positive(name, getattr(self, name))
+        vars(self)["gamma"] = validation.real("gamma", self.gamma, low=0, high=1, without=[0, 1])
 
     def uncertain_system(self) -> UncertainSystem:
         r"""Return the example in the form of Section II, as (eqsystem1).

@@ -51,8 +51,7 @@ class Study(Frozen):
         Mean square errors, rad^2. "bound": on the filtered one. Linear loop: smoothed, "nominal"
         for the sine's tangent and "edge" at the sector's edge; "optimal", "optimal_filtered" for
         the tangent. Nonlinear loop, paths in lock: "filtered", "smoothed", with the standard errors
-        "filtered_error", "smoothed_error". "slip_rate" is in 1/s. NaN without a design or a path in
-        lock.
+        "filtered_error", "smoothed_error". "slip_rate": 1/s. NaN without a design or path in lock.
     failures : dict of (gamma, noise) to str, why there is no design
 
     Examples
@@ -149,11 +148,10 @@ def parameter_study(
     validation.boolean("progress", progress)
 
     study = {**axes, "parameters": vars(parameters), "runs": runs, "seed": seed}
-    identity = {"study": study, "software": cluster.software()}
     columns = list(product(gammas, noises))
     loops = [(replace(parameters, gamma=g, alpha=parameters.alpha / s**0.5),) for g, s in columns]
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
-    with open_journal(checkpoint, identity) as journal:
+    with open_journal(checkpoint, {"study": study, "software": cluster.software()}) as journal:
         results = list(journal.records()) if journal else []
         # columns of a former run count as progress, not for the rate
         extent = {"total": len(loops), "initial": len(results), "unit": "column"}
@@ -166,10 +164,8 @@ def parameter_study(
 
     nothing, shape = [{}] * (len(orders) * len(lags)), tuple(map(len, axes.values()))
     points = [point for result in results for point in result.get("points", nothing)]
-    quantities = {
-        name: np.array([point.get(name, np.nan) for point in points]).reshape(shape)
-        for name in QUANTITIES
-    }
+    values = {name: [point.get(name, np.nan) for point in points] for name in QUANTITIES}
+    quantities = {name: np.reshape(each, shape) for name, each in values.items()}
     found = zip(columns, results, strict=True)
     failures = {column: result["failure"] for column, result in found if "failure" in result}
     return Study(gammas, noises, orders, lags, quantities, failures)

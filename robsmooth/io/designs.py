@@ -57,24 +57,20 @@ def save(value: "Saved", path: str | os.PathLike[str]) -> None:
         `RobustSmoother`, from which the rest follows, the matrices and certificate of a
         `MinimaxSmoother`, the matrices of another estimator, and the name of a function. It says
         how a `DiscreteSmoother` was made, and not its state.
-    path : str or path
-        Ends in .toml or .json. The file appears whole or not at all.
+    path : str or path, ends in .toml or .json; the file appears whole or not at all
 
     Raises
     ------
     ValueError, TypeError
-        For another suffix, another kind of object, different functions of one name, or a design
-        that `load` would refuse.
+        For another suffix or kind, different functions of one name, or what `load` would refuse.
     OSError
         Where the file cannot be written.
 
     Examples
     --------
-    >>> import tempfile
     >>> import robsmooth as rs
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     rs.save(rs.homodyne.PAPER.uncertain_system(), folder + "/system.toml")
-    ...     rs.load(folder + "/system.toml").A
+    >>> rs.save(rs.homodyne.PAPER.uncertain_system(), "system.toml")
+    >>> rs.load("system.toml").A
     array([[-9140.]])
     """
     path, language = _language(path)
@@ -100,24 +96,19 @@ def save(value: "Saved", path: str | os.PathLike[str]) -> None:
 def load(
     path: str | os.PathLike[str], functions: Mapping[str, Callable[[Any], Any]] | None = None
 ) -> "Saved":
-    """Load a file that `save` or a user wrote.
+    """Load what `save` or a user wrote to a file.
+
+    The guarantee of a `RobustSmoother` or `MinimaxSmoother` is computed anew.
 
     Parameters
     ----------
     path : str or path, ends in .toml or .json
-    functions : mapping of str to callable, optional
-        The functions of nonlinearities, by their names in the file. A design needs none.
-
-    Returns
-    -------
-    UncertainSystem, AugmentedSystem, Estimator or DiscreteSmoother
-        The guarantee of a `RobustSmoother` or `MinimaxSmoother` is computed anew.
+    functions : mapping of names in the file to callables, optional; a design needs none
 
     Raises
     ------
     ValueError
-        Where the file is not valid, or a certified error does not follow from its multipliers. The
-        message names the file and the field.
+        For what is not valid, or does not give its certified error. It names the file and field.
     TypeError
         Where `functions` is not a mapping.
     OSError
@@ -125,19 +116,16 @@ def load(
 
     Examples
     --------
-    >>> import tempfile
     >>> import robsmooth as rs
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     rs.save(rs.homodyne.PAPER.uncertain_system(), folder + "/system.json")
-    ...     rs.load(folder + "/system.json").n
+    >>> rs.save(rs.homodyne.PAPER.uncertain_system(), "system.json")
+    >>> rs.load("system.json").n
     1
     """
     path, language = _language(path)
     functions = {} if functions is None else functions
     validation.instance("functions", functions, Mapping)
     try:
-        content = _READERS[language](path.read_bytes().decode("utf-8-sig"))
-        return _object(content, functions)
+        return _object(_READERS[language](path.read_bytes().decode("utf-8-sig")), functions)
     except RecursionError:
         raise ValueError(f"{path.name}: its brackets are nested too deeply") from None
     except (ValueError, TypeError) as error:

@@ -18,6 +18,7 @@ from numpy.lib import format as npy
 
 from robsmooth._support import validation
 from robsmooth._support.extras import pyarrow
+from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix
 
 BLOCK = 1 << 18  # bytes of a CSV file at a time; its lines are shorter
@@ -50,6 +51,7 @@ class Record:
     names: Sequence[str] = ()
     width, size = 0, None  # numbers of columns, and of rows or, of a CSV file, bytes
     unit, read = "row", 0  # of the size; how much of it was read
+    shown = False  # whether a bar shows that
     first, advice = 0, ""  # the number of the first row; the end of messages
     index: int | None = None  # the column that is the index of a data frame
     dates: Mapping[int, Any] = {}  # the types of columns of dates and of lengths of time
@@ -62,7 +64,8 @@ class Record:
 
     def rows(self, columns: list[int], chunk: int) -> Iterator[Matrix]:
         """Yield columns of the next rows as numbers; dates are in s since the first."""
-        with self._failures():
+        bar = progress_bar(total=self.size, unit=self.unit, unit_scale=True, shown=self.shown)
+        with self._failures(), bar:
             for piece in self.pieces(columns, chunk):
                 for i in range(0, len(piece), chunk):
                     part = piece[i : i + chunk]
@@ -71,6 +74,7 @@ class Record:
                     else:
                         cells = zip(part.itercolumns(), columns, strict=True)
                         yield np.column_stack([self._numbers(*cell) for cell in cells])
+                bar.update(self.read - bar.n)
 
     def _numbers(self, cells: Any, column: int) -> Matrix:
         if re.match("bool|extension", str(cells.type)):

@@ -14,7 +14,6 @@ from typing import Any, Literal
 import numpy as np
 
 from robsmooth._support import validation
-from robsmooth._support.progress import progress_bar
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.discrete import OUTPUTS, SHORTEST, DiscreteSmoother
 from robsmooth.io import formats, targets
@@ -131,10 +130,10 @@ def smooth_record(
             return smoother.times(len(y), output) if timed else np.empty(len(y)), w
         return own[:, 0] + (0.0 if smoother.instants else length) - delay, w
 
+    record.shown = progress
     pieces = _checked(record, chosen, ends, smoother.dt, regular, chunk)
     if not regular:
         pieces = _with_lengths(pieces, smoother.dt, smoother.instants)
-    pieces = _shown(record, pieces, progress)
     if target is None and isinstance(record, formats.Chunks):
         return (smooth(values)[1] for values in pieces)
     before = smoother._checkpoint()
@@ -142,8 +141,7 @@ def smooth_record(
         if target is None:
             none = np.empty(0), np.empty((0, smoother.m))
             times, w = map(np.concatenate, zip(none, *map(smooth, pieces), strict=True))
-            frame = isinstance(record, formats.Table)
-            return record.as_given(clock, times, w) if frame else w
+            return record.as_given(clock, times, w) if isinstance(record, formats.Table) else w
         given = {"columns": chosen, "clock": clock, "delimiter": mark, "chunk": chunk}
         identity = (lambda: given | {"first date": str(record.origin)}) if resume else None
         writer = partial(targets.writer, record, clock, mark, smoother.m)
@@ -166,14 +164,6 @@ def _target(record: Record, target: Any, delimiter: str | None, resume: bool) ->
     if resume and path.suffix.lower() == ".gz":
         raise ValueError(f"target must be no file in gzip where resume=True, got {path}")
     return path, mark
-
-
-def _shown(record: Record, pieces: Iterator[Matrix], progress: bool) -> Iterator[Matrix]:
-    """Show how much of a record is read."""
-    with progress_bar(total=record.size, unit=record.unit, unit_scale=True, shown=progress) as bar:
-        for values in pieces:
-            yield values
-            bar.update(record.read - bar.n)
 
 
 def _choice(
@@ -222,9 +212,8 @@ def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[
     if len(found) != wanted:
         given = ", ".join(record.name(i) for i in found[:10])
         advice = "; its .T has a row for each sample" if record.size == wanted else record.advice
-        raise ValueError(
-            f"{name} must name {wanted} columns of {path}, got {len(found)}: {given}{advice}"
-        )
+        given = f"{len(found)}: {given}{advice}"
+        raise ValueError(f"{name} must name {wanted} columns of {path}, got {given}")
     return found
 
 
@@ -267,20 +256,17 @@ def _checked(
                 advice = "times must rise; a missing row is a row of nan"
                 if regular:
                     advice += ", time=False takes all as regular, regular=False any times"
-                raise ValueError(
-                    f"{place(i, -1)}: {times[i]:.15g} s is {late[i]:.6g} samples after the row "
-                    f"before and {drift[i]:+.6g} off regular times with dt = {dt:g} s; {advice}"
-                )
+                after = f"{late[i]:.6g} samples after the row before"
+                off = f"{drift[i]:+.6g} off regular times with dt = {dt:g} s"
+                time = f"{times[i]:.15g} s is {after} and {off}"
+                raise ValueError(f"{place(i, -1)}: {time}; {advice}")
             last = times[-1]
         yield values
         done += len(values)
 
 
 def _with_lengths(pieces: Iterator[Matrix], dt: float, instants: bool) -> Iterator[Matrix]:
-    """Yield rows with the lengths of their intervals behind their times.
-
-    An interval ends at the next row's time; that of an instant begins at the time before.
-    """
+    """Yield rows and their intervals' lengths, to the next row or, for instants, from the last."""
     before = np.empty((0, 0))
     for values in pieces:
         if instants:

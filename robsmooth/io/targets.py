@@ -1,8 +1,7 @@
 """Estimates written to a file, by a run that can be resumed.
 
 An interrupted run leaves its file, and a journal of its progress and the smoother's state. To
-resume, the record is read from its begin and compared by a digest, and the file is cut to the size
-in the journal's last note.
+resume, the record is read anew and compared by a digest; the file is cut to the last note's size.
 """
 
 import base64
@@ -39,10 +38,7 @@ def written(
     writer: Callable[[Path, int], Any],
     identity: Callable[[], dict[str, Any]] | None,
 ) -> int:
-    """Write the estimates of a record's pieces; return the number of rows.
-
-    A run with an identity resumes an interrupted one with the same.
-    """
+    """Write a record's estimates; return their number. An identity resumes a run that has it."""
     if identity is None:
         with atomic_path(target) as path:
             return _append(smoother, smooth, pieces, path, writer, None)
@@ -95,14 +91,12 @@ def _append(
 
 
 def _packed(smoother: DiscreteSmoother) -> str:
-    """Return the memory of a smoother as text."""
     memory, file = smoother._checkpoint()[0], io.BytesIO()
     np.savez(file, *(memory if isinstance(memory, tuple) else [memory]))
     return base64.b64encode(file.getvalue()).decode()
 
 
 def _unpacked(smoother: DiscreteSmoother, text: str) -> Any:
-    """Return the memory of a smoother from its text."""
     arrays = [*np.load(io.BytesIO(base64.b64decode(text))).values()]
     kind = type(smoother._checkpoint()[0])
     return kind(*arrays) if issubclass(kind, tuple) else arrays[0]
