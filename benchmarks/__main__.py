@@ -47,6 +47,7 @@ def printed(results: dict) -> Iterator[Table]:
     """Yield all tables."""
     yield tables.peers_table(results)
     yield from tables.scale_tables(results)
+    yield tables.any_loop_table(results)
     yield tables.records_table(results)
     yield from tables.kalman_tables(results)
     yield tables.files_table(results)
@@ -67,6 +68,7 @@ def measure(quick: bool, peers: str) -> dict:
     for parts in [ALONE] if quick else [[part] for part in ALONE]:
         results |= in_own_process("alone", *parts, "--peers", peers, *effort)
     results["processes"] = in_own_process("processes", *effort)
+    results["any_loop"] = in_own_process("any_loop", *effort)
     results["scales"] = scales.scales(scales.QUICK if quick else scales.FULL)
     waits = targets(1 if quick else 31, QUICK_STATES if quick else STATES)
     results["targets"] = [*waits, import_time(results["scales"]["first_call"]["import"])]

@@ -16,6 +16,9 @@ RACE = {
 }
 
 
+ANY_LOOP = 20.0  # times NumPy, on all threads
+
+
 def is_complete(results: dict) -> bool:
     """Tell whether everybody with an aim was measured, and all peers agree."""
     peers = results["race"]["peers"]
@@ -24,7 +27,8 @@ def is_complete(results: dict) -> bool:
 
 def disagreeing(results: dict) -> list[str]:
     """Return the peers whose results are not robsmooth's."""
-    contenders = [results[part]["contenders"] for part in ("throughput", "latency")]
+    parts = "throughput", "latency", "any_loop"
+    contenders = [results[part]["contenders"] for part in parts]
     measured = [results["race"]["peers"], *contenders, *results["kalman"]["uses"].values()]
     named = [(name, row) for rows in measured for name, row in rows.items()]
     named += [(row["name"], row) for row in results["riccati"]["rows"]]
@@ -73,7 +77,8 @@ def is_overloaded(about: dict) -> bool:
 
 def shortfalls(results: dict) -> list[str]:
     """Say which aims are not met."""
-    return [*_slow_waits(results), *_slow_designs(results), *_slow_races(results)]
+    found = _slow_waits, _slow_designs, _slow_races, _slow_loop
+    return [text for each in found for text in each(results)]
 
 
 def _slow_waits(results: dict) -> Iterator[str]:
@@ -99,6 +104,12 @@ def _slow_races(results: dict) -> Iterator[str]:
                 f"robsmooth, {precision}, is {span(peers[name][f'ratio_{precision}'])} times as "
                 f"fast as {name}; the aim is {aim:g}"
             )
+
+
+def _slow_loop(results: dict) -> Iterator[str]:
+    *_, (name, row) = results["any_loop"]["contenders"].items()
+    if row["ratio"] < ANY_LOOP:
+        yield f"simulate: {name}, {span(row['ratio'])} times NumPy; the aim is {ANY_LOOP:g}"
 
 
 def regressions(results: dict) -> list[str]:

@@ -45,6 +45,9 @@ def _ratios(results: dict) -> Iterator[tuple[str, float, list[float]]]:
         if row["ratio"] != 1.0:
             name = f"a design of {row['states']} states, times {row['name']}"
             yield name, row["ratio"], row["ratio_quartiles"]
+    for name, row in results["any_loop"]["contenders"].items():
+        if name.startswith("robsmooth"):
+            yield f"any loop: {name}, times NumPy", row["ratio"], row["ratio_quartiles"]
     for row in results["targets"]:
         if "ratio" in row:
             yield _inverted(f"{row['name']}, in yardsticks", row)

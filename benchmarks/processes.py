@@ -17,8 +17,9 @@ from benchmarks.problem import STEP, STEPS
 from benchmarks.race import middle, say
 from benchmarks.timing import interleaved
 from robsmooth._support.cluster import in_order
-from robsmooth.homodyne.montecarlo.run import GROUPS_OF_A_CALL, STEPS_OF_A_GROUP
+from robsmooth.homodyne.montecarlo.protocols import Simulation
 from robsmooth.paper import published
+from robsmooth.simulation.groups import GROUPS_OF_A_CALL
 
 RUNS, RUN_STEPS = 65_536, 5000  # eight calls, of the largest groups of paths that there are
 QUICK_RUNS = 8192
@@ -109,7 +110,7 @@ def cost(measured: dict) -> dict:
     """Return how long simulations take on more cores, and how many a client can feed."""
     rate = measured["rates"]["one"]
     share = min(measured["speed_up"]["processes"][0] / 2, 1.0)  # of a core, that a process has
-    longest = STEPS_OF_A_GROUP * GROUPS_OF_A_CALL / rate
+    longest = Simulation.group_steps * GROUPS_OF_A_CALL / rate
     rows = []
     for size in SIZES:
         seconds = size / (rate * share)
