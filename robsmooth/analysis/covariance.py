@@ -94,6 +94,7 @@ def _squared(C: Matrix, P: Matrix) -> Matrix:
     return (result + result.mT) / 2
 
 
+@one_thread
 def error_covariance(
     smoother: Estimator,
     Delta: ArrayLike,
