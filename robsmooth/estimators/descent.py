@@ -20,7 +20,6 @@ from robsmooth.estimators.loop import matrices
 _REFUSED = 1e2  # more than the logarithm of any error in natural units
 _GRADIENT = 1e-9  # of the logarithm, at the end of a search
 _ITERATIONS = 400
-_NONE = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +85,7 @@ def balanced(estimator: Estimator) -> Estimator:
 def descend(
     estimator: Estimator,
     objective: Callable[[Estimator, np.ndarray], tuple[float, np.ndarray]],
-    more: np.ndarray = _NONE,
+    more: np.ndarray | tuple[()] = (),
 ) -> tuple[Estimator, np.ndarray, float]:
     """Return an estimator with a lower objective, its `more` variables, and the objective.
 
