@@ -39,7 +39,7 @@ class Slopes:
         drift = self.A[own, own]
         gain = (
             self.A[own, :n] @ plant.C2_tilde.T
-            + self.B[own] @ plant.real_noise.T
+            + self.B[own] @ np.pad(plant.system.D21, (0, plant.system.g)).T
             + self.inputs[own] @ plant.D21_tilde.T
         )
         arguments = (plant.D12_tilde.T @ self.outputs[:, own])[m:]

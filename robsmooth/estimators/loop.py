@@ -79,7 +79,7 @@ def matrices(
     """Return A, B, inputs and outputs of `OpenLoop`, with a reference subtracted."""
     validation.choice("loop", loop, LOOPS)
     plant, gain = estimator.plant, estimator.B_c
-    noise = plant.D21_bar if loop == "theory" else plant.real_noise
+    noise = plant.D21_bar if loop == "theory" else np.pad(plant.system.D21, (0, plant.system.g))
     none = np.zeros((plant.n, len(estimator.A_c)))
     copies = plant.D12_tilde @ estimator.C_c - reference_outputs(estimator, reference)
     return (
