@@ -187,6 +187,8 @@ def augment(
 ) -> AugmentedSystem:
     """Join a system with the model of the delay of its outputs (Section III).
 
+    `minimize_bound` and `baselines.fixed_lag_smoother` design robust and classical smoothers.
+
     Parameters
     ----------
     system : UncertainSystem, every row of its C0 is delayed
@@ -194,10 +196,6 @@ def augment(
     order : int, that of the Pade approximation, at least zero; order 0 has no delay states
     J_21 : float or (g, g) array
         Intensity of the fictitious noise of the copies, positive definite; the paper has 1.
-
-    See Also
-    --------
-    minimize_bound, baselines.fixed_lag_smoother : the robust and the classical smoother.
 
     Examples
     --------

@@ -79,11 +79,7 @@ class Nonlinearity(Channel):
     sector : (float, float), optional
         The least and the largest slope :math:`(\psi_i(a) - \psi_i(b))/(a - b)`. `UncertainSystem`
         moves their mean to A and C2, and keeps the rest of the function. With a reference and a B
-        that is not zero the mean must be zero.
-
-    See Also
-    --------
-    sector : finds the slopes of a function, and makes its nonlinearity.
+        that is not zero the mean must be zero. `robsmooth.sector` finds them.
 
     Examples
     --------

@@ -27,7 +27,7 @@ _ASYMMETRY = 1e-12  # of a correlation matrix, and how far below zero its eigenv
 
 @dataclass(frozen=True, eq=False, init=False)
 class UncertainSystem(Frozen):
-    r"""The uncertain nonlinear system of Section II.
+    r"""The uncertain nonlinear system of Section II. The next step is to `augment` it.
 
     Attributes
     ----------
@@ -47,10 +47,6 @@ class UncertainSystem(Frozen):
     n, m, l, q, p, k, g : int
         The numbers of states, outputs to estimate, measurements, noises, known inputs,
         uncertainties and nonlinearities; not arguments.
-
-    See Also
-    --------
-    augment : the next step, a model of the delay.
 
     Examples
     --------
@@ -106,9 +102,9 @@ class UncertainSystem(Frozen):
         uncertainties = fitting("uncertainties", uncertainties, Uncertainty, n, len(C2))
         nonlinearities = fitting("nonlinearities", nonlinearities, Nonlinearity, n, len(C2))
         A, C2, nonlinearities = centred(A, C2, nonlinearities)
-        if B2 is None:
-            none = np.zeros((len(C2), 0)) if D22 is None else D22
-            B2 = np.zeros((n, validation.matrix("D22", none, (len(C2), None)).shape[1]))
+        if D22 is not None:
+            D22 = validation.matrix("D22", D22, (len(C2), None))
+        B2 = np.zeros((n, 0 if D22 is None else D22.shape[1])) if B2 is None else B2
         B2 = validation.matrix("B2", B2, (n, None))
         D22 = np.zeros((len(C2), B2.shape[1])) if D22 is None else D22
         D22 = validation.matrix("D22", D22, (len(C2), B2.shape[1]))
