@@ -319,10 +319,11 @@ class DiscreteSmoother(Exports):
         with self._lock:
             before = self._engine.memory
             try:
-                found = [
-                    self._engine.take(given.rows(slice(i, i + rows)), output, lags, spread)
+                parts = (
+                    Samples(*(None if each is None else each[i : i + rows] for each in given))
                     for i in range(0, len(given.y) or 1, rows or 1)
-                ]
+                )
+                found = [self._engine.take(part, output, lags, spread) for part in parts]
             except BaseException:
                 self._engine.memory = before
                 raise
