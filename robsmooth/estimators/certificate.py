@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, null_space, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from robsmooth._numerics.modes import Modes, hardly_decays, is_stable, separations
+from robsmooth._numerics.modes import hardly_decays, is_stable, separations
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
@@ -84,8 +84,8 @@ class ConstraintProblem:
         self.free = allowed @ null_space(unbounded.T)
         self.inputs, self.unbounded = loop.inputs @ self.free, loop.inputs @ allowed @ unbounded
         self.M, self.N = self.free.T @ M[self.active] @ self.free, N[self.active]
-        between = np.reshape(plant.N_i, (constraints, *[len(loop.outputs)] * 2))
-        self._between_outputs = between[self.active]
+        of_outputs = (constraints, *[len(loop.outputs)] * 2)
+        self._between_outputs = np.reshape(plant.N_i, of_outputs)[self.active]
 
     def at(self, theta: np.ndarray, fraction: float = 1.0) -> Certificate:
         """Certify the error for a fraction of the uncertainty, or raise a RiccatiError."""
@@ -141,10 +141,14 @@ def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np
     """
     k, g = plant.system.k, plant.system.g
     whole, seeing = (loop, np.zeros(k + 3 * g, dtype=bool), np.eye(len(loop.A))), None
+    first = len(loop.outputs) - 2 * g
     for found in separations(loop.A, loop.B) if hardly_decays(loop.A) else ():
         if found.seen_by(loop.truth, loop.estimate).any():
             continue
-        seen = _seeing(found, loop, plant)
+        sees = found.seen_by(loop.outputs)
+        channels = [sees[block.places[0][1]].any() for block in blocks_of(plant)[:k]]
+        differences = found.seen_by(loop.outputs[first : first + g], loop.outputs[first + g :])
+        seen = np.array([*channels, *differences, *sees[first:]], dtype=bool)
         if not seen[: k + g].any():
             V, W = found.V_rest, found.W_rest
             new = {"A": found.A_rest, "B": W @ loop.B, "inputs": W @ loop.inputs}
@@ -156,16 +160,6 @@ def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np
     names = [f"uncertainties[{s}]" for s in range(k)]
     names += [f"nonlinearities[{i}], less its copy's," for i in range(g)]
     raise UnstableLoopError(drifting_output(names[seeing[0]], seeing[1]))
-
-
-def _seeing(found: Modes, loop: OpenLoop, plant: AugmentedSystem) -> np.ndarray:
-    """Return which of the k + 3g constraints see modes of the loop."""
-    k, g = plant.system.k, plant.system.g
-    sees = found.seen_by(loop.outputs)
-    channels = [sees[block.places[0][1]].any() for block in blocks_of(plant)[:k]]
-    first = len(sees) - 2 * g
-    differences = found.seen_by(loop.outputs[first : first + g], loop.outputs[first + g :])
-    return np.array([*channels, *differences, *sees[first:]], dtype=bool)
 
 
 def problem_of(estimator: Estimator, kept: np.ndarray | None = None) -> ConstraintProblem:

@@ -73,15 +73,6 @@ def with_variables(estimator: Estimator, x: np.ndarray) -> Estimator:
     return replace(estimator, A_c=A_c, B_c=B_c, C_c=C_c, C_a=C_a)
 
 
-def balanced(estimator: Estimator) -> Estimator:
-    """Return the estimator in coordinates with the identity as nominal covariance."""
-    A, B, _, _ = matrices(estimator, "real")
-    covariance = solve_continuous_lyapunov(A, -B @ B.T)[estimator.plant.n :, estimator.plant.n :]
-    sizes, directions = np.linalg.eigh(covariance)
-    sizes = np.sqrt(np.maximum(sizes, 1e-14 * sizes.max()))
-    return estimator.in_coordinates((directions / sizes).T, directions * sizes)
-
-
 def descend(
     estimator: Estimator,
     objective: Callable[[Estimator, np.ndarray], tuple[float, np.ndarray]],
@@ -92,7 +83,11 @@ def descend(
     The objective returns a logarithm and its gradient in `variables` and `more`. It raises an
     ArithmeticError or LinAlgError where it has no value.
     """
-    estimator = balanced(estimator)
+    A, B, _, _ = matrices(estimator, "real")
+    covariance = solve_continuous_lyapunov(A, -B @ B.T)[estimator.plant.n :, estimator.plant.n :]
+    sizes, directions = np.linalg.eigh(covariance)
+    sizes = np.sqrt(np.maximum(sizes, 1e-14 * sizes.max()))
+    estimator = estimator.in_coordinates((directions / sizes).T, directions * sizes)
     start = np.concatenate([variables(estimator), more])
     own = len(start) - len(more)
 

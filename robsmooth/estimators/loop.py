@@ -164,8 +164,7 @@ def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
 
 def scaled(loop: OpenLoop) -> tuple[OpenLoop, Matrix]:
     """Return a loop in natural units, with the same errors and Delta, and the units of X."""
-    _, fastest = rates(loop.A)
-    time = 1.0 / (fastest or 1.0)
+    time = 1.0 / (rates(loop.A)[1] or 1.0)
     if is_stable(loop.A):
         x = deviations(covariances(loop.A, loop.B).stationary)
     else:
