@@ -94,12 +94,9 @@ class AugmentedSystem(Frozen):
         D21_tilde[: system.l, D.shape[1] :] = -self.taken_off[system.n :]
         A_p = block_diag(system.A, model.F)
         A_p[system.n :, : system.n] = model.G @ system.C0
+        vars(self).update(delay=model.delay, order=model.order, n=n)
+        vars(self).update(input_sizes=input_sizes, output_sizes=output_sizes)
         vars(self).update(
-            delay=model.delay,
-            order=model.order,
-            n=n,
-            input_sizes=input_sizes,
-            output_sizes=output_sizes,
             A_p=A_p,
             B_p1=_padded(system.B1, n, system.q + g),
             C_p0=_padded(system.C0, system.m, n),
