@@ -35,26 +35,20 @@ def equivalent_slopes(
     The iteration ends where they change by less than the tolerance, in their unit, or by rounding.
     An UnstableLoopError says that it does not end, or that a variance exceeds the largest.
     """
-    found, change, part, size = start, np.zeros(len(start)), 1.0, math.inf
+    found, before, part, size = start, np.zeros(len(start)), 1.0, math.inf
     for _ in range(_ITERATIONS):
         now = variances(found)
         if now.max(initial=0.0) > largest:
             break
-        before, change = change, (slopes(now) - found) / unit
-        part = _part(before, change, part)
-        found = found + part * unit * change
+        change = (slopes(now) - found) / unit
+        bend = before - change
+        # all of the change, or a secant step where the slopes oscillate
+        part = part * float(before @ bend) / float(bend @ bend) if before @ change < 0.0 else 1.0
+        found, before = found + part * unit * change, change
         size_before, size = size, np.abs(change).max(initial=0.0)
         if size < tolerance or size_before <= size < _ROUNDING:
             return found
     raise UnstableLoopError("the loop is not in lock: the statistically linear loop diverges")
-
-
-def _part(before: Vector, change: Vector, part: float) -> float:
-    """Return the part of a change to make: all, or a secant step where the slopes oscillate."""
-    if not before @ change < 0.0:
-        return 1.0
-    bend = before - change
-    return part * float(before @ bend) / float(bend @ bend)
 
 
 def of_function(function: Callable[[NDArray], NDArray], variance: float) -> float:

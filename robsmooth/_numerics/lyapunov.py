@@ -108,7 +108,11 @@ def _settled(A: Matrix, B: Matrix, span: float) -> tuple:
             transitions.append(E)
             if span > 0.0 and count == max(doublings, 0):
                 grown, transition = R, E
-            if count >= doublings and _has_settled(R, moved, E):
+            if count < doublings:
+                continue
+            forgotten = (np.abs(np.linalg.diagonal(E)) <= _FORGOTTEN).all()  # of undriven states
+            variances, increments = ((root**2).sum(axis=-1) for root in (R, moved))
+            if forgotten and (increments <= _SETTLED * variances).all():
                 return _compressed(R, moved), grown, transition, first, transitions
     raise UnstableLoopError(
         "the stationary covariance does not exist: to rounding, the system is not stable"
@@ -117,9 +121,7 @@ def _settled(A: Matrix, B: Matrix, span: float) -> tuple:
 
 def _first_step(A: Matrix, span: float) -> tuple[float, int]:
     """Return a first step that is short for all A, and its doublings to the span, if above zero."""
-    speed = 1.0
-    if A.size:
-        speed = balanced_norm(np.abs(A).max(axis=tuple(range(A.ndim - 2))))
+    speed = balanced_norm(np.abs(A).max(axis=tuple(range(A.ndim - 2)))) if A.size else 1.0
     if span > 0.0:
         doublings = math.ceil(math.log2(span * speed / _FIRST_STEP))
         return span * 2.0 ** -max(doublings, 0), doublings
@@ -166,12 +168,6 @@ def _compressed(*parts: Matrix) -> Matrix:
 def _with_signs(R: Matrix) -> Matrix:
     """Return R with its columns' signs such that no entry on the diagonal is negative."""
     return R * np.where(np.linalg.diagonal(R) < 0.0, -1.0, 1.0)[..., None, :]
-
-
-def _has_settled(R: Matrix, moved: Matrix, E: Matrix) -> bool:
-    forgotten = (np.abs(np.linalg.diagonal(E)) <= _FORGOTTEN).all()  # of undriven states, too
-    variances, increments = ((root**2).sum(axis=-1) for root in (R, moved))
-    return forgotten and (increments <= _SETTLED * variances).all()
 
 
 def _squared(root: Matrix) -> Matrix:

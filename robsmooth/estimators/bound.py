@@ -101,8 +101,15 @@ def minimize_bound(
     tau, multipliers = tau * search.tau * level, multipliers / level
     if multipliers.all():
         return design_smoother(plant, tau, multipliers, cost)
-    limit = limiting_smoother(plant, tau, multipliers, cost)
-    return replace(_design_near(limit), bound_infimum=limit.bound, limit=limit)
+    design = limit = limiting_smoother(plant, tau, multipliers, cost)
+    for fraction in VANISHING * 0.1 ** np.arange(7):
+        near = np.where(multipliers > 0.0, multipliers, fraction * multipliers.max())
+        near /= conditions.multiplier_level(plant, near)
+        with suppress(InfeasibleDesignError):
+            design = design_smoother(plant, best_tau(plant, near, cost), near, cost)
+            if design.bound < (1.0 + _EXCESS) * limit.bound:
+                break
+    return replace(design, bound_infimum=limit.bound, limit=limit)
 
 
 @one_thread
@@ -120,20 +127,6 @@ def best_tau(plant: AugmentedSystem, multipliers: ArrayLike, cost: str) -> float
 
     ends, options = np.log([1.0 / _LARGEST_TAU, _LARGEST_TAU]), {"xatol": _TAU_TOLERANCE}
     return search.tau * math.exp(minimize_scalar(log_of, bounds=ends, options=options).x)
-
-
-def _design_near(limit: RobustSmoother) -> RobustSmoother:
-    plant, design = limit.plant, limit
-    for fraction in VANISHING * 0.1 ** np.arange(7):
-        small = fraction * limit.multipliers.max()
-        multipliers = np.where(limit.multipliers > 0.0, limit.multipliers, small)
-        multipliers /= conditions.multiplier_level(plant, multipliers)
-        with suppress(InfeasibleDesignError):
-            tau = best_tau(plant, multipliers, limit.cost)
-            design = design_smoother(plant, tau, multipliers, limit.cost)
-            if design.bound < (1.0 + _EXCESS) * limit.bound:
-                break
-    return design
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,13 +22,13 @@ import numpy as np
 from scipy.linalg import LinAlgError, null_space, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
-from robsmooth._numerics.modes import Modes, hardly_decays, is_stable, separations
+from robsmooth._numerics.modes import hardly_decays, is_stable, separations
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import OpenLoop, drifting_output, open_loop
+from robsmooth.estimators.loop import OpenLoop, blocks_of, drifting_output, open_loop
 from robsmooth.systems.augmented import AugmentedSystem
 
 _LEAST_START = 1e-6  # of the nominal error: the least contribution of a multiplier at the start
@@ -84,8 +84,8 @@ class ConstraintProblem:
         self.free = allowed @ null_space(unbounded.T)
         self.inputs, self.unbounded = loop.inputs @ self.free, loop.inputs @ allowed @ unbounded
         self.M, self.N = self.free.T @ M[self.active] @ self.free, N[self.active]
-        between = np.reshape(plant.N_i, (constraints, *[len(loop.outputs)] * 2))
-        self._between_outputs = between[self.active]
+        of_outputs = (constraints, *[len(loop.outputs)] * 2)
+        self._between_outputs = np.reshape(plant.N_i, of_outputs)[self.active]
 
     def at(self, theta: np.ndarray, fraction: float = 1.0) -> Certificate:
         """Certify the error for a fraction of the uncertainty, or raise a RiccatiError."""
@@ -141,10 +141,14 @@ def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np
     """
     k, g = plant.system.k, plant.system.g
     whole, seeing = (loop, np.zeros(k + 3 * g, dtype=bool), np.eye(len(loop.A))), None
+    first = len(loop.outputs) - 2 * g
     for found in separations(loop.A, loop.B) if hardly_decays(loop.A) else ():
         if found.seen_by(loop.truth, loop.estimate).any():
             continue
-        seen = _seeing(found, loop, plant)
+        sees = found.seen_by(loop.outputs)
+        channels = [sees[block.places[0][1]].any() for block in blocks_of(plant)[:k]]
+        differences = found.seen_by(loop.outputs[first : first + g], loop.outputs[first + g :])
+        seen = np.array([*channels, *differences, *sees[first:]], dtype=bool)
         if not seen[: k + g].any():
             V, W = found.V_rest, found.W_rest
             new = {"A": found.A_rest, "B": W @ loop.B, "inputs": W @ loop.inputs}
@@ -156,16 +160,6 @@ def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np
     names = [f"uncertainties[{s}]" for s in range(k)]
     names += [f"nonlinearities[{i}], less its copy's," for i in range(g)]
     raise UnstableLoopError(drifting_output(names[seeing[0]], seeing[1]))
-
-
-def _seeing(found: Modes, loop: OpenLoop, plant: AugmentedSystem) -> np.ndarray:
-    """Return which of the k + 3g constraints see modes of the loop."""
-    k, g = plant.system.k, plant.system.g
-    sees = found.seen_by(loop.outputs)
-    first = len(sees) - 2 * g
-    differences = found.seen_by(loop.outputs[first : first + g], loop.outputs[first + g :])
-    channels = np.split(sees[:first], np.cumsum(plant.output_sizes[:k])[:-1]) if k else []
-    return np.array([*(rows.any() for rows in channels), *differences, *sees[first:]], dtype=bool)
 
 
 def problem_of(estimator: Estimator, kept: np.ndarray | None = None) -> ConstraintProblem:
@@ -190,12 +184,15 @@ def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
     theta, fraction, step = problem.initial_multipliers(), 0.0, 1.0
     while fraction < 1.0 and step > _SMALLEST_STEP:  # each theta is the start of the next
         trial = min(1.0, fraction + step)
-        feasible = _feasible_multiple(problem, theta, trial)
-        if feasible is None:
-            step /= 2.0
+        for feasible in np.multiply.outer(_MULTIPLES, theta):
+            with suppress(RiccatiError):
+                problem.at(feasible, trial)
+                break
         else:
-            theta = _quasi_newton(problem, feasible, trial, iterations=_CONTINUATION_ITERATIONS)
-            fraction = trial
+            step /= 2.0
+            continue
+        theta = _quasi_newton(problem, feasible, trial, iterations=_CONTINUATION_ITERATIONS)
+        fraction = trial
     if 0.0 < fraction < 1.0:  # where few theta have a bound, none may be near the last one
         found = _by_programme(problem, theta, fraction)
         with suppress(RiccatiError):
@@ -211,17 +208,6 @@ def certify(problem: ConstraintProblem) -> tuple[float, float, np.ndarray]:
         return math.inf, fraction, theta
     theta = least_certificate(problem, theta)
     return problem.at(theta).mean_square, fraction, theta
-
-
-def _feasible_multiple(
-    problem: ConstraintProblem, theta: np.ndarray, fraction: float
-) -> np.ndarray | None:
-    """Return the first of `_MULTIPLES` of theta that gives a bound, or None."""
-    for multiple in _MULTIPLES:
-        with suppress(RiccatiError):
-            problem.at(multiple * theta, fraction)
-            return multiple * theta
-    return None
 
 
 def least_certificate(problem: ConstraintProblem, theta: np.ndarray) -> np.ndarray:

@@ -8,8 +8,10 @@ it is no new one. The maximum of the errors :math:`J_i` is smoothed as
 """
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from operator import itemgetter
 
 import numpy as np
@@ -86,9 +88,10 @@ def constant_minimax_smoother(
     0.0837
     """
     natural = Natural.of(plant, output)
-    drifts = natural.drift.V.size > 0
+    drifts = natural.drift.V.size > 0  # then the error is that against the delay model's output
+    loop_of = model_loop if drifts else partial(open_loop, output="smoothed", loop="real")
     candidates = _candidates(natural.plant)
-    found = [(*worst_delta(_loop(each, drifts), _STARTS), each) for each in candidates]
+    found = [(*worst_delta(loop_of(each), _STARTS), each) for each in candidates]
     start = min(found, key=itemgetter(0))
     if math.isinf(start[0]):
         raise InfeasibleDesignError(
@@ -96,7 +99,7 @@ def constant_minimax_smoother(
             "some constant uncertainty destabilises the plant, so that its error has no limit; "
             "less uncertainty (smaller outputs C or Lipschitz constants) may help",
         )
-    value, estimator = _designed(*start, drifts)
+    value, estimator = _designed(*start, loop_of)
     fields = natural.restored(in_plant_states(estimator))
     value *= natural.units.w**2
     if drifts:
@@ -115,20 +118,26 @@ def _candidates(plant: AugmentedSystem) -> list[Estimator]:
     return found
 
 
-def _loop(estimator: Estimator, drifts: bool) -> OpenLoop:
-    """Return the loop with the error against the delayed w; if it drifts, the delay model's."""
-    return model_loop(estimator) if drifts else open_loop(estimator, "smoothed", "real")
-
-
 def _designed(
-    value: float, Delta: np.ndarray, estimator: Estimator, drifts: bool
+    value: float, Delta: np.ndarray, estimator: Estimator, loop_of: Callable[[Estimator], OpenLoop]
 ) -> tuple[float, Estimator]:
     """Return the least largest error from a start, and the estimator."""
     Deltas, best = [np.zeros_like(Delta), Delta], (value, estimator)
+
+    def smooth_maximum(
+        sharpness: float, trial: Estimator, _: np.ndarray
+    ) -> tuple[float, np.ndarray]:
+        loop = loop_of(trial)
+        values, gradients = zip(*(slopes(loop, Delta) for Delta in Deltas), strict=True)
+        powers = np.exp(sharpness * np.log(np.array(values) / max(values)))
+        shares = powers / powers.sum() / values
+        value = math.log(max(values)) + math.log(powers.mean()) / sharpness
+        return value, shares @ [each.of_estimator(trial) for each in gradients]
+
     for _ in range(_ROUNDS):
         for sharpness in _SHARPNESS:
-            estimator = _descended(estimator, Deltas, sharpness, drifts)
-        loop = _loop(estimator, drifts)
+            estimator, *_ = descend(estimator, partial(smooth_maximum, sharpness))
+        loop = loop_of(estimator)
         inner = max(mean_square(loop, each) for each in Deltas)
         value, Delta = worst_delta(loop, _STARTS)
         if value < best[0]:
@@ -137,19 +146,3 @@ def _designed(
             break
         Deltas.append(Delta)
     return best
-
-
-def _descended(
-    estimator: Estimator, Deltas: list[np.ndarray], sharpness: float, drifts: bool
-) -> Estimator:
-    """Return an estimator with a lower smooth maximum of the errors."""
-
-    def objective(trial: Estimator, _: np.ndarray) -> tuple[float, np.ndarray]:
-        loop = _loop(trial, drifts)
-        values, gradients = zip(*(slopes(loop, Delta) for Delta in Deltas), strict=True)
-        powers = np.exp(sharpness * np.log(np.array(values) / max(values)))
-        shares = powers / powers.sum() / values
-        value = math.log(max(values)) + math.log(powers.mean()) / sharpness
-        return value, shares @ [each.of_estimator(trial) for each in gradients]
-
-    return descend(estimator, objective)[0]

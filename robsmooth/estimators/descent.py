@@ -20,7 +20,6 @@ from robsmooth.estimators.loop import matrices
 _REFUSED = 1e2  # more than the logarithm of any error in natural units
 _GRADIENT = 1e-9  # of the logarithm, at the end of a search
 _ITERATIONS = 400
-_NONE = np.empty(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +39,7 @@ class Slopes:
         drift = self.A[own, own]
         gain = (
             self.A[own, :n] @ plant.C2_tilde.T
-            + self.B[own] @ plant.real_noise.T
+            + self.B[own] @ np.pad(plant.system.D21, (0, plant.system.g)).T
             + self.inputs[own] @ plant.D21_tilde.T
         )
         arguments = (plant.D12_tilde.T @ self.outputs[:, own])[m:]
@@ -74,26 +73,21 @@ def with_variables(estimator: Estimator, x: np.ndarray) -> Estimator:
     return replace(estimator, A_c=A_c, B_c=B_c, C_c=C_c, C_a=C_a)
 
 
-def balanced(estimator: Estimator) -> Estimator:
-    """Return the estimator in coordinates with the identity as nominal covariance."""
-    A, B, _, _ = matrices(estimator, "real")
-    covariance = solve_continuous_lyapunov(A, -B @ B.T)[estimator.plant.n :, estimator.plant.n :]
-    sizes, directions = np.linalg.eigh(covariance)
-    sizes = np.sqrt(np.maximum(sizes, 1e-14 * sizes.max()))
-    return estimator.in_coordinates((directions / sizes).T, directions * sizes)
-
-
 def descend(
     estimator: Estimator,
     objective: Callable[[Estimator, np.ndarray], tuple[float, np.ndarray]],
-    more: np.ndarray = _NONE,
+    more: np.ndarray | tuple[()] = (),
 ) -> tuple[Estimator, np.ndarray, float]:
     """Return an estimator with a lower objective, its `more` variables, and the objective.
 
     The objective returns a logarithm and its gradient in `variables` and `more`. It raises an
     ArithmeticError or LinAlgError where it has no value.
     """
-    estimator = balanced(estimator)
+    A, B, _, _ = matrices(estimator, "real")
+    covariance = solve_continuous_lyapunov(A, -B @ B.T)[estimator.plant.n :, estimator.plant.n :]
+    sizes, directions = np.linalg.eigh(covariance)
+    sizes = np.sqrt(np.maximum(sizes, 1e-14 * sizes.max()))
+    estimator = estimator.in_coordinates((directions / sizes).T, directions * sizes)
     start = np.concatenate([variables(estimator), more])
     own = len(start) - len(more)
 

@@ -1,8 +1,4 @@
-"""An estimator in discrete time, for a measured record.
-
-Classical and tuned designs run as exact filters and smoothers (`robsmooth.estimators.exact`),
-all others by their equations in continuous time (`robsmooth.estimators.held`).
-"""
+"""An estimator in discrete time, for a record: an `ExactFilter` or else a `HeldEstimator`."""
 
 from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
@@ -17,10 +13,9 @@ from robsmooth.estimators.copies import Functions, running_copies, running_funct
 from robsmooth.estimators.exact import ExactFilter
 from robsmooth.estimators.exports import Exports
 from robsmooth.estimators.held import HeldEstimator
-from robsmooth.estimators.sample_loop import Samples
+from robsmooth.estimators.sample_loop import Floats, Samples
 from robsmooth.systems.system import covariance_root
 
-Floats = NDArray[np.float64]
 Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
 _FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of the samples of `step`'s short way
@@ -39,10 +34,10 @@ class Beside(TypedDict, total=False):
 class DiscreteSmoother(Exports):
     r"""An estimator that takes the samples of a record, one by one or many at a time.
 
-    Made by ``estimator.discretize(dt)``. Sample k, counted from zero since the last `reset`, is the
-    mean of :math:`dy/dt` over the interval from ``k * dt`` to ``(k + 1) * dt``. Its row of the
-    output is the estimate at the interval's end: of w at ``(k + 1) * dt``, less the delay where it
-    is smoothed.
+    Made by ``estimator.discretize(dt)``; `smooth_record` smooths from file to file. Sample k,
+    counted from zero since the last `reset`, is the mean of :math:`dy/dt` over the interval from
+    ``k * dt`` to ``(k + 1) * dt``. Its row of the output is the estimate at the interval's end: of
+    w at ``(k + 1) * dt``, less the delay where it is smoothed.
 
     The state is kept between calls: a record in pieces gives the same rows, to the last bit, as in
     one. A call that fails leaves the state as it was.
@@ -56,10 +51,6 @@ class DiscreteSmoother(Exports):
     compiled : bool
         Whether only compiled code runs (unless NUMBA_DISABLE_JIT is set): else 100 times slower.
     samples : int, taken since the last `reset`
-
-    See Also
-    --------
-    smooth_record : smooths a record from file to file.
 
     Examples
     --------
@@ -97,9 +88,8 @@ class DiscreteSmoother(Exports):
         mean = np.zeros(system.n) if mean is None else mean
         self._mean = validation.matrix("mean", mean, [system.n])
         offset = validation.matrix("offset", [0.0] * self.l if offset is None else offset, [self.l])
-        self.instants: bool = (
-            validation.choice("samples", samples, ("means", "instants")) != "means"
-        )
+        validation.choice("samples", samples, ("means", "instants"))
+        self.instants: bool = samples == "instants"
         self.estimator, self.functions = estimator, functions
         how = {"dt": self.dt, "delay": "exact" if self.exact else "model", "samples": samples}
         self.made_with = how | {"mean": self._mean.tolist(), "offset": offset.tolist()}
@@ -144,13 +134,7 @@ class DiscreteSmoother(Exports):
         return self._engine.estimate("filtered") + self._w
 
     def times(self, rows: int, output: str = "smoothed") -> Floats:
-        """Return the (rows,) times of the last estimates, s since the last `reset`.
-
-        Parameters
-        ----------
-        rows : int, at most `samples`
-        output : {"smoothed", "filtered"}
-        """
+        """Return the (rows,) times of the last estimates of an `output`, s since `reset`."""
         rows = validation.integer("rows", rows, low=0)
         if self._engine.memory.counts[3]:
             raise ValueError("rows had intervals of their own: their ends are np.cumsum(intervals)")
@@ -300,11 +284,8 @@ class DiscreteSmoother(Exports):
     def two_sided(self, y: ArrayLike, **beside: Unpack[Beside]) -> Pair:
         """Return the estimates that use a whole record: fixed-interval smoothing.
 
-        The record begins as the last `reset` set it. `samples` and `state` are not changed.
-
-        Parameters
-        ----------
-        y, **beside : the record, and reference, inputs and intervals, as in `run`
+        The record, given as to `run`, begins as the last `reset` set it. `samples` and `state` are
+        not changed.
 
         Returns
         -------
@@ -318,15 +299,8 @@ class DiscreteSmoother(Exports):
         """Return the (N, l) normalised innovations of a record: white, of variance one.
 
         An innovation is a sample less its prediction, NaN where that is missing. Those of one
-        sample are made uncorrelated, and are divided by their standard deviations.
-
-        Parameters
-        ----------
-        y, **beside : the record, and reference, inputs and intervals, as in `run`
-
-        See Also
-        --------
-        robsmooth.check_record : tests them against the model.
+        sample are made uncorrelated, and are divided by their standard deviations. The record is
+        given as to `run`. `robsmooth.check_record` tests them against the model.
         """
         return self._exact("innovations").innovations(self._given(y, **beside))
 
@@ -345,10 +319,11 @@ class DiscreteSmoother(Exports):
         with self._lock:
             before = self._engine.memory
             try:
-                found = [
-                    self._engine.take(given.rows(slice(i, i + rows)), output, lags, spread)
+                parts = (
+                    Samples(*(None if each is None else each[i : i + rows] for each in given))
                     for i in range(0, len(given.y) or 1, rows or 1)
-                ]
+                )
+                found = [self._engine.take(part, output, lags, spread) for part in parts]
             except BaseException:
                 self._engine.memory = before
                 raise

@@ -85,10 +85,10 @@ class Drift:
         gain = np.vstack([self.W @ self.gain, np.zeros((delays, l))])
         A_c, (B_y, B_mu) = fields["A_c"], np.hsplit(fields["B_c"], [l])
         B, D = plant.known
-        into = block_diag(self.W, np.zeros((delays, delays)))
+        into = block_diag(self.W, np.eye(delays))
         copies = into @ B - gain @ D
         own, measured = len(A_c), plant.C2_tilde[:l] @ basis
-        observer = block_diag(self.W, np.eye(delays)) @ plant.A_p @ basis - gain @ measured
+        observer = into @ plant.A_p @ basis - gain @ measured
         w = plant.C_p0 if np.array_equal(fields["C_c"][:m], fields["C_f"]) else plant.C_a
         arguments = plant.C1_tilde[-2 * plant.system.g :][: plant.system.g]
         reads = {"C_c": np.vstack([w, arguments]), "C_a": plant.C_a, "C_f": plant.C_p0}

@@ -124,8 +124,8 @@ class DesignEquations:
         """Return the second Riccati equation of Assumption 3; the theory has `quadratic_sign` 1."""
         return self.problem.A, self.Q_X, -quadratic_sign / self.tau * self.worst_noise
 
-    def solution(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, Matrix, float, float]:
-        """Return K, U, T, V and rho(YX), which must be below tau."""
+    def solution(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, float, float]:
+        """Return K, T, V and rho(YX), which must be below tau."""
         # T = inv(I - Y X/tau) by a symmetric matrix: no digit depends on the states' units
         root = square_root(Y)
         radii, directions = np.linalg.eigh(root.T @ X @ root)
@@ -141,12 +141,12 @@ class DesignEquations:
         copies = self.problem.channels >= self.problem.k
         B, excess = self.problem.B[:, copies], self.a * self.b * self.noise_X[copies]  # 1/f - 1/e
         U = K @ self.E @ K.T + B * excess @ B.T
-        return K, U, T, 0.5 * float(np.trace(Y @ self.R + U @ X @ T)), radius
+        return K, T, 0.5 * float(np.trace(Y @ self.R + U @ X @ T)), radius
 
     def gains(self, X: Matrix, Y: Matrix) -> tuple[Matrix, Matrix, Matrix, float, float]:
         """Return A_c, B_c and C_c of (eqCparams), V of (eqbound), and rho(YX)."""
         problem = self.problem
-        K, _, T, bound, radius = self.solution(X, Y)
+        K, T, bound, radius = self.solution(X, Y)
         arguments = problem.C1[problem.rows >= problem.k] / problem.lipschitz[:, None]
         Gamma = -np.hstack([problem.C.T, arguments.T * (self.tau * problem.lipschitz**2 * self.d)])
         C_c = np.vstack([problem.C, self.b[:, None] * arguments]) @ T

@@ -1,7 +1,4 @@
-r"""The Kalman filter and smoother of a record in discrete time, without a model of the delay.
-
-Equations are in `robsmooth.estimators.sample_loop`, matrices in `robsmooth.estimators.exact_model`.
-"""
+"""The Kalman filter and smoother of `sample_loop` for a record, without a model of the delay."""
 
 import math
 from collections.abc import Sequence

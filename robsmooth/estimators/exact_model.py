@@ -29,12 +29,11 @@ class SampledModel:
         self._into = np.hstack([B[:, running], system.B2])
         self._direct = np.hstack([D[:, running], system.D22])
         self._noise = np.vstack([self._gain.B1, self._gain.D21])
-        self._whole = self._with_integral(self._model), self._with_integral(self._gain)
-
-    def _with_integral(self, system: Any) -> Floats:
-        """Return A, with rows that integrate the measurement; for instants, its noise alone."""
-        below = np.zeros_like(system.C2) if self._instants else system.C2
-        return np.pad(np.vstack([system.A, below]), ((0, 0), (0, self.l)))
+        # A, with rows that integrate the measurement; for instants, its noise alone
+        self._whole = [
+            np.pad(np.vstack([each.A, (not instants) * each.C2]), ((0, 0), (0, self.l)))
+            for each in estimator.nominal
+        ]
 
     def _readout(self, system: Any, length: float) -> Floats:
         """Return rows for the state and the sample, of the state and the integral."""

@@ -79,7 +79,7 @@ def matrices(
     """Return A, B, inputs and outputs of `OpenLoop`, with a reference subtracted."""
     validation.choice("loop", loop, LOOPS)
     plant, gain = estimator.plant, estimator.B_c
-    noise = plant.D21_bar if loop == "theory" else plant.real_noise
+    noise = plant.D21_bar if loop == "theory" else np.pad(plant.system.D21, (0, plant.system.g))
     none = np.zeros((plant.n, len(estimator.A_c)))
     copies = plant.D12_tilde @ estimator.C_c - reference_outputs(estimator, reference)
     return (
@@ -164,8 +164,7 @@ def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
 
 def scaled(loop: OpenLoop) -> tuple[OpenLoop, Matrix]:
     """Return a loop in natural units, with the same errors and Delta, and the units of X."""
-    _, fastest = rates(loop.A)
-    time = 1.0 / (fastest or 1.0)
+    time = 1.0 / (rates(loop.A)[1] or 1.0)
     if is_stable(loop.A):
         x = deviations(covariances(loop.A, loop.B).stationary)
     else:

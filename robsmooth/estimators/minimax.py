@@ -9,7 +9,6 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,25 +161,22 @@ def _by_descent(natural: Natural) -> tuple[Estimator, np.ndarray, float]:
             f"estimator has one; {fraction:.3g} of the uncertainty has one (scale its outputs C or "
             "the Lipschitz constants down)",
         )
+
+    def objective(estimator: Estimator, logarithms: np.ndarray) -> tuple[float, np.ndarray]:
+        problem, theta = problem_of(estimator, kept), np.exp(logarithms)
+        certificate = problem.at(theta[problem.active])
+        in_theta = np.zeros_like(theta)
+        in_theta[problem.active] = certificate.slack * theta[problem.active]
+        gradient = np.concatenate([certificate.slopes.of_estimator(estimator), in_theta])
+        return math.log(certificate.mean_square), gradient / certificate.mean_square
+
     estimator, theta = best
     for _ in range(_ROUNDS):
-        trial, logarithms, found = descend(estimator, partial(_objective, kept), np.log(theta))
+        trial, logarithms, found = descend(estimator, objective, np.log(theta))
         if found > math.log(least):
             break  # in new coordinates, rounding can take the certificate
         estimator, theta, least = trial, np.exp(logarithms), math.exp(found)
     return estimator, np.where(kept, theta, 0.0), least
-
-
-def _objective(
-    kept: np.ndarray, estimator: Estimator, logarithms: np.ndarray
-) -> tuple[float, np.ndarray]:
-    """Return the logarithm of the certified error, and its gradient."""
-    problem, theta = problem_of(estimator, kept), np.exp(logarithms)
-    certificate = problem.at(theta[problem.active])
-    in_theta = np.zeros_like(theta)
-    in_theta[problem.active] = certificate.slack * theta[problem.active]
-    gradient = np.concatenate([certificate.slopes.of_estimator(estimator), in_theta])
-    return math.log(certificate.mean_square), gradient / certificate.mean_square
 
 
 def _candidates(plant: AugmentedSystem) -> Iterator[Estimator]:

@@ -51,8 +51,8 @@ import numpy as np
 
 from robsmooth._numerics.modes import reaches
 from robsmooth._support.validation import Matrix
+from robsmooth.estimators.equations import DesignProblem
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import blocks_of
 from robsmooth.systems.augmented import AugmentedSystem
 
 
@@ -70,15 +70,13 @@ class _Channel:
 
 def _channels(plant: AugmentedSystem) -> list[_Channel]:
     """Return the channels whose C is not zero, those of the uncertainties first."""
-    found = []
-    for i, block in enumerate(blocks_of(plant)):
-        inputs, outputs = block.places[0]
-        C = block.gain * plant.C1_tilde[outputs]
+    problem, found = DesignProblem.of(plant, "smoothed"), []
+    for i in range(plant.system.k + plant.system.g):
+        inputs, C = problem.channels == i, problem.C1[problem.rows == i]
         size = float(np.linalg.norm(C))
         if size > 0.0:
-            B, D = plant.B1_tilde[:, inputs], plant.D21_tilde[: plant.system.l, inputs]
-            copied = i >= plant.system.k
-            found.append(_Channel(size * B, size * D, C / size, size, i, copied))
+            B, D = size * problem.B[:, inputs], size * problem.D[:, inputs]
+            found.append(_Channel(B, D, C / size, size, i, i >= problem.k))
     return found
 
 

@@ -69,10 +69,6 @@ class Samples(NamedTuple):
     inputs: Floats  # (N, p)
     intervals: Floats | None  # (N,) s; None: dt
 
-    def rows(self, some: slice) -> "Samples":
-        """Return some of the samples."""
-        return Samples(*(None if each is None else each[some] for each in self))
-
 
 class Sampled(NamedTuple):
     """Matrices for K lengths of samples: rows of the state at the end, then of the measurement."""

@@ -110,6 +110,7 @@ class Natural:
 
     units: Units
     plant: AugmentedSystem  # in these units; stable, by an observer where the original drifts
+    whole: AugmentedSystem  # in these units, with its drift
     original: AugmentedSystem
     output: str  # "smoothed" or "filtered"
     drift: Drift
@@ -122,12 +123,9 @@ class Natural:
         check_noise("A measurement's noise", plant.system.D21)
         drift = Drift.of(plant)
         units = Units.of(drift.plant.system)
-        return cls(units, _seen_by(output, units.plant(drift.plant)), plant, output, drift)
-
-    @property
-    def whole(self) -> AugmentedSystem:
-        """The plant in these units, with its drift."""
-        return _seen_by(self.output, self.units.plant(self.original))
+        both = units.plant(drift.plant), units.plant(plant)
+        both = map(undelayed, both) if output == "filtered" else both
+        return cls(units, *both, plant, output, drift)
 
     def restored(self, estimator: Estimator) -> dict[str, Any]:
         """Return the fields, for the original plant, of an estimator of `plant` or of the `whole`.
@@ -151,11 +149,6 @@ class Natural:
         estimator = Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=C_a, C_f=C_f)
         fields = self.units.restored(estimator, self.original)
         return fields if of_whole else self.drift.restored(self.original, fields)
-
-
-def _seen_by(output: str, plant: AugmentedSystem) -> AugmentedSystem:
-    """Return the plant, for a filter without the delay model."""
-    return undelayed(plant) if output == "filtered" else plant
 
 
 def in_plant_states(estimator: Estimator) -> Estimator:

@@ -38,6 +38,10 @@ class AugmentedSystem(Frozen):
         The delay model's misfit for modes that do not decay, as a read-out of the system's state.
     taken_off : (n + l, g) array
         What is subtracted from state and measurement, times the copies' outputs; zero by `augment`.
+    delay, order, n : float and ints
+        The delay of the outputs, s, the order of its model, and the number of states, with its own.
+    input_sizes, output_sizes : tuples of int
+        Widths of the channels in xi-tilde, r_1 ... r_k, then 2 g ones; heights in zeta-tilde.
     A_p, B_p1 : (n, n) and (n, q + g) arrays
         Drift of the augmented state, 1/s, and its noise, with zero columns for that of the copies.
     C_p0, C_a : (m, n) arrays
@@ -60,6 +64,11 @@ class AugmentedSystem(Frozen):
     J_21: Matrix
     growth: Matrix
     taken_off: Matrix
+    delay: float = field(init=False)
+    order: int = field(init=False)
+    n: int = field(init=False)
+    input_sizes: tuple[int, ...] = field(init=False)
+    output_sizes: tuple[int, ...] = field(init=False)
     A_p: Matrix = field(init=False)
     B_p1: Matrix = field(init=False)
     C_p0: Matrix = field(init=False)
@@ -74,7 +83,10 @@ class AugmentedSystem(Frozen):
     N_i: tuple[Matrix, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        system, model, n, g = self.system, self.delay_model, self.n, self.system.g
+        system, model, g = self.system, self.delay_model, self.system.g
+        n, ones = system.n + len(model.F), (1,) * (2 * g)
+        input_sizes = (*(u.B.shape[1] for u in system.uncertainties), *ones)
+        output_sizes = (*(u.C.shape[0] for u in system.uncertainties), *ones)
         B, C, D = system.stacked((*system.uncertainties, *system.nonlinearities))
         h = len(C) + g
         B = np.hstack([B, -self.taken_off[: system.n]])
@@ -82,6 +94,8 @@ class AugmentedSystem(Frozen):
         D21_tilde[: system.l, D.shape[1] :] = -self.taken_off[system.n :]
         A_p = block_diag(system.A, model.F)
         A_p[system.n :, : system.n] = model.G @ system.C0
+        vars(self).update(delay=model.delay, order=model.order, n=n)
+        vars(self).update(input_sizes=input_sizes, output_sizes=output_sizes)
         vars(self).update(
             A_p=A_p,
             B_p1=_padded(system.B1, n, system.q + g),
@@ -93,35 +107,10 @@ class AugmentedSystem(Frozen):
             C2_tilde=_padded(system.C2, system.l + g, n),
             D21_tilde=D21_tilde,
             D21_bar=block_diag(system.D21, self.J_21),
-            M_i=_constraints(self.input_sizes, [1.0] * g),
-            N_i=_constraints(self.output_sizes, [c.lipschitz for c in system.nonlinearities]),
+            M_i=_constraints(input_sizes, [1.0] * g),
+            N_i=_constraints(output_sizes, [c.lipschitz for c in system.nonlinearities]),
         )
         super().__post_init__()
-
-    @property
-    def delay(self) -> float:
-        """The delay of the outputs, s."""
-        return self.delay_model.delay
-
-    @property
-    def order(self) -> int:
-        """The order of the delay model."""
-        return self.delay_model.order
-
-    @property
-    def n(self) -> int:
-        """Number of states, those of the delay model included."""
-        return self.system.n + self.delay_model.F.shape[0]
-
-    @property
-    def input_sizes(self) -> tuple[int, ...]:
-        """Widths of the channels in xi-tilde: r_1 ... r_k, then 2 g ones."""
-        return (*(u.B.shape[1] for u in self.system.uncertainties), *(1,) * (2 * self.system.g))
-
-    @property
-    def output_sizes(self) -> tuple[int, ...]:
-        """Heights of the channels in zeta-tilde: h_1 ... h_k, then 2 g ones."""
-        return (*(u.C.shape[0] for u in self.system.uncertainties), *(1,) * (2 * self.system.g))
 
     def M(self, multipliers: ArrayLike) -> Matrix:
         """Return M(lambda), the sum of lambda_i M_i."""
@@ -149,11 +138,6 @@ class AugmentedSystem(Frozen):
                 "carries no uncertainty, or make the system with UncertainSystem.from_plant",
             )
         return frozen(J)
-
-    @property
-    def real_noise(self) -> Matrix:
-        """(l + g, q + g) array, D21_bar without the fictitious noise of the copies."""
-        return np.pad(self.system.D21, (0, self.system.g))
 
     @cached_property
     def known(self) -> tuple[Matrix, Matrix]:
@@ -200,6 +184,8 @@ def augment(
 ) -> AugmentedSystem:
     """Join a system with the model of the delay of its outputs (Section III).
 
+    `minimize_bound` and `baselines.fixed_lag_smoother` design robust and classical smoothers.
+
     Parameters
     ----------
     system : UncertainSystem, every row of its C0 is delayed
@@ -207,10 +193,6 @@ def augment(
     order : int, that of the Pade approximation, at least zero; order 0 has no delay states
     J_21 : float or (g, g) array
         Intensity of the fictitious noise of the copies, positive definite; the paper has 1.
-
-    See Also
-    --------
-    minimize_bound, baselines.fixed_lag_smoother : the robust and the classical smoother.
 
     Examples
     --------

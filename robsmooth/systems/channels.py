@@ -1,7 +1,7 @@
 """The channels of an uncertain system: where uncertainties and nonlinearities act on it."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from numpy.typing import ArrayLike
 
@@ -12,8 +12,25 @@ from robsmooth.systems.functions import Combination, Function, check_function, c
 REFERENCES = ("filtered", "smoothed")
 
 
-@dataclass(frozen=True, eq=False, init=False)
-class Uncertainty(Frozen):
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Channel(Frozen):
+    """The matrices of an uncertainty or a nonlinearity."""
+
+    B: Matrix
+    C: Matrix
+    D: Matrix
+
+    def __init__(self, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> None:
+        kind = type(self).__name__
+        for letter, value in (("B", B), ("C", C), ("D", D)):
+            vars(self)[letter] = validation.matrix(f"{kind} {letter}", value, (None, None))
+
+    def __repr__(self) -> str:
+        matrices = (f"{name}={notation.array(getattr(self, name))}" for name in "BCD")
+        return f"{type(self).__name__}({', '.join(matrices)})"
+
+
+class Uncertainty(Channel):
     r"""One uncertainty channel: :math:`\xi_s` is no larger than :math:`\zeta_s` in the mean square.
 
     Every noise must enter where an uncertainty enters (Assumption 1): where there is none, C is
@@ -37,19 +54,9 @@ class Uncertainty(Frozen):
     Uncertainty(B=[[1]], C=[[0.1]], D=[[0]])
     """
 
-    B: Matrix
-    C: Matrix
-    D: Matrix
 
-    def __init__(self, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> None:
-        _set_matrices(self, B, C, D)
-
-    def __repr__(self) -> str:
-        return f"Uncertainty({_text(self)})"
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class Nonlinearity(Frozen):
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Nonlinearity(Channel):
     r"""One scalar nonlinearity :math:`\mu_i = \psi_i(\nu_i)`; the estimator runs a copy of it.
 
     Parameters
@@ -72,11 +79,7 @@ class Nonlinearity(Frozen):
     sector : (float, float), optional
         The least and the largest slope :math:`(\psi_i(a) - \psi_i(b))/(a - b)`. `UncertainSystem`
         moves their mean to A and C2, and keeps the rest of the function. With a reference and a B
-        that is not zero the mean must be zero.
-
-    See Also
-    --------
-    sector : finds the slopes of a function, and makes its nonlinearity.
+        that is not zero the mean must be zero. `robsmooth.sector` finds them.
 
     Examples
     --------
@@ -88,9 +91,6 @@ class Nonlinearity(Frozen):
     Nonlinearity(B=[[0]], C=[[1]], D=[[1]], lipschitz=1, function=tanh)
     """
 
-    B: Matrix
-    C: Matrix
-    D: Matrix
     lipschitz: float
     function: Function | None = None
     reference: str | None = None
@@ -107,7 +107,7 @@ class Nonlinearity(Frozen):
         *,
         sector: tuple[float, float] | None = None,
     ) -> None:
-        _set_matrices(self, B, C, D)
+        super().__init__(B, C, D)
         if sector is not None:
             slopes = validation.array("Nonlinearity sector", sector, ndim=1).tolist()
             if len(slopes) != 2 or not slopes[0] < slopes[1]:
@@ -136,10 +136,7 @@ class Nonlinearity(Frozen):
         function = getattr(self.function, "__name__", name_of(self.function))
         given = "" if self.function is None else f", function={function}"
         given += "" if self.reference is None else f", reference={self.reference!r}"
-        return f"Nonlinearity({_text(self)}, {slopes}{given})"
-
-
-Channel = Uncertainty | Nonlinearity
+        return f"{super().__repr__()[:-1]}, {slopes}{given})"
 
 
 def centred(
@@ -155,8 +152,8 @@ def centred(
                 A, C2 = map(frozen, with_feedback(A, C2, channel, slope * channel.C))
                 if function is not None:
                     function = compiled(Combination(function, slope=slope))
-            matrices = channel.B, channel.C, channel.D
-            channel = Nonlinearity(*matrices, (upper - lower) / 2, function, channel.reference)
+            half = (upper - lower) / 2
+            channel = replace(channel, lipschitz=half, function=function, sector=None)
         kept.append(channel)
     return A, C2, tuple(kept)
 
@@ -181,13 +178,3 @@ def fitting(
         for letter, shape in shapes.items():
             validation.matrix(f"{name}[{index}].{letter}", getattr(channel, letter), shape)
     return channels
-
-
-def _set_matrices(channel: Channel, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> None:
-    for letter, value in (("B", B), ("C", C), ("D", D)):
-        name = f"{type(channel).__name__} {letter}"
-        vars(channel)[letter] = validation.matrix(name, value, (None, None))
-
-
-def _text(channel: Channel) -> str:
-    return ", ".join(f"{name}={notation.array(getattr(channel, name))}" for name in "BCD")

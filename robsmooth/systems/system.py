@@ -6,7 +6,7 @@ added to the linear part of the measurement, as in Section IV-A.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,9 +27,9 @@ _ASYMMETRY = 1e-12  # of a correlation matrix, and how far below zero its eigenv
 
 @dataclass(frozen=True, eq=False, init=False)
 class UncertainSystem(Frozen):
-    r"""The uncertain nonlinear system of Section II.
+    r"""The uncertain nonlinear system of Section II. The next step is to `augment` it.
 
-    Parameters
+    Attributes
     ----------
     A : (n, n) array, drift, 1/s
     B1 : (n, q) array, process noise intensity; `W` are independent standard Wiener processes
@@ -44,10 +44,9 @@ class UncertainSystem(Frozen):
     B2, D22 : (n, p) and (l, p) arrays, optional
         How known inputs u enter: :math:`B_2u` adds to the drift, :math:`D_{22}u` to the
         measurement.
-
-    See Also
-    --------
-    augment : the next step, a model of the delay.
+    n, m, l, q, p, k, g : int
+        The numbers of states, outputs to estimate, measurements, noises, known inputs,
+        uncertainties and nonlinearities; not arguments.
 
     Examples
     --------
@@ -69,6 +68,13 @@ class UncertainSystem(Frozen):
     nonlinearities: tuple[Nonlinearity, ...]
     B2: Matrix
     D22: Matrix
+    n: int = field(init=False)
+    m: int = field(init=False)
+    l: int = field(init=False)  # noqa: E741 - the paper's letter
+    q: int = field(init=False)
+    p: int = field(init=False)
+    k: int = field(init=False)
+    g: int = field(init=False)
 
     def __init__(
         self,
@@ -96,14 +102,16 @@ class UncertainSystem(Frozen):
         uncertainties = fitting("uncertainties", uncertainties, Uncertainty, n, len(C2))
         nonlinearities = fitting("nonlinearities", nonlinearities, Nonlinearity, n, len(C2))
         A, C2, nonlinearities = centred(A, C2, nonlinearities)
-        if B2 is None:
-            none = np.zeros((len(C2), 0)) if D22 is None else D22
-            B2 = np.zeros((n, validation.matrix("D22", none, (len(C2), None)).shape[1]))
+        if D22 is not None:
+            D22 = validation.matrix("D22", D22, (len(C2), None))
+        B2 = np.zeros((n, 0 if D22 is None else D22.shape[1])) if B2 is None else B2
         B2 = validation.matrix("B2", B2, (n, None))
         D22 = np.zeros((len(C2), B2.shape[1])) if D22 is None else D22
         D22 = validation.matrix("D22", D22, (len(C2), B2.shape[1]))
         vars(self).update(A=A, B1=B1, C0=C0, C2=C2, D21=D21, B2=B2, D22=D22)
         vars(self).update(uncertainties=uncertainties, nonlinearities=nonlinearities)
+        vars(self).update(n=n, m=len(C0), l=len(C2), q=B1.shape[1], p=B2.shape[1])
+        vars(self).update(k=len(uncertainties), g=len(nonlinearities))
 
     @classmethod
     def from_plant(
@@ -220,41 +228,6 @@ class UncertainSystem(Frozen):
             np.vstack([np.zeros((0, self.n)), *(channel.C for channel in channels)]),
             np.hstack([np.zeros((self.l, 0)), *(channel.D for channel in channels)]),
         )
-
-    @property
-    def n(self) -> int:
-        """Number of states."""
-        return self.A.shape[0]
-
-    @property
-    def m(self) -> int:
-        """Number of outputs to estimate."""
-        return self.C0.shape[0]
-
-    @property
-    def l(self) -> int:  # noqa: E743 - the paper's letter
-        """Number of measurements."""
-        return self.C2.shape[0]
-
-    @property
-    def q(self) -> int:
-        """Number of noises."""
-        return self.B1.shape[1]
-
-    @property
-    def p(self) -> int:
-        """Number of known inputs."""
-        return self.B2.shape[1]
-
-    @property
-    def k(self) -> int:
-        """Number of uncertainties."""
-        return len(self.uncertainties)
-
-    @property
-    def g(self) -> int:
-        """Number of nonlinearities."""
-        return len(self.nonlinearities)
 
     def __repr__(self) -> str:
         return (
