@@ -16,7 +16,6 @@ import numpy as np
 import robsmooth as rs
 from benchmarks.race import SIGMAS, middle, say
 from robsmooth.simulation.loop import Steps, nonlinear_loop
-from robsmooth.systems.functions import on_arrays
 
 PATHS = 512
 NUMPY = "NumPy, one thread"
@@ -25,31 +24,16 @@ ROUNDS, QUICK = 9, 3
 
 def numpy_errors(smoother: rs.Estimator, result: rs.SimulationResult, runs: int, seed: int) -> list:
     """Simulate paths as `result` was; return their mean squared filtered errors."""
-    loop = nonlinear_loop(smoother)
-    steps = Steps(loop, result.step)
-    transition, first, second, *_, arguments, minus_slopes, outputs, _ = steps.scheme
-    functions = [(part, on_arrays(part.function)) for part in loop.functions]
+    steps = Steps(nonlinear_loop(smoother), result.step)
     before, averaged = (round(t / result.step) for t in (result.warm_up, result.duration))
     random, errors = np.random.Generator(np.random.SFC64(seed)), []
-
-    def remainder(z):
-        nu = arguments @ z
-        values, row = minus_slopes @ nu, 0
-        for part, function in functions:
-            rows = slice(row, row + len(part.inputs))
-            values[rows] += function(nu[rows].ravel()).reshape(-1, z.shape[1])
-            row = rows.stop
-        return values
-
     for start in range(0, runs, PATHS):
-        shape = (loop.order, min(PATHS, runs - start))
-        z, squares = loop.stationary_root @ random.standard_normal(shape), 0.0
+        shape = (steps.loop.order, min(PATHS, runs - start))
+        z, squares = steps.loop.stationary_root @ random.standard_normal(shape), 0.0
         for step in range(before + averaged):
-            rho = remainder(z)
-            z = transition @ z + first @ rho + steps.noise @ random.standard_normal(shape)
-            z = z + second @ (remainder(z) - rho)
+            z = steps.advance(0.0, z, steps.noise @ random.standard_normal(shape))
             if step >= before:
-                w, filtered, _ = outputs @ z
+                w, filtered, _ = steps.scheme.outputs @ z
                 squares = squares + (w - filtered) ** 2
         errors.extend(squares / averaged)
     return errors

@@ -34,25 +34,25 @@ class Function(NamedTuple):
 
     def compiled(self) -> Any:
         """Return compiled code of (t, arguments, values, their number), or None."""
-        if self.elementwise and is_compiled(self.function):
-            return _of_rows(jitted(with_fast_sine(self.function)))
-        return None
+        compiled = self.elementwise and is_compiled(self.function)
+        return _of_rows(self.function) if compiled else None
+
+    def values(self, time: float, arguments: NDArray) -> NDArray:
+        """Return its values, (inputs, paths), of arguments, (outputs, paths)."""
+        if self.elementwise:
+            return on_arrays(self.function)(arguments.ravel()).reshape(arguments.shape)
+        return self.function(time, arguments)
 
     def called_back(self, errors: list[BaseException]) -> Any:
         """Return the same in Python: the first error is kept, and then nothing is called."""
-        function = on_arrays(self.function)
-        rows = (1, 1) if self.elementwise else (len(self.outputs), len(self.inputs))
 
-        def of_rows(time: float, arguments: int, values: int, count: int) -> None:
-            given, found = _array(arguments, rows[0], count), _array(values, rows[1], count)
+        def of_rows(time: float, arguments: int, values: int, size: int) -> None:
+            paths = size // len(self.outputs)
+            given = _array(arguments, len(self.outputs), paths)
+            found = _array(values, len(self.inputs), paths)
             try:
                 with np.errstate(over="ignore", invalid="ignore"):
-                    if errors:
-                        found[:] = np.nan
-                    elif self.elementwise:
-                        found[0] = function(given[0].copy())
-                    else:
-                        found[:] = function(time, given.copy())
+                    found[:] = np.nan if errors else self.values(time, given.copy())
             except BaseException as error:  # an interrupt, too: compiled code cannot pass it on
                 errors.append(error)
 
@@ -66,16 +66,10 @@ def _array(address: int, rows: int, count: int) -> NDArray[np.float64]:
 
 
 def with_fast_sine(function: Callable) -> Callable:
-    """Return a function with the vectorised sine of `noise` for NumPy's."""
+    """Return a function with the vectorised sine of `noise`, to 2e-11, in the place of NumPy's."""
     if isinstance(function, Combination):
         return replace(function, function=with_fast_sine(function.function))
-    return fast_sine if function is np.sin else function
-
-
-@numba.njit
-def fast_sine(value):
-    """The sine, to 2e-11."""
-    return sine(np.float64(value))
+    return numba.njit(lambda value: sine(value)) if function is np.sin else function
 
 
 class CalledFunctions:
@@ -89,12 +83,8 @@ class CalledFunctions:
         self._kept = [code or function.called_back(self._errors) for function, code in pairs]
         pointers = [getattr(one, "ctypes", one) for one in self._kept]
         addresses = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers]
-        sizes = [(len(f.outputs), len(f.inputs)) for f in functions]
-        self.calls = Calls(
-            np.array(addresses, np.intp),
-            np.cumsum(np.reshape(sizes, (-1, 2)), axis=0),
-            np.array([f.elementwise for f in functions], bool),
-        )
+        sizes = np.reshape([(len(f.outputs), len(f.inputs)) for f in functions], (-1, 2))
+        self.calls = Calls(np.array(addresses, np.intp), np.cumsum(sizes, axis=0, dtype=np.int64))
 
     def check(self) -> None:
         """Raise the error of a function that was called back."""
@@ -107,11 +97,12 @@ class CalledFunctions:
 @lru_cache(maxsize=64)
 def _of_rows(function: Callable) -> Any:
     """Return compiled code that calls a function of a number for each argument, or None."""
+    of_number = jitted(with_fast_sine(function))
 
     def of_rows(time, arguments, values, count):
         given, found = numba.carray(arguments, (count,)), numba.carray(values, (count,))
         for i in range(count):
-            found[i] = function(given[i])
+            found[i] = of_number(given[i])
 
     try:
         return numba.cfunc(types.void(types.float64, _REALS, _REALS, types.intp))(of_rows)

@@ -46,7 +46,6 @@ class Calls(NamedTuple):
 
     addresses: NDArray[np.intp]  # (p,)
     ends: NDArray[np.int64]  # (p, 2)
-    elementwise: NDArray[np.bool_]  # (p,)
 
 
 class Checks(NamedTuple):
@@ -119,9 +118,8 @@ def find_remainder(time, scheme, calls, z, arguments, values):
     begin = begin_values = 0
     for i in range(calls.addresses.size):
         end, end_values = calls.ends[i]
-        size = arguments.shape[1] * (end - begin if calls.elementwise[i] else 1)
         given, found = arguments[begin:end], values[begin_values:end_values]
-        _call(calls.addresses[i], time, given.ctypes.data, found.ctypes.data, size)
+        _call(calls.addresses[i], time, given.ctypes.data, found.ctypes.data, given.size)
         begin, begin_values = end, end_values
     add_product(scheme.linear, arguments, values)
 

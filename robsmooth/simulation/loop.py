@@ -271,12 +271,14 @@ class Steps:
         return CalledFunctions(self.loop.functions)
 
     def advance(self, time: float, z: NDArray, noise: NDArray) -> NDArray:
-        """Return the states, (., paths), a step after `time`."""
-        new, calls = np.array(noise, order="C"), self.functions.calls
-        shapes = len(self.scheme.arguments), *2 * [len(self.driven)]
-        arguments, values, later = (np.zeros((rows, z.shape[1])) for rows in shapes)
-        kernel.find_remainder(time, self.scheme, calls, z, arguments, values)
-        work = new, arguments, values, later
-        kernel.advance(time, self.step, self.scheme, calls, np.ascontiguousarray(z), *work)
-        self.functions.check()
-        return new
+        """Return the states, (., paths), a step after `time`, as the kernel does."""
+        rho = self._remainder(time, z)
+        z = self.scheme.transition @ z + self.scheme.first @ rho + noise
+        return z + self.scheme.second @ (self._remainder(time + self.step, z) - rho)
+
+    def _remainder(self, time: float, z: NDArray) -> NDArray:
+        rho, row = self.scheme.linear @ self.scheme.arguments @ z, 0
+        for part in self.loop.functions:
+            rows = slice(row, row := row + len(part.inputs))
+            rho[rows] += part.values(time, self.loop.arguments[part.outputs] @ z[: self.loop.order])
+        return rho

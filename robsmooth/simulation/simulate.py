@@ -21,7 +21,6 @@ from robsmooth.simulation import loop as loops
 from robsmooth.simulation.groups import checked_seed, threads
 from robsmooth.simulation.kernel import CHUNK
 from robsmooth.systems.augmented import AugmentedSystem
-from robsmooth.systems.functions import on_arrays
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -267,8 +266,7 @@ class _Run:
         loop, digest = self.scheme.loop, hashlib.sha256()
         tried = np.random.default_rng(0).standard_normal((len(loop.delta.T), 64))
         for part in loop.functions:
-            given = [tried[0]] if part.elementwise else [0.5, tried[part.outputs]]
-            digest.update(np.asarray(on_arrays(part.function)(*given), dtype=float).tobytes())
+            digest.update(np.asarray(part.values(0.5, tried[part.outputs]), dtype=float).tobytes())
         for matrix in (*self.scheme.scheme, loop.stationary_root, loop.delta):
             digest.update(matrix.tobytes())
         numbers = {name: getattr(self, name) for name in ("runs", "seed", "step", "steps")}

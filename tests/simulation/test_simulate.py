@@ -19,6 +19,7 @@ from scipy.signal import cont2discrete
 from scipy.special import erfc
 from scipy.stats import norm
 
+from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support.checkpoint import CheckpointError
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth.analysis.covariance import error_covariance
@@ -27,6 +28,7 @@ from robsmooth.homodyne import PAPER
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import monte_carlo
+from robsmooth.simulation import noise
 from robsmooth.simulation import simulate as run
 from robsmooth.simulation.called import Function
 from robsmooth.simulation.kernel import CHUNK
@@ -192,6 +194,42 @@ def test_equations_are_those_of_the_paper(referenced):
         misfits.append(np.abs(found - exact.y[:, -1]).max())
     assert misfits[-1] < 1e-4
     assert_allclose(np.log2(np.divide(misfits[:-1], misfits[1:])), 2.0, atol=0.25)
+
+
+def drawn(seed, size, steps):
+    """The normal variables of the first paths, (steps, size, paths), by the generators alone."""
+    generator = np.empty(noise.WORDS * BLOCK, np.uint32)
+    noise.seed_paths(np.uint64(seed), np.uint64(0), generator)
+    parts = []
+    for rows, count in zip(size, steps, strict=True):
+        pairs = -(-rows // noise.DRAWS)
+        normals = np.empty(count * pairs * noise.DRAWS * BLOCK, np.float32)
+        noise.fill_gaussians(generator, count * pairs, normals)
+        parts.append(normals.reshape(count, -1, BLOCK)[:, :rows].astype(float))
+    return parts
+
+
+def test_the_kernel_takes_the_steps_of_the_scheme():
+    """Its paths, with functions of all kinds, against NumPy's steps with the same noise."""
+    estimator, _ = two_detectors(("filtered", "smoothed"))
+    uncertainties = [lambda t, zeta: 0.3 * np.cos(t) * zeta[[0, 0]], [[0.5], [0.2]]]
+    found = sample_paths(estimator, uncertainties=uncertainties, runs=5, duration=3.0, seed=7)
+    loop = nonlinear_loop(estimator, uncertainties)
+    steps = Steps(loop, found.step, measured=True)
+    count, N, measured = len(found.time), loop.order, 2
+    warm_up = simulate(estimator, uncertainties=uncertainties, runs=1, duration=3.0).warm_up
+    before = round(warm_up / found.step)
+    start, of_state = drawn(7, (loop.stationary_root.shape[1], N), (1, before + count))
+    (of_measurement,) = drawn(noise.mix(np.uint64(7)), (measured,), (before + count,))
+    z = np.vstack([loop.stationary_root @ start[0], np.zeros((measured, BLOCK))])
+    for k in range(before + count):
+        normals = np.vstack([of_state[k], of_measurement[k]])
+        z = steps.advance((k - before) * found.step, z, steps.noise @ normals)
+        if k >= before:
+            signals = (steps.scheme.signals @ z)[:, :5].T
+            for name, columns in (("w", [0, 1]), ("filtered", [2, 3]), ("smoothed", [4, 5])):
+                assert_allclose(getattr(found, name)[:, k - before], signals[:, columns], rtol=1e-9)
+            assert_allclose(found.y[:, k - before], signals[:, -2:], rtol=1e-9, atol=1e-9)
 
 
 # --- the errors -----------------------------------------------------------------------------------
