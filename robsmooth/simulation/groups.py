@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
@@ -16,7 +16,6 @@ from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support import cluster, validation
 from robsmooth._support.checkpoint import Journal
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Matrix
 from robsmooth.simulation.statistics import Tally
 
 if TYPE_CHECKING:
@@ -26,25 +25,6 @@ BLOCKS_OF_A_GROUP = 256  # at most, for the memory
 GROUPS_OF_A_CALL = 20  # on a cluster, at most: a client serves some 100 calls a second
 CALLS_OF_A_THREAD = 8  # on a cluster, at least: threads then end at about the same time
 CHECKPOINT_EVERY = 2.0  # s
-
-
-class Simulation(Protocol):
-    """What simulates paths; a cluster needs it pickled."""
-
-    runs: int  # the last block is simulated whole; only its first paths count
-    steps: int  # of a path
-    group_steps: int  # path-steps of a group, unless a block has more
-
-    def simulate(self, first: int, count: int, report: Callable[[int], object]) -> Matrix:
-        """Simulate `count` blocks: (count, outputs, BLOCK); report path-steps, if it takes long."""
-
-    def tally(self, path: int, outputs: Matrix) -> Tally:
-        """Return the tally of paths, (outputs, paths), of which the first is number `path`."""
-
-
-def blocks_of(runs: int) -> int:
-    """Return the number of blocks that have this many paths."""
-    return -(-runs // BLOCK)
 
 
 def checked_seed(seed: int) -> int:
@@ -71,11 +51,16 @@ def threads(alone: bool = False) -> Iterator[None]:
 
 
 def tally_paths(
-    simulation: Simulation, journal: Journal | None, client: "Client | None", progress: bool
+    simulation: Any, journal: Journal | None, client: "Client | None", progress: bool
 ) -> Tally:
-    """Simulate the blocks that the journal does not have, and merge them in order."""
+    """Simulate the blocks that the journal does not have, and merge them in order.
+
+    A simulation has a number of `runs`, of `steps` of a path, and of path-steps of a group. Its
+    ``simulate(first, count, report)`` gives (count, outputs, BLOCK) of blocks, the last of them
+    whole, and reports path-steps meanwhile. Its ``tally(path, outputs)`` sums up paths.
+    """
     tally, first = Tally(), 0
-    steps, end = simulation.steps, blocks_of(simulation.runs)
+    steps, end = simulation.steps, -(-simulation.runs // BLOCK)
     if journal and journal.last:
         tally, first = Tally.from_state(*journal.last["tally"]), journal.last["blocks"]
     group = min(max(simulation.group_steps // (BLOCK * steps), 1), BLOCKS_OF_A_GROUP)
@@ -108,7 +93,7 @@ def _not_told(steps: int) -> None:
 
 
 def _tallies(
-    simulation: Simulation, group: int, report: Callable[[int], object], first: int, count: int
+    simulation: Any, group: int, report: Callable[[int], object], first: int, count: int
 ) -> list[Tally]:
     """Simulate `count` blocks and sum up each group."""
     results, tallies = simulation.simulate(first, count, report), []

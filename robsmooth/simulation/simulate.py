@@ -150,7 +150,7 @@ def sample_paths(
     """
     run = _Run(smoother, uncertainties, runs, duration, step, seed, measured=True)
     m, g, arguments = run.plant.system.m, run.plant.system.g, len(run.scheme.loop.arguments)
-    blocks = groups.blocks_of(run.runs)
+    blocks = -(-run.runs // BLOCK)
     parts = run.parts(0, blocks, run.memory(blocks), recorded=True)
     signals = np.concatenate([np.concatenate(each, axis=2)[..., : run.runs] for _, each in parts])
     rows = np.cumsum([m, m, m, arguments, arguments])
@@ -171,20 +171,11 @@ def sample_paths(
 
 
 class _Run:
-    """A loop, and its numbers of steps: before time zero, from there on, and of the lag."""
+    """A loop with its numbers of steps; `groups.tally_paths` says what it has."""
 
     group_steps: ClassVar[int] = 10_000_000
 
-    def __init__(
-        self,
-        smoother: Estimator,
-        uncertainties: loops.Uncertainties,
-        runs: int,
-        duration: float | None,
-        step: float | None,
-        seed: int,
-        measured: bool = False,
-    ):
+    def __init__(self, smoother, uncertainties, runs, duration, step, seed, measured=False):
         loop = loops.nonlinear_loop(smoother, uncertainties)
         self.plant, delay = smoother.plant, smoother.plant.delay
         self.runs = validation.integer("runs", runs, low=1)

@@ -15,7 +15,7 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop, decay_rate
 from robsmooth.homodyne.montecarlo import euler, splitting
-from robsmooth.simulation.groups import blocks_of, checked_seed, threads
+from robsmooth.simulation.groups import checked_seed, threads
 from robsmooth.simulation.statistics import Tally, control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
@@ -56,7 +56,7 @@ class Simulation:
     @property
     def blocks(self) -> int:
         """Number of blocks of paths."""
-        return blocks_of(self.runs)
+        return -(-self.runs // BLOCK)
 
     def simulate(self, first: int, count: int, report: Callable | None = None) -> Matrix:
         """Simulate `count` blocks from `first` on: (count, outputs, BLOCK), cycle slips last."""
