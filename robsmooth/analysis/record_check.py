@@ -109,7 +109,7 @@ def check_record(
     smoother : DiscreteSmoother
         Of a classical or a tuned design, made by ``estimator.discretize(dt)``. Its state stays. The
         noises of a tuned design's model are not the plant's.
-    y, reference, inputs : the record, as in `DiscreteSmoother.run`
+    y, reference, inputs : arrays, the record, as ``DiscreteSmoother.run`` takes it
 
     Raises
     ------

@@ -88,8 +88,8 @@ def simulate(
         Where the loop is not stable without its nonlinearities.
     RuntimeError
         Where a path diverges; it names the path and the time. Where numba is off.
-    CheckpointError, ConnectionError, OSError
-        As in `monte_carlo`.
+    ValueError, ConnectionError, OSError
+        For checkpoint and cluster, as in `monte_carlo`.
 
     Examples
     --------
