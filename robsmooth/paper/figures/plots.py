@@ -144,8 +144,7 @@ def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
     bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
     bottom.axvline(lag, color="0.6", linestyle="-", linewidth=0.8)
     bottom.set(xlabel="lag (µs)", ylim=(0.4, 1.6), xlim=lags[[0, -1]])
-    style.label_ticks(bottom.xaxis, (0.3e-6, 1e-6, 3e-6, 10e-6, 30e-6))
-    bottom.xaxis.set_major_formatter(lambda ticked, _: f"{1e6 * ticked:g}")
+    style.label_ticks(bottom.xaxis, (0.3e-6, 1e-6, 3e-6, 10e-6, 30e-6), unit=1e-6)
     handles = [*top.patches, *top.lines, *bottom.get_legend_handles_labels()[0]]
     return style.with_legend(figure, handles=handles)
 
