@@ -223,8 +223,8 @@ def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
             + 2 * problem.phase @ products @ change
         )
     errors = np.array([smoothed, filtered])
-    valid = np.isfinite(errors).all() and (errors >= 0).all()
-    valid = valid and np.linalg.eigvalsh(covariance)[0] >= 0
+    positive = ((errors >= 0) & (errors < np.inf)).all()
+    valid = positive and np.linalg.eigvalsh(covariance)[0] >= 0
     return errors if valid else np.full(2, np.inf)
 
 
@@ -261,8 +261,7 @@ def _stationary_moments(generator: sparse.csr_array) -> NDArray[np.float64]:
 
 def _change(problem: WhitenedLoop, generator: sparse.csr_array) -> NDArray[np.float64]:
     """(e^{L delay} - 1) (phi - C_a x_hat) in the polynomials of odd degree."""
-    error = np.zeros(generator.shape[0])
-    error[: len(problem.drift)] = problem.smoothed
+    error = np.pad(problem.smoothed, (0, generator.shape[0] - len(problem.drift)))
     slowest = -np.linalg.eigvals(problem.drift).real.max()
     if slowest * problem.delay > DECAYED:
         return -error
