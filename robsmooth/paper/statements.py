@@ -90,16 +90,15 @@ def scaled_nonlinearity() -> Finding:
     error = np.linspace(0.0, homodyne.PAPER.sector_range(), 501)[1:]
     ratio = np.abs(homodyne.PAPER.remainder(error) / error).max()
 
-    def fits(power: float) -> bool:
-        return abs(gamma * gamma**power - 1.0) <= _EQUAL and ratio * gamma**power <= 1.0 + _EQUAL
-
-    power = float(published.stated("scaled nonlinearity", "power_of_gamma"))
-    recovered, reach = gamma * gamma**power, ratio * gamma**power
-    value = f"gamma f~ = {recovered:.3g} f, and |f~| <= {reach:.3g} |mu_1|"
-    if fits(power):
+    readings = {-1: "f/gamma", 0: "f", 1: "f gamma"}
+    recovered = {power: gamma * gamma**power for power in readings}
+    reach = {power: ratio * gamma**power for power in readings}
+    fit = [p for p in readings if abs(recovered[p] - 1) <= _EQUAL and reach[p] <= 1 + _EQUAL]
+    stated = int(published.stated("scaled nonlinearity", "power_of_gamma"))
+    value = f"gamma f~ = {recovered[stated]:.3g} f, and |f~| <= {reach[stated]:.3g} |mu_1|"
+    if stated in fit:
         return True, value, ""
-    readings = {-1.0: "f/gamma", 0.0: "f", 1.0: "f gamma"}
-    right = " and ".join(text for power, text in readings.items() if fits(power)) or "none"
+    right = " and ".join(readings[power] for power in fit) or "none"
     needed = "alone has gamma f~/beta = f/beta, as the measurement needs, and is in the unit sector"
     return False, value, f"of {', '.join(readings.values())} as f~, {right} {needed}"
 
