@@ -96,9 +96,8 @@ class StationaryErrors:
     @property
     def _relative_truncation(self) -> float:
         """The larger of the two, infinite if the degree had no solution."""
-        smoothed = self.smoothed_truncation / self.smoothed
-        larger = max(smoothed, self.filtered_truncation / self.filtered)
-        return math.inf if math.isnan(larger) else larger
+        both = self.smoothed_truncation / self.smoothed, self.filtered_truncation / self.filtered
+        return math.inf if math.isnan(max(both)) else max(both)
 
     def __repr__(self) -> str:
         smoothed = f"smoothed {self.smoothed:.10g} +- {self.smoothed_truncation:.1g} rad^2"
@@ -115,8 +114,7 @@ class WhitenedLoop:
     phase: Matrix  # rows of phase and errors
     filtered: Matrix  # phi - C_f x_hat
     smoothed: Matrix  # phi - C_a x_hat
-    phase_decay: float
-    phase_variance: float
+    phase_change: float  # its mean square over the delay, rad^2
     delay: float
     rounding: float  # relative error of the covariance
 
@@ -217,11 +215,8 @@ def _errors(problem: WhitenedLoop, degree: int) -> NDArray[np.float64]:
     with np.errstate(over="ignore", invalid="ignore"):
         change = _change(problem, generator[basis.odd][:, basis.odd])
         filtered = problem.filtered @ covariance @ problem.filtered
-        smoothed = (
-            -2 * math.expm1(-problem.phase_decay * problem.delay) * problem.phase_variance
-            + problem.smoothed @ covariance @ problem.smoothed
-            + 2 * problem.phase @ products @ change
-        )
+        smoothed = problem.phase_change + problem.smoothed @ covariance @ problem.smoothed
+        smoothed += 2 * problem.phase @ products @ change
     errors = np.array([smoothed, filtered])
     positive = ((errors >= 0) & (errors < np.inf)).all()
     valid = positive and np.linalg.eigvalsh(covariance)[0] >= 0
@@ -287,6 +282,7 @@ def whitened(loop: Loop) -> WhitenedLoop:
     active = deviations**3 * np.linalg.norm(gains, axis=0) > _NEGLIGIBLE_REMAINDER
     rotation, arguments = np.linalg.qr(rows[active].T, mode="complete")
     S, inverse = S @ rotation, rotation.T @ inverse
+    phase_variance = -(loop.noise[0, 0] ** 2) / (2 * loop.drift[0, 0])
     sines = zip(arguments.T[:, :2], slopes[active], gains.T[active] @ rotation, strict=True)
     return WhitenedLoop(
         drift=inverse @ (loop.linearised_drift(*slopes) / rate) @ S,
@@ -294,8 +290,7 @@ def whitened(loop: Loop) -> WhitenedLoop:
         phase=S[0],
         filtered=S[0] - loop.readout[0] @ S[1:],
         smoothed=S[0] - loop.readout[1] @ S[1:],
-        phase_decay=-loop.drift[0, 0] / rate,
-        phase_variance=-(loop.noise[0, 0] ** 2) / (2 * loop.drift[0, 0]),
+        phase_change=-2 * math.expm1(loop.drift[0, 0] * loop.delay) * phase_variance,
         delay=loop.delay * rate,
         rounding=rounding,
     )

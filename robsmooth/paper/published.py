@@ -40,9 +40,8 @@ LAMBDA = ("lambda_1", "lambda_2", "lambda_3", "lambda_4")
 
 def data_folder() -> Path:
     """Return the folder data/ of the project, or the wheel's copy of it."""
-    package = Path(__file__).resolve().parents[1]
-    packed = package / "_data"
-    return packed if packed.is_dir() else package.parent / "data"
+    packed = provenance.ROOT / "robsmooth/_data"
+    return packed if packed.is_dir() else provenance.ROOT / "data"
 
 
 @cache
