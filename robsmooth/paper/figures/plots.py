@@ -100,7 +100,7 @@ def candidates(
     for dashes, (name, floor) in zip(("-", "--", ":"), floors.items(), strict=False):
         legend[name] = axes.axvline(floor, color="0.45", linestyle=dashes, linewidth=0.9, zorder=0)
     axes.set(xlabel=f"mean square error ({unit})", xlim=limits)
-    return style.with_legend(figure, 2, handles=legend.values(), labels=legend.keys())
+    return style.with_legend(figure, handles=legend.values(), labels=legend.keys())
 
 
 def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Figure:

@@ -51,9 +51,9 @@ def label_rows(axes: Axes, labels: Collection[str], width: int = 20) -> NDArray[
     return heights
 
 
-def with_legend(figure: Figure, columns: int = 2, **of: Any) -> Figure:
+def with_legend(figure: Figure, **of: Any) -> Figure:
     """Return the figure with a legend below its panels."""
-    figure.legend(loc="outside lower center", ncols=columns, **of)
+    figure.legend(loc="outside lower center", ncols=2, **of)
     return figure
 
 
