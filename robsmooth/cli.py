@@ -40,7 +40,9 @@ def figures(options: argparse.Namespace) -> int:
     with closing(run_notebooks(run, tasks)) as running:
         for result in running:
             results.append(result)
-            print(_line(result), flush=True)
+            text = {"failed": f"FAILED after {result.seconds:.1f} s", "fresh": "fresh"}
+            text["done"] = f"done in {result.seconds:.1f} s, {len(result.files)} files"
+            print(f"{result.task.name}: {text[result.status]}", flush=True)
     failed = [result for result in results if result.failure]
     if failed:
         print(_summary(failed, len(results)), file=sys.stderr)
@@ -132,12 +134,6 @@ def _project() -> Path:
         "there is no notebooks/profiles.toml here or above: run this command in a checkout of the "
         "project; the installed package has no notebooks"
     )
-
-
-def _line(result: NotebookResult) -> str:
-    text = {"failed": f"FAILED after {result.seconds:.1f} s", "fresh": "fresh"}
-    text["done"] = f"done in {result.seconds:.1f} s, {len(result.files)} files"
-    return f"{result.task.name}: {text[result.status]}"
 
 
 def _summary(failed: Sequence[NotebookResult], count: int) -> str:

@@ -51,19 +51,17 @@ class HermiteBasis:
         self._digits = digits[0] - digits[1:]  # first the degree, then the first exponents
         self._numbers = self.indices @ self._digits
 
-        below = [np.flatnonzero(exponents) for exponents in self.indices.T]
-        steps = -np.eye(dimension, dtype=int)
-        self.lowering = [  # a_1 ... a_d
-            self._array(np.sqrt(self.indices[columns, k]), columns, self._after(columns, steps[k]))
-            for k, columns in enumerate(below)
-        ]
+        self.lowering = []  # a_1 ... a_d
+        for exponents, step in zip(self.indices.T, -np.eye(dimension, dtype=int), strict=True):
+            columns = np.flatnonzero(exponents)
+            rows = self._after(columns, step)
+            self.lowering.append(self._array(np.sqrt(exponents[columns]), columns, rows))
         self.coordinates = [a + a.T for a in self.lowering]  # multiplications with xi_1 ... xi_d
 
     def _after(self, positions, step) -> NDArray[np.int_]:
         """Return the positions of the polynomials after a step in the first exponents."""
-        return np.searchsorted(
-            self._numbers, self._numbers[positions] + step @ self._digits[: len(step)]
-        )
+        numbers = self._numbers[positions] + step @ self._digits[: len(step)]
+        return np.searchsorted(self._numbers, numbers)
 
     def _array(self, values, columns, rows) -> sparse.csr_array:
         return sparse.csr_array((values, (rows, columns)), shape=2 * self.indices.shape[:1])

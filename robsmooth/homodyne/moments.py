@@ -94,9 +94,8 @@ class StationaryErrors:
     @property
     def _relative_truncation(self) -> float:
         """The larger of the two, infinite if the degree had no solution."""
-        smoothed = self.smoothed_truncation / self.smoothed
-        larger = max(smoothed, self.filtered_truncation / self.filtered)
-        return math.inf if math.isnan(larger) else larger
+        both = self.smoothed_truncation / self.smoothed, self.filtered_truncation / self.filtered
+        return math.inf if math.isnan(max(both)) else max(both)
 
     def __repr__(self) -> str:
         smoothed = f"smoothed {self.smoothed:.10g} +- {self.smoothed_truncation:.1g} rad^2"
@@ -113,8 +112,7 @@ class WhitenedLoop:
     phase: Matrix  # rows of phase and errors
     filtered: Matrix  # phi - C_f x_hat
     smoothed: Matrix  # phi - C_a x_hat
-    phase_decay: float
-    phase_variance: float
+    phase_change: float  # its mean square over the delay, rad^2
     delay: float
     rounding: float  # relative error of the covariance
 
@@ -210,12 +208,11 @@ def _errors(problem: WhitenedLoop, degree: int) -> Matrix:
     with np.errstate(over="ignore", invalid="ignore"):
         change = _change(problem, generator[basis.odd][:, basis.odd])
         filtered = problem.filtered @ covariance @ problem.filtered
-        moved = -2 * math.expm1(-problem.phase_decay * problem.delay) * problem.phase_variance
-        now = problem.smoothed @ covariance @ problem.smoothed
-        smoothed = moved + now + 2 * problem.phase @ products @ change
+        smoothed = problem.phase_change + problem.smoothed @ covariance @ problem.smoothed
+        smoothed += 2 * problem.phase @ products @ change
     errors = np.array([smoothed, filtered])
-    valid = np.isfinite(errors).all() and (errors >= 0).all()
-    valid = valid and np.linalg.eigvalsh(covariance)[0] >= 0
+    positive = ((errors >= 0) & (errors < np.inf)).all()
+    valid = positive and np.linalg.eigvalsh(covariance)[0] >= 0
     return errors if valid else np.full(2, np.inf)
 
 
@@ -252,8 +249,7 @@ def _stationary_moments(generator: sparse.csr_array) -> Matrix:
 
 def _change(problem: WhitenedLoop, generator: sparse.csr_array) -> Matrix:
     """(e^{L delay} - 1) (phi - C_a x_hat) in the polynomials of odd degree."""
-    error = np.zeros(generator.shape[0])
-    error[: len(problem.drift)] = problem.smoothed
+    error = np.pad(problem.smoothed, (0, generator.shape[0] - len(problem.drift)))
     slowest = -np.linalg.eigvals(problem.drift).real.max()
     if slowest * problem.delay > DECAYED:
         return -error
@@ -278,6 +274,7 @@ def whitened(loop: Loop) -> WhitenedLoop:
     active = deviations**3 * np.linalg.norm(gains, axis=0) > _NEGLIGIBLE_REMAINDER
     rotation, arguments = np.linalg.qr(rows[active].T, mode="complete")
     S, inverse = S @ rotation, rotation.T @ inverse
+    phase_variance = -(loop.noise[0, 0] ** 2) / (2 * loop.drift[0, 0])
     sines = zip(arguments.T[:, :2], slopes[active], gains.T[active] @ rotation, strict=True)
     return WhitenedLoop(
         drift=inverse @ (loop.linearised_drift(*slopes) / rate) @ S,
@@ -285,8 +282,7 @@ def whitened(loop: Loop) -> WhitenedLoop:
         phase=S[0],
         filtered=S[0] - loop.readout[0] @ S[1:],
         smoothed=S[0] - loop.readout[1] @ S[1:],
-        phase_decay=-loop.drift[0, 0] / rate,
-        phase_variance=-(loop.noise[0, 0] ** 2) / (2 * loop.drift[0, 0]),
+        phase_change=-2 * math.expm1(loop.drift[0, 0] * loop.delay) * phase_variance,
         delay=loop.delay * rate,
         rounding=rounding,
     )

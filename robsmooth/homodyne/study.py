@@ -153,14 +153,13 @@ def parameter_study(
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
     with open_journal(checkpoint, {"study": study, "software": cluster.software()}) as journal:
         results = list(journal.records()) if journal else []
+        computed = cluster.in_order(compute, loops[len(results) :], client)
         # columns of a former run count as progress, not for the rate
         extent = {"total": len(loops), "initial": len(results), "unit": "column"}
-        with progress_bar(**extent, shown=progress) as bar:
-            for result in cluster.in_order(compute, loops[len(results) :], client):
-                if journal:
-                    journal.append(result)
-                results.append(result)
-                bar.update()
+        for result in progress_bar(computed, **extent, shown=progress):
+            if journal:
+                journal.append(result)
+            results.append(result)
 
     nothing, shape = [{}] * (len(orders) * len(lags)), tuple(map(len, axes.values()))
     points = [point for result in results for point in result.get("points", nothing)]

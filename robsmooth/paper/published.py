@@ -40,9 +40,8 @@ LAMBDA = ("lambda_1", "lambda_2", "lambda_3", "lambda_4")
 
 def data_folder() -> Path:
     """Return the folder data/ of the project, or the wheel's copy of it."""
-    package = Path(__file__).resolve().parents[1]
-    packed = package / "_data"
-    return packed if packed.is_dir() else package.parent / "data"
+    packed = provenance.ROOT / "robsmooth/_data"
+    return packed if packed.is_dir() else provenance.ROOT / "data"
 
 
 @cache
@@ -144,14 +143,6 @@ def designs() -> Mapping[str, Estimator]:
     return MappingProxyType(found)
 
 
-def x_discriminant(tau: float, multipliers: np.ndarray) -> float:
-    """Discriminant of kappa/(tau lambda_1) X^2 - 2 lambda X + q = 0 over (2 lambda)^2."""
-    # This is the example's X equation. It has no real solution where the discriminant is below 0.
-    equations = design_equations(paper_plant(), tau, multipliers)
-    linear = 2.0 * homodyne.PAPER.lam
-    return float(1.0 - 4.0 * equations.worst_noise[0, 0] / tau * equations.Q_X[0, 0] / linear**2)
-
-
 def read_simulation(folder: Path) -> SimulatedErrors:
     """Return the mean square errors in a folder; ValueError where they are missing or corrupt."""
     try:
@@ -162,11 +153,6 @@ def read_simulation(folder: Path) -> SimulatedErrors:
             f"{RESULTS} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
             "make figures ONLY=04 writes it anew"
         ) from None
-
-
-def read_nonlinear_floor() -> Mapping[str, MeanSquare]:
-    """Return the least "smoothed" and "filtered" mean square error of the example with its sine."""
-    return _errors(json.loads((data_folder() / NONLINEAR_FLOOR).read_text(encoding="utf-8")))
 
 
 def _errors(stored: Mapping[str, Mapping[str, float]]) -> Mapping[str, MeanSquare]:

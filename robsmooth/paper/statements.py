@@ -10,6 +10,7 @@ from robsmooth import homodyne
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.estimators import baselines
+from robsmooth.estimators.conditions import multiplier_level
 from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne.loop import statistical_linearisation
 from robsmooth.paper import published
@@ -89,16 +90,15 @@ def scaled_nonlinearity() -> Finding:
     error = np.linspace(0.0, homodyne.PAPER.sector_range(), 501)[1:]
     ratio = np.abs(homodyne.PAPER.remainder(error) / error).max()
 
-    def fits(power: float) -> bool:
-        return abs(gamma * gamma**power - 1.0) <= _EQUAL and ratio * gamma**power <= 1.0 + _EQUAL
-
-    power = float(published.stated("scaled nonlinearity", "power_of_gamma"))
-    recovered, reach = gamma * gamma**power, ratio * gamma**power
-    value = f"gamma f~ = {recovered:.3g} f, and |f~| <= {reach:.3g} |mu_1|"
-    if fits(power):
+    readings = {-1: "f/gamma", 0: "f", 1: "f gamma"}
+    recovered = {power: gamma * gamma**power for power in readings}
+    reach = {power: ratio * gamma**power for power in readings}
+    fit = [p for p in readings if abs(recovered[p] - 1) <= _EQUAL and reach[p] <= 1 + _EQUAL]
+    stated = int(published.stated("scaled nonlinearity", "power_of_gamma"))
+    value = f"gamma f~ = {recovered[stated]:.3g} f, and |f~| <= {reach[stated]:.3g} |mu_1|"
+    if stated in fit:
         return True, value, ""
-    readings = {-1.0: "f/gamma", 0.0: "f", 1.0: "f gamma"}
-    right = " and ".join(text for power, text in readings.items() if fits(power)) or "none"
+    right = " and ".join(readings[power] for power in fit) or "none"
     needed = "alone has gamma f~/beta = f/beta, as the measurement needs, and is in the unit sector"
     return False, value, f"of {', '.join(readings.values())} as f~, {right} {needed}"
 
@@ -121,14 +121,14 @@ def constraints(plant: AugmentedSystem) -> Finding:
     l1, l2, l3, l4 = tried.T
     a, b = 1 - l2 - l3, 1 - l2 - l4
     theirs = (l1 <= 1) & (a >= 0) & (b >= 0) & (a * b >= l2**2)
-    same = sum(theirs == [_slack(plant, multipliers) >= 0.0 for multipliers in tried])
+    same = sum(theirs == [multiplier_level(plant, multipliers) <= 1.0 for multipliers in tried])
     value = f"they say the same as M^-1 >= J J' at {same} of {len(tried)} random lambda"
     return bool(same == len(tried)), value, ""
 
 
 def satisfies(plant: AugmentedSystem) -> Finding:
     """Test the constraint at the printed lambda."""
-    slack = _slack(plant, published.printed_multipliers())
+    slack = 1.0 - multiplier_level(plant, published.printed_multipliers())
     return slack >= 0.0, f"I - J'MJ >= {slack:.3g} I", ""
 
 
@@ -145,12 +145,6 @@ def assumption_3(plant: AugmentedSystem) -> Finding:
     where = "the printed ones, and the corners of what rounds to them"
     reason = f"no design at {len(refusals)} of {len(tried)} tau and lambda: {where}"
     return False, f"{refusals[0]} fails", reason
-
-
-def _slack(plant: AugmentedSystem, multipliers: np.ndarray) -> float:
-    """Return the least eigenvalue of I - J'MJ."""
-    gap = np.eye(plant.J.shape[1]) - plant.J.T @ plant.M(multipliers) @ plant.J
-    return float(np.linalg.eigvalsh(gap).min())
 
 
 def grows(smoothed: np.ndarray, filtered: np.ndarray) -> Finding:

@@ -57,32 +57,31 @@ def simulations(results: Mapping[str, Any], caption: str) -> Table:
 
 def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParameters) -> Table:
     """Return the changes of single numbers of the loop that predict the printed errors."""
-    smoothed = published.printed("error covariance, smoother")
-    filtered, runs = published.printed("error covariance, NGCF"), published.printed("runs")
+    designs = {"smoother": (smoother, "smoothed"), "NGCF": (ngcf, "filtered")}
+    printed = {name: published.printed(f"error covariance, {name}") for name in designs}
     changes = ("power of the shot noise", "power of the phase noise", "detector gain")
-    cases = {"smoother": (smoother, "smoothed", smoothed), "NGCF": (ngcf, "filtered", filtered)}
 
-    def excess(factor: float, change: str, design: Estimator, output: str, target: float) -> float:
+    def excess(factor: float, change: str, name: str) -> float:
         shot, phase, gain = (factor if change == each else 1.0 for each in changes)
+        design, output = designs[name]
         loop = homodyne_loop(replace(values, kappa=phase * values.kappa), design, shot_noise=shot)
-        return getattr(linearised(replace(loop, gains=gain * loop.gains)), output) - target
+        return getattr(linearised(replace(loop, gains=gain * loop.gains)), output) - printed[name]
 
-    records = []
+    records, runs = [], published.printed("runs")
     for change in changes:
-        factors = {
-            f"factor for the {name}": brentq(excess, 0.7, 2.0, (change, *case), xtol=1e-10)
-            for name, case in cases.items()
-        }
-        record = {"changed": change} | factors
-        for name, case in cases.items():
-            off = excess(sum(factors.values()) / 2, change, *case)
+        factors = [brentq(excess, 0.7, 2.0, (change, name), xtol=1e-10) for name in designs]
+        record: dict[str, Any] = {"changed": change}
+        record |= zip(map("factor for the {}".format, designs), factors, strict=True)
+        for name, target in printed.items():
+            off = excess(sum(factors) / 2, change, name)
             # the standard error of a mean of `runs` squared Gaussian errors
-            distance = off / (case[-1] * math.sqrt(2 / runs))
-            record[f"{name} at the mean factor"] = f"{case[-1] + off:.4f} ({distance:+.1f})"
+            distance = off / (target * math.sqrt(2 / runs))
+            record[f"{name} at the mean factor"] = f"{target + off:.4f} ({distance:+.1f})"
         records.append(record)
+    errors = " and ".join(f"{target:g}" for target in printed.values())
     caption = (
-        f"The factor on one number of the loop at which each printed error ({smoothed:g} and "
-        f"{filtered:g} rad²) is predicted, and what is predicted at the mean of the two factors; "
-        f"in brackets, how far off, in standard errors of a simulation of {runs:.0f} runs."
+        f"The factor on one number of the loop at which each printed error ({errors} rad²) is "
+        "predicted, and what is predicted at the mean of the two factors; in brackets, how far "
+        f"off, in standard errors of a simulation of {runs:.0f} runs."
     )
     return Table.of_records(records, caption)

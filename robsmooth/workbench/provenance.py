@@ -23,8 +23,7 @@ SOURCES = ("robsmooth", "notebooks", "pyproject.toml", *INPUTS)
 
 def collect(seed: int | None = None, started: float | None = None, **extra: object) -> dict:
     """Describe a run; `started` is the `time.perf_counter()` at its start."""
-    versions: dict[str, str | None] = {"python": platform.python_version()}
-    versions |= dict.fromkeys(PACKAGES)
+    versions = {"python": platform.python_version(), **dict.fromkeys(PACKAGES)}
     for name in PACKAGES:
         with suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)

@@ -17,7 +17,7 @@ from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
 from robsmooth.workbench.dependencies import dependencies, modules_in
 from robsmooth.workbench.execution import Execution, start_server
-from robsmooth.workbench.parameters import OPTIONAL, SET_BY_PIPELINE, PipelineError, unknown
+from robsmooth.workbench.parameters import SET_BY_PIPELINE, PipelineError, unknown
 from robsmooth.workbench.provenance import sha256
 
 PROFILES = ("paper", "quick")
@@ -64,9 +64,8 @@ class Task:
 
     run: Request
     name: str
+    parameters: Mapping[str, cell.Parameter]
     values: Mapping[str, object]  # given for its parameters, checked
-    seed: object
-    optional: tuple[str, ...]  # the parameters of `OPTIONAL` that it has
     key: str  # hash of all that its results depend on
     notebook: Path
     executed: Path  # its executed copy
@@ -140,13 +139,10 @@ def _task(
     where = f"profiles.toml, [{run.profile}.{name}]"
     values = cell.check(parameters, profile.get(name, {}), where)
     values |= cell.check(parameters, own, f"--set for {name}")
-    defaults = {key: each.default for key, each in parameters.items()}
-    seed = (defaults | values).get("seed")
-    optional = tuple(each for each in OPTIONAL if each in parameters)
     notebook = run.root / "notebooks" / f"{name}.ipynb"
     key = _key(run, notebook, values)
     return Task(
-        *(run, name, values, seed, optional, key, notebook),
+        *(run, name, parameters, values, key, notebook),
         executed=run.work / "notebooks" / notebook.name,
         staging=run.work / "staging" / name,
         stamp=run.work / "stamps" / f"{name}.json",
@@ -217,11 +213,11 @@ def _start(task: Task) -> Execution:
         (task.staging / folder).mkdir(parents=True)
     if not task.checkpoints.exists():  # those beside it are of other inputs
         shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
-    if "checkpoint_dir" in task.optional:
+    if "checkpoint_dir" in task.parameters:
         task.checkpoints.mkdir(parents=True, exist_ok=True)
-    optional = {"scheduler": task.run.dask, "checkpoint_dir": str(task.checkpoints)}
-    folders = {"output_dir": str(task.staging / "figures"), "data_dir": str(task.staging / "data")}
-    values = {**task.values, **folders, **{name: optional[name] for name in task.optional}}
+    ours = {"scheduler": task.run.dask, "checkpoint_dir": str(task.checkpoints)}
+    ours |= {"output_dir": str(task.staging / "figures"), "data_dir": str(task.staging / "data")}
+    values = {**task.values, **{name: ours[name] for name in ours if name in task.parameters}}
     scratch = task.staging / "scratch"
     return Execution(task.notebook, task.executed, values, scratch, task.run.time_limit)
 
@@ -239,10 +235,11 @@ def _finish(task: Task, execution: Execution) -> NotebookResult:
     for file in produced:
         with files.atomic_path(task.run.results / file) as temporary:
             shutil.move(task.staging / file, temporary)
+    defaults = {name: each.default for name, each in task.parameters.items()}
     about = {"notebook": task.notebook.name, "profile": task.run.profile}
     about |= {"parameters": task.values, "files": produced}
-    place = task.run.results / "figures" / task.name
-    written = provenance.write(place, **about, seed=task.seed, started=execution.started)
+    about |= {"seed": (defaults | task.values).get("seed"), "started": execution.started}
+    written = provenance.write(task.run.results / "figures" / task.name, **about)
     produced[f"figures/{written.name}"] = sha256(written)
     for file in before.keys() - produced.keys():
         (task.run.results / file).unlink(missing_ok=True)

@@ -204,7 +204,7 @@ for _ in range(2):
 def test_a_full_disk_is_a_clear_error_and_the_run_resumes_once_there_is_room(
     protocol, path, simulated
 ):
-    many, blocks = 4 * RUNS, 42
+    many, blocks = 4 * RUNS, 43
     expected = simulate(protocol, runs=many)
     with (
         pytest.raises(OSError, match=r"run\.checkpoint takes no more, .*; .* the same run resumes"),

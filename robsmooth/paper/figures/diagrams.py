@@ -83,8 +83,9 @@ def homodyne_loop() -> None:
     oscillator.label("local oscillator\n" + r"$\Phi = \hat\phi + \pi/2$")
     Wire("|-", **_BEAM).at(split.N).to(oscillator.W)
     Wire("-|", **_BEAM).at(oscillator.E).to(mixed.S)
-    _mirror().at((split.N.x, oscillator.W.y)).theta(-45)
-    _mirror().at((mixed.S.x, oscillator.E.y)).theta(45)
+    for corner, angle in (((split.N.x, oscillator.W.y), -45), ((mixed.S.x, oscillator.E.y), 45)):
+        mirror = elements.Element().at(corner).theta(angle)
+        mirror.segments.append(Segment([(-0.35, 0), (0.35, 0)], lw=1.5))
 
     Line(**_BEAM).at(mixed.E).right(0.5)
     right = _detector()
@@ -105,12 +106,6 @@ def _beam_splitter() -> elements.Element:
     cube = dsp.Square()
     cube.segments.append(Segment([(0, -0.5), (1, 0.5)]))
     return cube
-
-
-def _mirror() -> elements.Element:
-    mirror = elements.Element()
-    mirror.segments.append(Segment([(-0.35, 0), (0.35, 0)], lw=1.5))
-    return mirror
 
 
 def _detector() -> elements.Element:

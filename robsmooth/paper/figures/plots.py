@@ -30,12 +30,10 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
     error = np.linspace(-np.pi, np.pi, 721)
     upper, lower, wide = parameters.beta, parameters.lower_slope, parameters.sector_slope
     label = rf"design's sector $[{lower:g},\,{upper:g}]$"
-    band = {"color": "C0", "alpha": 0.2, "linewidth": 0, "label": label}
-    top.fill_between(error, lower * error, upper * error, **band)
+    top.fill_between(error, lower * error, upper * error, color="C0", alpha=0.2, lw=0, label=label)
     top.plot(error, np.sin(error), color="C1", linestyle="-", label=r"$\sin\mu_1$")
     top.plot(error, upper * error, label=rf"tangent, $\beta={upper:g}$", **style.DOTTED)
-    dashed = {"color": "C4", "linestyle": "--", "linewidth": 0.9}
-    top.plot(error, wide * error, label=rf"$m=1-2\gamma={wide:.1f}$", **dashed)
+    top.plot(error, wide * error, "C4--", lw=0.9, label=rf"$m=1-2\gamma={wide:.1f}$")
     reach = parameters.sector_range()
     for axes, end in itertools.product((top, bottom), (-reach, reach)):
         axes.axvline(end, color="C0", linestyle="-.", linewidth=0.8)
@@ -55,10 +53,10 @@ def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure
     exact = np.exp(-1j * omega * delay)
     models = {order: pade_delay(delay, order).response(omega)[:, 0, 0] for order in orders}
     figure, axes = plt.subplots()
-    axes.set(xscale="log", yscale="log", ylabel=r"$|H(i\omega) - e^{-i\omega\delta}|$")
     draw_curves(axes, omega, {order: np.abs(of - exact) for order, of in models.items()})
     axes.axvline(bandwidth, label="bandwidth", **style.DOTTED)
-    axes.set(xlabel=r"angular frequency $\omega$ (rad/s)", ylim=(1e-12, 4.0))
+    axes.set(xlabel=r"angular frequency $\omega$ (rad/s)", xscale="log")
+    axes.set(ylabel=r"$|H(i\omega) - e^{-i\omega\delta}|$", yscale="log", ylim=(1e-12, 4.0))
     axes.set(xlim=(omega[0], 20 * bandwidth))  # beyond, all errors are of order one
     axes.legend(loc="lower right")
     return figure
@@ -75,12 +73,11 @@ def mean_squares(
     for marker, look, (label, values) in zip("os", looks, results.items(), strict=False):
         means, color = [value.mean_square for value in values], look["color"]
         axes.plot(means, heights, marker, color=color, markersize=3, label=label)
-        if label in printed:
-            value = printed[label]
-            axes.axvline(value, color=color, linestyle="--", linewidth=0.9)
-            side = "right" if value == min(printed.values()) else "left"
-            text = {"text": f"printed {value:g}", "ha": side, "color": color}
-            axes.annotate(xy=(value, 1.0), xytext=(0, 1), **text, **above)
+        value = printed[label]
+        axes.axvline(value, color=color, linestyle="--", linewidth=0.9)
+        side = "right" if value == min(printed.values()) else "left"
+        text = {"text": f"printed {value:g}", "ha": side, "color": color}
+        axes.annotate(xy=(value, 1.0), xytext=(0, 1), **text, **above)
     axes.set(xlabel=r"mean square error (rad$^2$)", xlim=(0, 1.3 * max(printed.values())))
     return style.with_legend(figure)
 
@@ -103,7 +100,7 @@ def candidates(
     for dashes, (name, floor) in zip(("-", "--", ":"), floors.items(), strict=False):
         legend[name] = axes.axvline(floor, color="0.45", linestyle=dashes, linewidth=0.9, zorder=0)
     axes.set(xlabel=f"mean square error ({unit})", xlim=limits)
-    return style.with_legend(figure, 2, handles=legend.values(), labels=legend.keys())
+    return style.with_legend(figure, handles=legend.values(), labels=legend.keys())
 
 
 def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Figure:
@@ -147,8 +144,7 @@ def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
     bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
     bottom.axvline(lag, color="0.6", linestyle="-", linewidth=0.8)
     bottom.set(xlabel="lag (µs)", ylim=(0.4, 1.6), xlim=lags[[0, -1]])
-    style.label_ticks(bottom.xaxis, (0.3e-6, 1e-6, 3e-6, 10e-6, 30e-6))
-    bottom.xaxis.set_major_formatter(lambda ticked, _: f"{1e6 * ticked:g}")
+    style.label_ticks(bottom.xaxis, (0.3e-6, 1e-6, 3e-6, 10e-6, 30e-6), unit=1e-6)
     handles = [*top.patches, *top.lines, *bottom.get_legend_handles_labels()[0]]
     return style.with_legend(figure, handles=handles)
 

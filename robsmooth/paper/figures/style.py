@@ -35,10 +35,10 @@ def use_style() -> None:
     plt.style.use(STYLE)
 
 
-def label_ticks(axis: Axis, ticks: Sequence[float]) -> None:
-    """Label these ticks of a logarithmic axis, without powers of ten."""
+def label_ticks(axis: Axis, ticks: Sequence[float], unit: float = 1.0) -> None:
+    """Label these ticks of a logarithmic axis in a unit, without powers of ten."""
     axis.set_major_locator(FixedLocator(ticks))
-    axis.set_major_formatter("{x:g}")
+    axis.set_major_formatter(lambda tick, _: f"{tick / unit:g}")
     axis.axes.minorticks_off()
 
 
@@ -51,9 +51,9 @@ def label_rows(axes: Axes, labels: Collection[str], width: int = 20) -> NDArray[
     return heights
 
 
-def with_legend(figure: Figure, columns: int = 2, **of: Any) -> Figure:
+def with_legend(figure: Figure, **of: Any) -> Figure:
     """Return the figure with a legend below its panels."""
-    figure.legend(loc="outside lower center", ncols=columns, **of)
+    figure.legend(loc="outside lower center", ncols=2, **of)
     return figure
 
 
