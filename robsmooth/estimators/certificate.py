@@ -16,7 +16,8 @@ the feedback :math:`\tilde\xi = M^{-1}B_\xi'PX`.
 import math
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, block_diag, null_space, solve_continuous_lyapunov
@@ -46,8 +47,7 @@ _LEAST_RATIO = 1e-12  # of a multiplier to that before
 _NEGLIGIBLE = 1e-7  # of an effect's terms: less is rounding
 
 
-@dataclass(frozen=True, eq=False)
-class Certificate:
+class Certificate(NamedTuple):
     """The certified mean square error at one theta, with its gradients and the worst input."""
 
     mean_square: float
