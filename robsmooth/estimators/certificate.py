@@ -212,9 +212,7 @@ def certify(problem: ConstraintProblem) -> tuple[float, float, np.ndarray]:
     return problem.at(theta).mean_square, fraction, theta
 
 
-def _by_programme(
-    problem: ConstraintProblem, theta: np.ndarray, fraction: float = 1.0
-) -> np.ndarray:
+def _by_programme(problem: ConstraintProblem, theta: Matrix, fraction: float = 1.0) -> Matrix:
     """Return the best theta by the matrix inequality of the Riccati equation, or the given one."""
     import cvxpy as cp  # it takes long to import
 
