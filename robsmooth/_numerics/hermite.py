@@ -61,9 +61,8 @@ class HermiteBasis:
 
     def _after(self, positions, step) -> NDArray[np.int_]:
         """Return the positions of the polynomials after a step in the first exponents."""
-        return np.searchsorted(
-            self._numbers, self._numbers[positions] + step @ self._digits[: len(step)]
-        )
+        numbers = self._numbers[positions] + step @ self._digits[: len(step)]
+        return np.searchsorted(self._numbers, numbers)
 
     def _array(self, values, columns, rows) -> sparse.csr_array:
         return sparse.csr_array((values, (rows, columns)), shape=2 * self.indices.shape[:1])
