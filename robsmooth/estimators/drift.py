@@ -7,8 +7,7 @@ The modes that hardly decay, and that no uncertainty sees, are :math:`x = Vz` wi
           dy' = dy - (C_2x_0 + \bar D\tilde\mu)\,dt, \qquad x_0 = Vz_0,
 
 leaves the stable plant of :math:`x - x_0` with the measurement :math:`dy'`. Observer and estimator
-of this rest make the plant's estimator. What the observer has of the copies' outputs is known, and
-subtracted.
+of this rest make the plant's estimator. What the observer has of the copies' outputs is subtracted.
 """
 
 from dataclasses import replace

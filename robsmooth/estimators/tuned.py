@@ -74,8 +74,7 @@ def tuned_fixed_lag_smoother(
     ----------
     plant : AugmentedSystem
     against : {"constant", "admissible"}
-        The error to minimise: the worst constant, or the certified worst against the output of the
-        delay model.
+        The error to minimise: worst constant, or certified worst against the delay model's output.
     output : {"smoothed", "filtered"}, which estimate is wanted
 
     Raises
