@@ -18,7 +18,7 @@ is stable nothing grows, unlike :math:`e^{-At}` in Van Loan's method.
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dgebal
@@ -35,8 +35,7 @@ _FORGOTTEN = 1e-6  # the share of a state that is left: its square is rounding
 _SETTLED = 1e-12  # the share of a variance that an increment is: the next one is its square
 
 
-@dataclass(frozen=True, eq=False)
-class Covariances:
+class Covariances(NamedTuple):
     """Covariances of the state of dx = A x dt + B dW; all are (..., n, n)."""
 
     stationary: Matrix  # P, the limit of W

@@ -7,8 +7,8 @@ With :math:`AV = VA_d` for the slow modes and :math:`AV_r = V_rA_r` for the rest
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, schur, solve_sylvester
@@ -28,8 +28,7 @@ _NEGLIGIBLE = 1e-9  # of the terms of a matrix product: less is rounding
 _UNSEEN = 1e-8  # of an output's size: less is rounding
 
 
-@dataclass(frozen=True, eq=False)
-class Modes:
+class Modes(NamedTuple):
     """The slow modes and the rest, in the units of x."""
 
     V: Matrix  # (n, d) the slow modes

@@ -90,8 +90,7 @@ def _rescaled(A: Matrix, Q: Matrix, S: Matrix, decay: float) -> tuple[tuple, np.
 def stabilising(A: Matrix, Q: Matrix, S: Matrix, margin: float = 0.0) -> Matrix:
     """Return the stabilising solution without a certificate, or raise a LinAlgError.
 
-    The stable subspace of the Hamiltonian matrix gives it. The closed loop decays by more than the
-    margin times the Hamiltonian's norm.
+    The closed loop decays by more than the margin times the Hamiltonian's norm.
     """
     n = len(A)
     size_Q, size_S = np.linalg.norm(Q), np.linalg.norm(S)

@@ -95,22 +95,20 @@ def analysis_bound(
         opened = certificate.model_loop(replace(smoother, plant=finer), loop)
     opened, x = scaled(opened)
     problem, g = certificate.ConstraintProblem(opened, smoother.plant), smoother.plant.system.g
-    fraction, theta = certificate.largest_fraction(problem)
+    mean_square, fraction, theta = certificate.certify(problem)
     if fraction < 1.0 and g:
         # the input of a nonlinearity, or of a copy, may have no effect by itself
         differences = np.repeat([True, False], [len(smoother.plant.M_i) - 2 * g, 2 * g])
         reduced = certificate.ConstraintProblem(opened, smoother.plant, differences)
-        larger, found = certificate.largest_fraction(reduced)
-        if larger > fraction:
-            fraction, problem, theta = larger, reduced, found
+        found = certificate.certify(reduced)
+        if found[1] > fraction:
+            problem, (mean_square, fraction, theta) = reduced, found
     if fraction < 1.0:
         return AnalysisBound(math.inf, math.nan, fraction, np.empty(0), np.empty((0, 0)))
-    theta = certificate.least_certificate(problem, theta)
-    point = problem.at(theta)
     return AnalysisBound(
-        mean_square=point.mean_square,
+        mean_square=mean_square,
         gap=problem.gap(theta),
         fraction=1.0,
         multipliers=problem.all_multipliers(theta),
-        feedback=point.feedback @ problem.states / x,
+        feedback=problem.at(theta).feedback @ problem.states / x,
     )

@@ -16,10 +16,11 @@ the feedback :math:`\tilde\xi = M^{-1}B_\xi'PX`.
 import math
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, null_space, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, block_diag, null_space, solve_continuous_lyapunov
 from scipy.optimize import minimize
 
 from robsmooth._numerics.modes import hardly_decays, is_stable, separations
@@ -46,8 +47,7 @@ _LEAST_RATIO = 1e-12  # of a multiplier to that before
 _NEGLIGIBLE = 1e-7  # of an effect's terms: less is rounding
 
 
-@dataclass(frozen=True, eq=False)
-class Certificate:
+class Certificate(NamedTuple):
     """The certified mean square error at one theta, with its gradients and the worst input."""
 
     mean_square: float
@@ -73,8 +73,8 @@ class ConstraintProblem:
         kept = np.ones(constraints, dtype=bool) if kept is None else kept
         loop, seen, self.states = _without_drift(loop, plant)
         M = np.reshape(plant.M_i, (constraints, inputs, inputs))
-        N = [loop.outputs.T @ N_i @ loop.outputs for N_i in plant.N_i]
-        N = np.reshape(N, (constraints, *loop.A.shape))
+        between_outputs = np.reshape(plant.N_i, (constraints, *[len(loop.outputs)] * 2))
+        N = loop.outputs.T @ between_outputs @ loop.outputs
         self.loop, self.A, self.B, self.C = loop, loop.A, loop.B, loop.truth - loop.estimate
         self.forbidding = ~N.any(axis=(1, 2)) & ~seen
         self.active = ~self.forbidding & ~seen & kept
@@ -84,8 +84,7 @@ class ConstraintProblem:
         self.free = allowed @ null_space(unbounded.T)
         self.inputs, self.unbounded = loop.inputs @ self.free, loop.inputs @ allowed @ unbounded
         self.M, self.N = self.free.T @ M[self.active] @ self.free, N[self.active]
-        of_outputs = (constraints, *[len(loop.outputs)] * 2)
-        self._between_outputs = np.reshape(plant.N_i, of_outputs)[self.active]
+        self._between_outputs = between_outputs[self.active]
 
     def at(self, theta: np.ndarray, fraction: float = 1.0) -> Certificate:
         """Certify the error for a fraction of the uncertainty, or raise a RiccatiError."""
@@ -169,15 +168,11 @@ def problem_of(estimator: Estimator, kept: np.ndarray | None = None) -> Constrai
 
 def model_loop(estimator: Estimator, loop: str = "real") -> OpenLoop:
     """Return the loop with the error of the smoothed estimate against the delay model's output."""
-    plant, none = estimator.plant, np.zeros_like(estimator.C_a)
-    return replace(
-        open_loop(estimator, "filtered", loop),
-        truth=np.hstack([plant.C_a, none]),
-        estimate=np.hstack([np.zeros_like(plant.C_a), estimator.C_a]),
-    )
+    truth, estimate = np.vsplit(block_diag(estimator.plant.C_a, estimator.C_a), 2)
+    return replace(open_loop(estimator, "filtered", loop), truth=truth, estimate=estimate)
 
 
-def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
+def _largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
     """Return the largest fraction of the uncertainty, up to 1, that has a bound, and its theta."""
     if not np.linalg.eigvals(problem.A).real.max() < 0.0:
         return 0.0, np.empty(0)
@@ -203,30 +198,21 @@ def largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
 
 def certify(problem: ConstraintProblem) -> tuple[float, float, np.ndarray]:
     """Return the least bound, or infinity, the largest fraction with a bound, and its theta."""
-    fraction, theta = largest_fraction(problem)
+    fraction, theta = _largest_fraction(problem)
     if fraction < 1.0:
         return math.inf, fraction, theta
-    theta = least_certificate(problem, theta)
-    return problem.at(theta).mean_square, fraction, theta
-
-
-def least_certificate(problem: ConstraintProblem, theta: np.ndarray) -> np.ndarray:
-    """Return the theta of the least bound, by a search that is repeated while it gains."""
     before = math.inf
-    for _ in range(_RESTARTS):
+    for _ in range(_RESTARTS):  # while the search gains
         bound = problem.at(theta).mean_square
         if bound > (1.0 - _LEAST_DECREASE) * before:
             break
         before, theta = bound, _quasi_newton(problem, theta)
-    if problem.gap(theta) < _FINISHED:
-        return theta
-    # The search stops at the edge of what has a bound, if that is near the minimum.
-    return min((theta, _by_programme(problem, theta)), key=lambda t: problem.at(t).mean_square)
+    if not problem.gap(theta) < _FINISHED:  # at the edge of what has a bound, near the minimum
+        theta = min(theta, _by_programme(problem, theta), key=lambda t: problem.at(t).mean_square)
+    return problem.at(theta).mean_square, fraction, theta
 
 
-def _by_programme(
-    problem: ConstraintProblem, theta: np.ndarray, fraction: float = 1.0
-) -> np.ndarray:
+def _by_programme(problem: ConstraintProblem, theta: Matrix, fraction: float = 1.0) -> Matrix:
     """Return the best theta by the matrix inequality of the Riccati equation, or the given one."""
     import cvxpy as cp  # it takes long to import
 

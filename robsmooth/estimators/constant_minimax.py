@@ -18,6 +18,7 @@ import numpy as np
 
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
+from robsmooth._support.validation import Matrix
 from robsmooth.estimators.certificate import model_loop
 from robsmooth.estimators.constant import mean_square, slopes, worst_constant, worst_delta
 from robsmooth.estimators.descent import descend
@@ -119,14 +120,12 @@ def _candidates(plant: AugmentedSystem) -> list[Estimator]:
 
 
 def _designed(
-    value: float, Delta: np.ndarray, estimator: Estimator, loop_of: Callable[[Estimator], OpenLoop]
+    value: float, Delta: Matrix, estimator: Estimator, loop_of: Callable[[Estimator], OpenLoop]
 ) -> tuple[float, Estimator]:
     """Return the least largest error from a start, and the estimator."""
     Deltas, best = [np.zeros_like(Delta), Delta], (value, estimator)
 
-    def smooth_maximum(
-        sharpness: float, trial: Estimator, _: np.ndarray
-    ) -> tuple[float, np.ndarray]:
+    def smooth_maximum(sharpness: float, trial: Estimator, _: Matrix) -> tuple[float, Matrix]:
         loop = loop_of(trial)
         values, gradients = zip(*(slopes(loop, Delta) for Delta in Deltas), strict=True)
         powers = np.exp(sharpness * np.log(np.array(values) / max(values)))

@@ -7,7 +7,8 @@ coordinates in which the covariance of the estimator's states is the identity.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, solve_continuous_lyapunov
@@ -22,8 +23,7 @@ _GRADIENT = 1e-9  # of the logarithm, at the end of a search
 _ITERATIONS = 400
 
 
-@dataclass(frozen=True, eq=False)
-class Slopes:
+class Slopes(NamedTuple):
     """The gradient of an error in the matrices of `OpenLoop`."""
 
     A: Matrix

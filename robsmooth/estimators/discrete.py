@@ -155,8 +155,7 @@ class DiscreteSmoother(Exports):
         Parameters
         ----------
         state : (n,) array, optional
-            For an exact smoother the mean of the system's state, else the estimator's state. By
-            default that of the model.
+            For an exact smoother the system's mean state, else the estimator's; by default the model's.
         samples : int, those before, where a record is continued
         covariance : (n, n) array, optional
             Of the system's state, for an exact smoother. By default that of the model, where modes
@@ -284,8 +283,7 @@ class DiscreteSmoother(Exports):
     def two_sided(self, y: ArrayLike, **beside: Unpack[Beside]) -> Pair:
         """Return the estimates that use a whole record: fixed-interval smoothing.
 
-        The record, given as to `run`, begins as the last `reset` set it. `samples` and `state` are
-        not changed.
+        The record is given as to `run`, and begins as `reset` set it. `samples` and `state` stay.
 
         Returns
         -------

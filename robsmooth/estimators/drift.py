@@ -7,12 +7,11 @@ The modes that hardly decay, and that no uncertainty sees, are :math:`x = Vz` wi
           dy' = dy - (C_2x_0 + \bar D\tilde\mu)\,dt, \qquad x_0 = Vz_0,
 
 leaves the stable plant of :math:`x - x_0` with the measurement :math:`dy'`. Observer and estimator
-of this rest make the plant's estimator. What the observer has of the copies' outputs is known, and
-subtracted.
+of this rest make the plant's estimator. What the observer has of the copies' outputs is subtracted.
 """
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, null_space
@@ -32,8 +31,7 @@ _STANDING = 1e-13  # of that rate: a mode that decays by less does not decay
 _UNSEEN = 1e-9  # of an output's size: less is rounding
 
 
-@dataclass(frozen=True, eq=False)
-class Drift:
+class Drift(NamedTuple):
     """The observer of a plant's modes that hardly decay, and the rest."""
 
     plant: AugmentedSystem  # of the rest: stable
@@ -64,7 +62,7 @@ class Drift:
             taken_off = np.vstack([V @ W @ B - gain @ D, D])
         kept = np.ones(k + 3 * g, dtype=bool)
         for i, channel in enumerate(system.nonlinearities, start=k):
-            kept[[i + g, i + 2 * g]] = not replace(found, V=V).seen_by(channel.C).any()
+            kept[[i + g, i + 2 * g]] = not found._replace(V=V).seen_by(channel.C).any()
         left = {
             kind: [replace(c, B=c.B - gain @ c.D) for c in getattr(system, kind)]
             for kind in ("uncertainties", "nonlinearities")

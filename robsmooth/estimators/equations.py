@@ -46,7 +46,7 @@ is left out: these are the equations of the limit. There a = 1: the *nonlinear o
 copy's output for the nonlinearity's.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,8 +58,7 @@ from robsmooth.systems.augmented import AugmentedSystem
 Equation = tuple[Matrix, Matrix, Matrix]  # the A, Q and S of A'Z + ZA + Q - ZSZ = 0
 
 
-@dataclass(frozen=True, eq=False)
-class DesignProblem:
+class DesignProblem(NamedTuple):
     """The data of the equations, for all tau and lambda."""
 
     A: Matrix  # (n, n) the plant's drift

@@ -17,8 +17,7 @@ second order ETD2RK (S. M. Cox and P. C. Matthews, J. Comput. Phys. 176(2), 2002
 
 which keeps every equilibrium. The copies' slope at zero is not moved into `A`: the remainder could
 have twice the Lipschitz constant, and long steps are stable because that is small. In the example,
-at a `dt` of a third of the loop's time constant, the method's error is a thousandth of the
-estimate's.
+at a `dt` of a third of the loop's time constant, its error is a thousandth of the estimate's.
 
 For a missing measurement the estimator takes :math:`(C_2\hat x)_i + (\bar D_{21}\,\tilde\mu)_i` all
 along the interval: its innovation is zero. This changes `A` and :math:`B_\mu`, so every set of

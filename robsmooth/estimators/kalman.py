@@ -27,11 +27,9 @@ def kalman_gain(system: UncertainSystem, model: DelayModel | None = None) -> tup
     A, B, C, D = system.A, system.B1, system.C2, system.D21
     check_noise("The Kalman-Bucy filter's condition D21 D21' > 0", D)
     R, cross = cho_factor(D @ D.T), B @ D.T
-    uncorrelated = B - cross @ cho_solve(R, D)
+    uncorrelated, over_R = B - cross @ cho_solve(R, D), cho_solve(R, C)
     try:
-        P = solve_riccati(
-            (A - cross @ cho_solve(R, C)).T, uncorrelated @ uncorrelated.T, C.T @ cho_solve(R, C)
-        ).X
+        P = solve_riccati((A - cross @ over_R).T, uncorrelated @ uncorrelated.T, C.T @ over_R).X
     except RiccatiError as error:
         condition = "The Kalman-Bucy filter's Riccati equation"
         raise InfeasibleDesignError(condition, _reason(system) or str(error)) from None

@@ -145,8 +145,7 @@ def error_rows(smoother: Estimator, output: str) -> tuple[Matrix, Matrix, float]
             )
         truth = plant.C_p0 if smoother.cost == "filtered" else plant.C_a
         estimate = smoother.C_c[: plant.system.m]
-    none = np.zeros_like(estimate)
-    return np.hstack([truth, none]), np.hstack([np.zeros_like(truth), estimate]), delay
+    return *np.vsplit(block_diag(truth, estimate), 2), delay
 
 
 def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:

@@ -45,7 +45,7 @@ Automatica 44(7), 2008.
 
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,8 +56,7 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.systems.augmented import AugmentedSystem
 
 
-@dataclass(frozen=True, eq=False)
-class _Channel:
+class _Channel(NamedTuple):
     """An uncertainty, or a nonlinearity less its copy, scaled so that C has the norm one."""
 
     B: Matrix

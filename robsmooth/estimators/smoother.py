@@ -111,8 +111,7 @@ def limiting_smoother(
     Raises
     ------
     InfeasibleDesignError
-        Where Assumption 2 or 3 or the constraint (eqcons) fails in the limit, or other multipliers
-        are zero.
+        Where Assumption 2 or 3 or (eqcons) fails in the limit, or other multipliers are zero.
 
     Examples
     --------

@@ -16,7 +16,6 @@ from robsmooth._numerics.lyapunov import covariances
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
-from robsmooth._support.validation import Matrix
 from robsmooth.estimators.certificate import certify, problem_of
 from robsmooth.estimators.constant import mean_square, worst_constant
 from robsmooth.estimators.estimator import Estimator
@@ -43,20 +42,22 @@ _OPTIONS = {"maxfev": 300, "xatol": 1e-2, "fatol": 1e-5}
 def classical(plant: AugmentedSystem, copies: bool = False) -> Estimator:
     """Return the classical fixed-lag smoother of a plant's nominal system."""
     system = plant.system
-    _, gain = kalman_gain(system, plant.delay_model)
-    A_c = plant.A_p - gain @ plant.C2_tilde[: system.l]
     nominal = UncertainSystem(system.A, system.B1, system.C0, system.C2, system.D21)
-    return with_copies(plant, A_c, gain, copies).of_nominal(nominal, nominal)
+    return _with_gain(plant, nominal, nominal, copies)
 
 
-def with_copies(plant: AugmentedSystem, A_c: Matrix, gain: Matrix, copies: bool) -> Estimator:
-    """Return an estimator of w, with or without copies of the nonlinearities."""
-    (B, D), g = plant.known, plant.system.g
-    into, arguments = B - gain @ D, plant.C1_tilde[-2 * g :][:g]
-    if not copies:
-        into, arguments = np.zeros_like(into), np.zeros_like(arguments)
-    B_c, C_c = np.hstack([gain, into]), np.vstack([plant.C_p0, arguments])
-    return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=plant.C_p0)
+def _with_gain(
+    plant: AugmentedSystem, model: UncertainSystem, designed: UncertainSystem, copies: bool
+) -> Estimator:
+    """Return the smoother that runs a model with the gain of another, with or without copies."""
+    (B, D), g, own = plant.known, plant.system.g, slice(plant.system.n)
+    _, gain = kalman_gain(designed, plant.delay_model)
+    A, C2 = plant.A_p.copy(), plant.C2_tilde[: plant.system.l].copy()
+    A[own, own], C2[:, own] = model.A, model.C2
+    A_c, B_c = A - gain @ C2, np.hstack([gain, np.where(copies, B - gain @ D, 0.0)])
+    C_c = np.vstack([plant.C_p0, np.where(copies, plant.C1_tilde[-2 * g :][:g], 0.0)])
+    found = Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=plant.C_p0)
+    return found.of_nominal(model, designed)
 
 
 @one_thread
@@ -73,8 +74,7 @@ def tuned_fixed_lag_smoother(
     ----------
     plant : AugmentedSystem
     against : {"constant", "admissible"}
-        The error to minimise: the worst constant, or the certified worst against the output of the
-        delay model.
+        The error to minimise: worst constant, or certified worst against the delay model's output.
     output : {"smoothed", "filtered"}, which estimate is wanted
 
     Raises
@@ -181,8 +181,6 @@ class _Family:
             designed = with_feedback(*designed, channel, rows)
             if channel in self.uncertain:
                 model = with_feedback(*model, channel, rows)
-        A, C2, own = plant.A_p.copy(), plant.C2_tilde[: system.l].copy(), slice(system.n)
-        A[own, own], C2[:, own] = model
         levels = [np.exp(log / 2) * size for log, size in zip(noises, self.sizes, strict=True)]
         channels = list(zip(levels, self.uncertain, strict=True))
         measured = np.exp(factors / 2)[:, None] * system.D21
@@ -193,7 +191,5 @@ class _Family:
             C2=designed[1],
             D21=np.hstack([measured, *(level * u.D for level, u in channels)]),
         )
-        _, gain = kalman_gain(nominal, plant.delay_model)
         run = replace(nominal, A=model[0], C2=model[1])
-        found = with_copies(plant, A - gain @ C2, gain, copies=system.g > 0)
-        return found.of_nominal(run, nominal)
+        return _with_gain(plant, run, nominal, copies=system.g > 0)

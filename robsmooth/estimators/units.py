@@ -8,8 +8,7 @@ keeps its form with :math:`W = \sqrt T W'` and :math:`\xi = \xi'/\sqrt T`. A des
 natural units, so that it does not depend on the units of its problem.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import null_space, orth
@@ -30,8 +29,7 @@ _LEAST_SEEN = 1e-4  # singular value of the read-outs, relative to the largest
 _ROUNDING = 1e-9  # of a row, relative to others
 
 
-@dataclass(frozen=True, eq=False)
-class Units:
+class Units(NamedTuple):
     """The natural units of a plant: of time (s), states (n,), measurements (l,) and of w."""
 
     time: float
@@ -104,8 +102,7 @@ class Units:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Natural:
+class Natural(NamedTuple):
     """A design problem in natural units, in which a filter has no delay model."""
 
     units: Units

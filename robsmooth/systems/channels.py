@@ -33,8 +33,7 @@ class Channel(Frozen):
 class Uncertainty(Channel):
     r"""One uncertainty channel: :math:`\xi_s` is no larger than :math:`\zeta_s` in the mean square.
 
-    Every noise must enter where an uncertainty enters (Assumption 1): where there is none, C is
-    zero.
+    Every noise must enter where an uncertainty does (Assumption 1): where there is none, C is zero.
 
     Parameters
     ----------

@@ -42,8 +42,7 @@ class UncertainSystem(Frozen):
     nonlinearities : sequence of `Nonlinearity`
         The g channels :math:`(\bar B_{1i}, \bar C_{1,i}, \bar D_{21,i}, \beta_i)`, centred.
     B2, D22 : (n, p) and (l, p) arrays, optional
-        How known inputs u enter: :math:`B_2u` adds to the drift, :math:`D_{22}u` to the
-        measurement.
+        Of known inputs u: :math:`B_2u` adds to the drift, :math:`D_{22}u` to the measurement.
     n, m, l, q, p, k, g : int
         The numbers of states, outputs to estimate, measurements, noises, known inputs,
         uncertainties and nonlinearities; not arguments.
@@ -297,8 +296,7 @@ def state_space(
 ) -> "control.StateSpace":
     """Return a python-control object with signals by name: inputs (n, .) and outputs (., n).
 
-    Component i of a signal is called ``name[i]``. The feedthrough is by (output, input), by default
-    zero.
+    Component i of a signal is ``name[i]``. The feedthrough is by (output, input), by default zero.
     """
     with extra("control", "to_statespace"):
         import control
