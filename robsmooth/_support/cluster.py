@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING, Any
 from robsmooth._support.extras import extra
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client as Client
+    from distributed import Future
 
 CALLS_PER_THREAD = 2  # one is computed, one waits
 CALLS_AHEAD = 2  # more, while results travel

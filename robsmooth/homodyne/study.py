@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING
 from warnings import catch_warnings
 
 import numpy as np
@@ -29,9 +28,6 @@ from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.systems.augmented import augment
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 Axis = Sequence[float] | NDArray[np.float64]
 
@@ -111,7 +107,7 @@ def parameter_study(
     *,
     runs: int = 256,
     seed: int = 0,
-    client: "Client | None" = None,
+    client: "cluster.Client | None" = None,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: bool = False,
 ) -> Study:

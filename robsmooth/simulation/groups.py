@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numba
 import numpy as np
@@ -17,9 +17,6 @@ from robsmooth._support import cluster, validation
 from robsmooth._support.checkpoint import Journal
 from robsmooth._support.progress import progress_bar
 from robsmooth.simulation.statistics import Tally
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 BLOCKS_OF_A_GROUP = 256  # at most, for the memory
 GROUPS_OF_A_CALL = 20  # on a cluster, at most: a client serves some 100 calls a second
@@ -51,7 +48,7 @@ def threads(alone: bool = False) -> Iterator[None]:
 
 
 def tally_paths(
-    simulation: Any, journal: Journal | None, client: "Client | None", progress: bool
+    simulation: Any, journal: Journal | None, client: "cluster.Client | None", progress: bool
 ) -> Tally:
     """Simulate the blocks that the journal does not have, and merge them in order.
 

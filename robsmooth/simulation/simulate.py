@@ -5,7 +5,7 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,6 @@ from robsmooth.simulation import loop as loops
 from robsmooth.simulation.groups import checked_seed, threads
 from robsmooth.simulation.kernel import CHUNK
 from robsmooth.systems.augmented import AugmentedSystem
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 COMPILED, IN_PYTHON = 4_000_000, 200_000  # path-steps between two looks at an interrupt
 RECORDED = 100_000  # path-steps whose signals are in memory at once
@@ -44,7 +41,7 @@ def simulate(
     step: float | None = None,
     seed: int = 0,
     progress: bool = False,
-    client: "Client | None" = None,
+    client: "cluster.Client | None" = None,
     checkpoint: str | os.PathLike[str] | None = None,
 ) -> statistics.SimulationResult:
     r"""Simulate a system, nonlinearities included, with its estimator, and measure the errors.

@@ -5,7 +5,7 @@ import os
 import time
 import warnings
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robsmooth._support import cluster, validation
 from robsmooth._support.checkpoint import open_journal
@@ -16,9 +16,6 @@ from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.simulation.groups import tally_paths
 from robsmooth.simulation.noise import GENERATOR
 from robsmooth.simulation.statistics import MeanSquare
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 
 class LossOfLockWarning(RuntimeWarning):
@@ -110,7 +107,7 @@ def monte_carlo(
     step: float | None = None,
     seed: int = 0,
     precision: str = "mixed",
-    client: "Client | None" = None,
+    client: "cluster.Client | None" = None,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: bool = False,
     *,
