@@ -14,7 +14,7 @@ from numba import njit, prange, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from robsmooth._numerics.vectors import BLOCK, fma
+from robsmooth._numerics.vectors import BLOCK, LANES, fma, load, store
 from robsmooth._support.kernels import kept
 from robsmooth.simulation import noise
 from robsmooth.simulation.noise import DRAWS, SOURCES, WORDS
@@ -24,6 +24,7 @@ Floats = NDArray[np.float64]
 CHUNK = 16  # steps for which noise is drawn ahead, and between two checks
 GROWTH = 1e6  # of an output over its size at the start: divergence
 LARGEST = 1e290  # of an output that is zero at the start
+NUMBER = (0.0,)  # of the type that sums have
 TOLERANCE = 1e-6  # relative, for rounding where a constraint holds with equality
 
 
@@ -95,19 +96,14 @@ def _call(_typing, address, time, arguments, values, count):
 
 @njit
 def add_product(matrix, x, out):
-    """Add a matrix times the rows of x to the rows of `out`, two columns at a time."""
-    columns = matrix.shape[1]
+    """Add a matrix times the rows of x to the rows of `out`."""
     for i in range(matrix.shape[0]):
-        row = out[i]
-        for j in range(0, columns - 1, 2):
-            one, two, a, b = matrix[i, j], matrix[i, j + 1], x[j], x[j + 1]
-            if one != 0.0 or two != 0.0:
-                for path in range(row.size):
-                    row[path] = fma(one, a[path], fma(two, b[path], row[path]))
-        if columns % 2 and matrix[i, -1] != 0.0:
-            one, a = matrix[i, -1], x[columns - 1]
-            for path in range(row.size):
-                row[path] = fma(one, a[path], row[path])
+        for path in range(0, BLOCK, LANES):
+            (total,) = load(out, i * BLOCK + path, NUMBER)
+            for j in range(matrix.shape[1]):
+                (number,) = load(x, j * BLOCK + path, NUMBER)
+                total = fma(matrix[i, j], number, total)
+            store(out, i * BLOCK + path, (total,))
 
 
 @njit
