@@ -32,7 +32,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,7 +45,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import blocks_of, matrices, reference_outputs
 from robsmooth.simulation import kernel
-from robsmooth.simulation.called import CalledFunctions, Function
+from robsmooth.simulation.called import Function
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.functions import on_arrays
 
@@ -261,14 +260,6 @@ class Steps:
         parts += arguments, slopes, outputs, signals
         self.scheme = kernel.Scheme(*map(np.ascontiguousarray, parts))
         self.driven = np.array(driven, np.int64)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "functions"}
-
-    @cached_property
-    def functions(self) -> CalledFunctions:
-        """The functions, for compiled code of this process."""
-        return CalledFunctions(self.loop.functions)
 
     def advance(self, time: float, z: NDArray, noise: NDArray) -> NDArray:
         """Return the states, (., paths), a step after `time`, as the kernel does."""

@@ -18,6 +18,7 @@ from robsmooth._support.checkpoint import open_journal
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.simulation import groups, kernel, statistics
 from robsmooth.simulation import loop as loops
+from robsmooth.simulation.called import CalledFunctions
 from robsmooth.simulation.groups import checked_seed, threads
 from robsmooth.simulation.kernel import CHUNK
 from robsmooth.systems.augmented import AugmentedSystem
@@ -147,9 +148,8 @@ def sample_paths(
     """
     run = _Run(smoother, uncertainties, runs, duration, step, seed, measured=True)
     m, g, arguments = run.plant.system.m, run.plant.system.g, len(run.scheme.loop.arguments)
-    blocks = -(-run.runs // BLOCK)
-    parts = run.parts(0, blocks, run.memory(blocks), recorded=True)
-    signals = np.concatenate([np.concatenate(each, axis=2)[..., : run.runs] for _, each in parts])
+    parts = run.parts(0, -(-run.runs // BLOCK), recorded=True)
+    signals = np.concatenate([np.concatenate(each, axis=2)[..., : run.runs] for *_, each in parts])
     rows = np.cumsum([m, m, m, arguments, arguments])
     signals = np.split(np.moveaxis(signals, 2, 0), rows, axis=2)  # the warm-up comes first
     w, filtered, smoothed, y = (signals[i][:, run.before :] for i in (0, 1, 2, 5))
@@ -200,11 +200,10 @@ class _Run:
             warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
         self.scheme = loops.Steps(loop, step, measured)
 
-    def parts(
-        self, first: int, count: int, memory: kernel.Memory, recorded: bool = False
-    ) -> Iterator[tuple[int, NDArray]]:
-        """Simulate blocks part by part; yield path-steps, and the signals if they are recorded."""
-        scheme, functions = self.scheme, self.scheme.functions
+    def parts(self, first: int, count: int, recorded: bool = False) -> Iterator[tuple]:
+        """Simulate blocks part by part; yield path-steps, averages, and signals if recorded."""
+        scheme, functions = self.scheme, CalledFunctions(self.scheme.loop.functions)
+        memory = kernel.empty_memory(scheme.scheme, count, self.lag, len(self.plant.M_i))
         loop, sizes = scheme.loop, scheme.loop.delta.shape
         both = zip((self.plant.M_i, self.plant.N_i), sizes, strict=True)
         forms = [np.reshape(form, (len(form), size, size)) for form, size in both]
@@ -230,20 +229,16 @@ class _Run:
                     f"start; the loop is not stable, or the step, {self.step:.4g} s, is too long "
                     "for it"
                 )
-            yield steps * count * BLOCK, records
+            yield steps * count * BLOCK, memory.averages, records
 
     def simulate(self, first: int, count: int, report: Callable[[int], object]) -> NDArray:
         """Return averages over time: of squared errors, and of `kernel.check_constraints`."""
-        memory = self.memory(count)
-        for path_steps, _ in self.parts(first, count, memory):
+        for path_steps, sums, _ in self.parts(first, count):
+            averages = sums
             report(path_steps)
-        memory.averages[:, :2] /= self.averaged
-        memory.averages[:, 2:] /= -(-self.averaged // CHUNK)
-        return memory.averages
-
-    def memory(self, count: int) -> kernel.Memory:
-        """Return the memory of blocks that have not begun."""
-        return kernel.empty_memory(self.scheme.scheme, count, self.lag, len(self.plant.M_i))
+        averages[:, :2] /= self.averaged
+        averages[:, 2:] /= -(-self.averaged // CHUNK)
+        return averages
 
     def tally(self, path: int, outputs: NDArray) -> statistics.Tally:
         """Return the tally of paths; none slips."""
