@@ -270,12 +270,11 @@ def _with_lengths(pieces: Iterator[Matrix], dt: float, instants: bool) -> Iterat
     before = np.empty((0, 0))
     for values in pieces:
         if instants:
-            begin = before[-1:, -1] if before.size else values[:1, -1] - dt
+            begin = before[:, -1] if before.size else values[:1, -1] - dt
             yield np.column_stack([values, np.diff(values[:, -1], prepend=begin)])
-            before = values
         else:
             values = np.vstack([before, values]) if before.size else values
             yield np.column_stack([values[:-1], np.diff(values[:, -1])])
-            before = values[-1:]
+        before = values[-1:]
     if before.size and not instants:
         yield np.column_stack([before, [dt]])
