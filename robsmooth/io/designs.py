@@ -155,9 +155,8 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
     if not isinstance(content, dict):
         raise ValueError(f"its content must be a table, got {reprlib.repr(content)}")
     header = {"format": (1,), "kind": tuple(_KINDS), "units": ("SI",)}
+    validation.integer("format", content.get("format", 1), low=1)  # True is none
     for name, allowed in header.items():
-        if name == "format" and name in content:
-            validation.integer(name, content[name], low=1)
         validation.choice(name, content.get(name), allowed)
     named: dict[str, None] = {}
 
