@@ -167,10 +167,9 @@ def _target(record: Record, target: Any, delimiter: str | None, resume: bool) ->
 
 
 def _choice(
-    record: Record, smoother: DiscreteSmoother, *given: Columns
+    record: Record, smoother: DiscreteSmoother, columns: Columns, reference: Columns, time: Columns
 ) -> tuple[list[int], int | None]:
     """Return the columns of measurements, reference and times, and the one that is the clock."""
-    columns, reference, time = given
     known = _positions(record, "reference", reference, smoother.g)
     times = _positions(record, "time", time, 1)
     if time is None and record.index is not None:
