@@ -78,7 +78,15 @@ class Journal:
             database.execute("COMMIT")
         if self._value("PRAGMA quick_check(1)") != "ok":
             raise sqlite3.DatabaseError("database disk image is malformed")
-        self._check_identity(_texts(self._read(0)), _texts(identity))
+        there, here = _texts(self._read(0)), _texts(identity)
+        differences = [
+            f"{name} is {_short(there.get(name))} there and {_short(here.get(name))} here"
+            for name in sorted(there | here)
+            if there.get(name) != here.get(name)
+        ]
+        if differences:
+            what = f"is of another computation: {'; '.join(differences)}"
+            raise CheckpointError(f"the checkpoint {path} {what}; {ANEW}")
         # The number of records on opening, and the last of them.
         self._found = self._value("SELECT max(number) FROM record")
         self.last = self._read(self._found) if self._found else None
@@ -95,16 +103,6 @@ class Journal:
             advice = "what it held before is kept: mend that, and the same run resumes from it"
             what = f"takes no more, as where the disk is full: {error}; {advice}"
             raise OSError(f"the checkpoint {self.path} {what}") from None
-
-    def _check_identity(self, there: dict[str, str], here: dict[str, str]) -> None:
-        differences = [
-            f"{name} is {_short(there.get(name))} there and {_short(here.get(name))} here"
-            for name in sorted(there | here)
-            if there.get(name) != here.get(name)
-        ]
-        if differences:
-            what = f"is of another computation: {'; '.join(differences)}"
-            raise CheckpointError(f"the checkpoint {self.path} {what}; {ANEW}")
 
     def _insert(self, number: int, record: dict) -> None:
         text = _text(record)

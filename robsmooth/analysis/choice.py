@@ -230,25 +230,19 @@ def best_smoother(
         raise failures.get("minimax" if against == "admissible" else "constant minimax", none)
     if errors[_CLASSICAL] <= (1.0 + _WORTHWHILE) * errors[best]:
         best = _CLASSICAL
-    if output == "smoothed" and math.isfinite(candidates[_CLASSICAL].judgement.nominal):
-        _warn_of_coarse_delay(candidates[_CLASSICAL])
+    smoothed, classical = candidates[_CLASSICAL].judgement.nominal, candidates[_CLASSICAL].estimator
+    if output == "smoothed" and math.isfinite(smoothed):
+        Delta = classical.plant.structured_delta()
+        filtered = float(error_covariance(classical, Delta, "filtered", "real").trace())
+        if smoothed > _WORSE * filtered:  # the delay model errs
+            warnings.warn(
+                f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: "
+                f"the delay's model of order {plant.order} is too coarse; take a higher order or a "
+                "shorter delay (in discrete time the classical smoother needs no model)",
+                CoarseDelayWarning,
+                stacklevel=3,
+            )
     return Choice(candidates[best].estimator, best, candidates, against, output)
-
-
-def _warn_of_coarse_delay(classical: Candidate) -> None:
-    """Warn where the smoothed nominal error is above the filtered one: the delay model errs."""
-    estimator, smoothed = classical.estimator, classical.judgement.nominal
-    assert estimator is not None
-    Delta = estimator.plant.structured_delta()
-    filtered = float(error_covariance(estimator, Delta, "filtered", "real").trace())
-    if smoothed > _WORSE * filtered:
-        warnings.warn(
-            f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: the "
-            f"delay's model of order {estimator.plant.order} is too coarse; take a higher order or "
-            "a shorter delay (in discrete time the classical smoother needs no model)",
-            CoarseDelayWarning,
-            stacklevel=4,
-        )
 
 
 def _designs(plant: AugmentedSystem, against: str, output: str) -> dict[str, partial[Estimator]]:

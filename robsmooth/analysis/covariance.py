@@ -63,27 +63,22 @@ def _stationary_error(A: Matrix, B: Matrix, estimator: Estimator, output: str) -
     T = np.eye(n + n_c)  # an estimator of another order has no such error
     if n == n_c:
         T = np.kron([[1.0, 0.0], [1.0, -1.0]], np.eye(n))
+    past, now = truth @ T, estimate @ T
     try:
-        # T is its own inverse
-        return _decaying_error(T @ A @ T, T @ B, truth @ T, estimate @ T, delay)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a loop that runs away
+            found = covariances(T @ A @ T, T @ B, delay)  # T is its own inverse
+            past = past - now @ found.transition
+            since = found.error - _squared(found.transition, found.error)
+            result = _squared(past, found.stationary) + _squared(now, found.grown)
+            error = _squared(past, found.error) + _squared(now, since)
+            check_certainty("the error covariance", result, error)
+            return result
     except (UnstableLoopError, ArithmeticError):
         if not hardly_decays(A):
             raise
     if A.ndim > 2:
         return np.array([_stationary_error(each, B, estimator, output) for each in A])
     result, error = loops.drifting_error(A, B, truth, estimate, delay)
-    check_certainty("the error covariance", result, error)
-    return result
-
-
-@np.errstate(over="ignore", invalid="ignore")  # of a loop that runs away
-def _decaying_error(A: Matrix, B: Matrix, truth: Matrix, estimate: Matrix, delay: float) -> Matrix:
-    """Return the covariance of truth X(t - delay) - estimate X(t) where all modes decay."""
-    found = covariances(A, B, delay)
-    E, error = found.transition, found.error
-    past, since = truth - estimate @ E, error - _squared(E, error)
-    result = _squared(past, found.stationary) + _squared(estimate, found.grown)
-    error = _squared(past, error) + _squared(estimate, since)
     check_certainty("the error covariance", result, error)
     return result
 

@@ -27,8 +27,7 @@ class RecordCheck(Frozen):
         Above 1 the record has more noise, or moves more, than the model says.
     correlations : (lags, l, l) array
         Entry (d, i, j) is that of measurement i with measurement j, d + 1 samples before, in
-        standard deviations: by the model normal, of mean zero and variance one. NaN at a lag with
-        too few pairs of samples.
+        standard deviations: by the model standard normal. NaN where pairs of samples are too few.
     p_mean, p_mean_square, p_white : float
         p-values of the innovations' mean, mean square and correlations: the probability that a
         record of the model is at least as far off. NaN where the record is too short.

@@ -49,7 +49,10 @@ class Explorer:
         return take_snapshot(self.settings)
 
     def _repr_mimebundle_(self, **_) -> dict[str, object]:
-        live = self.widget._repr_mimebundle_() if can_show_widgets() else {}
+        kernel = getattr(get_ipython(), "kernel", None)
+        request = kernel.get_parent("shell").get("content", {}) if kernel else {}
+        # A frontend in a batch run takes no input.
+        live = self.widget._repr_mimebundle_() if request.get("allow_stdin") else {}
         found = self.snapshot
         image = base64.b64encode(png(found)).decode()
         return {**live, "image/png": image, "text/plain": summary(found)}
@@ -119,12 +122,6 @@ def summary(found: Snapshot | str) -> str:
         f"{share} the filter's {filtered:.4f} rad²; whatever the uncertainty in the sector, the "
         f"{found.settings.cost} error is {JUDGING if math.isnan(own) else certified}."
     )
-
-
-def can_show_widgets() -> bool:
-    """Tell whether a frontend can show sliders: one in a batch run takes no input."""
-    kernel = getattr(get_ipython(), "kernel", None)
-    return bool(kernel and kernel.get_parent("shell").get("content", {}).get("allow_stdin"))
 
 
 def _input(name: str) -> widgets.Widget:

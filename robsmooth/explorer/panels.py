@@ -86,8 +86,7 @@ def _errors(axes: Axes, found: Snapshot) -> None:
 def _path(axes: Axes, found: Snapshot) -> None:
     time = 1e6 * STEP * np.arange(1, SHOWN + 1)
     times = time - 1e6 * found.settings.lag * np.array([[0.0], [0.0], [1.0]])
-    curves = zip(("true", "filtered", "smoothed"), found.path, strict=True)
-    draw_curves(axes, times, dict(curves))
+    draw_curves(axes, times, dict(zip(("true", "filtered", "smoothed"), found.path, strict=True)))
     axes.set(title="a path and its estimates", xlabel="time (µs)", ylabel="phase (rad)")
     axes.set(xlim=(0.0, time[-1]), ylim=(-3.0, 3.0))
     axes.legend(loc="upper left", ncols=2)

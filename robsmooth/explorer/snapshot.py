@@ -193,11 +193,10 @@ def _findings(estimator: rs.Estimator, settings: Settings, certified: bool) -> F
     sweep = partial(rs.delta_sweep, estimator, SLOPES, loop="real")
     sweeps = {output: sweep(output=output)[:, 0, 0] for output in COSTS}
     with_sine = rs.statistical_linearisation(settings.parameters, estimator)
+    errors = sweeps[settings.cost]
+    judged = rs.Judgement(errors[-1], errors.max(), math.nan)
     if certified:  # this takes longer than all else
         judged = rs.judge(estimator, settings.cost)
-    else:
-        errors = sweeps[settings.cost]
-        judged = rs.Judgement(errors[-1], errors.max(), math.nan)
     return Findings(estimator, **sweeps, with_sine=with_sine, judged=judged)
 
 

@@ -155,9 +155,8 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
     if not isinstance(content, dict):
         raise ValueError(f"its content must be a table, got {reprlib.repr(content)}")
     header = {"format": (1,), "kind": tuple(_KINDS), "units": ("SI",)}
+    validation.integer("format", content.get("format", 1), low=1)  # True is none
     for name, allowed in header.items():
-        if name == "format" and name in content:
-            validation.integer(name, content[name], low=1)
         validation.choice(name, content.get(name), allowed)
     named: dict[str, None] = {}
 
@@ -279,7 +278,11 @@ def _fields(kind: str, value: Any) -> dict:
     for name in _TABLES[kind][1].split():
         part = getattr(value, name)
         if name == "nonlinearities":
-            _check_names([c.function for c in part])
+            named: dict[str, Callable] = {}
+            for i, psi in enumerate(channel.function for channel in part):
+                if psi is not None and named.setdefault(name_of(psi), psi) != psi:
+                    what = f"nonlinearities[{i}].function must have a name of its own to be saved"
+                    raise ValueError(f"{what}, got {name_of(psi)!r}, which another one has")
         if isinstance(part, tuple):
             part = [_fields(name, member) for member in part]
         elif name in _TABLES and part is not None:
@@ -291,14 +294,6 @@ def _fields(kind: str, value: Any) -> dict:
         if name not in _OPTIONAL.split() or (part is not None and np.size(part)):
             fields[name] = part
     return fields
-
-
-def _check_names(functions: list[Callable | None]) -> None:
-    named: dict[str, Callable] = {}
-    for i, function in enumerate(functions):
-        if function is not None and named.setdefault(name_of(function), function) != function:
-            what = f"nonlinearities[{i}].function must have a name of its own to be saved"
-            raise ValueError(f"{what}, got {name_of(function)!r}, which another one has")
 
 
 def _toml(table: Mapping, prefix: str) -> Iterator[str]:

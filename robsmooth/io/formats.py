@@ -39,9 +39,7 @@ def delimiter_of(name: str, path: Path, given: str | None) -> str:
     if given is not None and not re.fullmatch(r"(?![\w\"'.+-])[\t -~]", str(given)):
         allowed = "one character of ASCII, not a quote and in no number"
         raise ValueError(f"delimiter must be {allowed}, got {given!r}")
-    if not found[1]:
-        return ""
-    return given or {".csv": ",", ".tsv": "\t"}[found[1]]
+    return {".csv": given or ",", ".tsv": given or "\t"}.get(found[1], "")
 
 
 class Record:

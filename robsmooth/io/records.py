@@ -167,10 +167,9 @@ def _target(record: Record, target: Any, delimiter: str | None, resume: bool) ->
 
 
 def _choice(
-    record: Record, smoother: DiscreteSmoother, *given: Columns
+    record: Record, smoother: DiscreteSmoother, columns: Columns, reference: Columns, time: Columns
 ) -> tuple[list[int], int | None]:
     """Return the columns of measurements, reference and times, and the one that is the clock."""
-    columns, reference, time = given
     known = _positions(record, "reference", reference, smoother.g)
     times = _positions(record, "time", time, 1)
     if time is None and record.index is not None:
@@ -270,12 +269,11 @@ def _with_lengths(pieces: Iterator[Matrix], dt: float, instants: bool) -> Iterat
     before = np.empty((0, 0))
     for values in pieces:
         if instants:
-            begin = before[-1:, -1] if before.size else values[:1, -1] - dt
+            begin = before[:, -1] if before.size else values[:1, -1] - dt
             yield np.column_stack([values, np.diff(values[:, -1], prepend=begin)])
-            before = values
         else:
             values = np.vstack([before, values]) if before.size else values
             yield np.column_stack([values[:-1], np.diff(values[:, -1])])
-            before = values[-1:]
+        before = values[-1:]
     if before.size and not instants:
         yield np.column_stack([before, [dt]])

@@ -18,88 +18,65 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-from robsmooth._support.checkpoint import ANEW, CheckpointError, Journal, open_journal
+from robsmooth._support.checkpoint import ANEW, CheckpointError, open_journal
 from robsmooth._support.extras import pyarrow
 from robsmooth._support.files import atomic_path
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.discrete import DiscreteSmoother
+from robsmooth.estimators.sample_loop import Memory
 from robsmooth.io.formats import Record, table_of
 
 HEADER = 128  # bytes of an NPY file
 KEPT = 64  # chunks between notes in the journal
-Smooth = Callable[[Matrix], tuple[Matrix, Matrix]]
 
 
 def written(
     smoother: DiscreteSmoother,
-    smooth: Smooth,
+    smooth: Callable[[Matrix], tuple[Matrix, Matrix]],
     pieces: Iterator[Matrix],
     target: Path,
     writer: Callable[[Path, int], Any],
     identity: Callable[[], dict[str, Any]] | None,
 ) -> int:
     """Write a record's estimates; return their number. An identity resumes a run that has it."""
-    if identity is None:
-        with atomic_path(target) as path:
-            return _append(smoother, smooth, pieces, path, writer, None)
-    before, first = smoother._checkpoint(), list(islice(pieces, 1))
-    estimates = b"".join(smooth(np.nan_to_num(values, nan=1.0))[1].tobytes() for values in first)
-    smoother._restore(before)
-    digest = hashlib.sha256(estimates).hexdigest()  # tells smoothers apart, also in gaps
-    found = identity() | {"smoother": repr(smoother), "first estimates": digest}
-    notes = target.with_name(target.name + ".resume")
-    with open_journal(notes, found) as journal, atomic_path(target, ".part") as path:
-        rows = _append(smoother, smooth, chain(first, pieces), path, writer, journal)
-    notes.unlink()
+    notes, found = None, {}
+    if identity is not None:
+        before, first = smoother._checkpoint(), list(islice(pieces, 1))
+        estimates = [smooth(np.nan_to_num(values, nan=1.0))[1].tobytes() for values in first]
+        smoother._restore(before)
+        digest = hashlib.sha256(b"".join(estimates))  # tells smoothers apart, also in gaps
+        found = {"smoother": repr(smoother), "first estimates": digest.hexdigest(), **identity()}
+        notes, pieces = target.with_name(target.name + ".resume"), chain(first, pieces)
+    kept, rows, begin, digest = ".part" if notes else "", 0, 0, hashlib.sha256()
+    with open_journal(notes, found) as journal, atomic_path(target, kept) as path:
+        if journal and (last := journal.last):
+            while rows < last["rows"] and (values := next(pieces, None)) is not None:
+                rows += len(values)
+                digest.update(values.tobytes())
+            begin = last["bytes"]
+            there = path.stat().st_size if path.exists() else 0
+            if digest.hexdigest() != last["digest"] or there < begin:
+                other = f"of another record, or of another file than {path}"
+                raise CheckpointError(f"the checkpoint {journal.path} is {other}: {ANEW}")
+            memory = np.load(io.BytesIO(base64.b64decode(last["state"])))
+            smoother._restore((Memory(*memory.values()), last["samples"]))
+        with writer(path, begin) as (put, file):
+            for number, values in enumerate(pieces, 1):
+                put(*smooth(values))
+                rows += len(values)
+                if journal is None:
+                    continue
+                digest.update(values.tobytes())
+                if number % KEPT == 0:
+                    file.flush()
+                    os.fsync(file.fileno())
+                    place = {"rows": rows, "bytes": file.tell(), "digest": digest.hexdigest()}
+                    np.savez(memory := io.BytesIO(), *smoother._checkpoint()[0])
+                    state = base64.b64encode(memory.getvalue()).decode()
+                    journal.append(place | {"samples": smoother.samples, "state": state})
+    if notes:
+        notes.unlink()
     return rows
-
-
-def _append(
-    smoother: DiscreteSmoother,
-    smooth: Smooth,
-    pieces: Iterator[Matrix],
-    path: Path,
-    writer: Callable[[Path, int], Any],
-    journal: Journal | None,
-) -> int:
-    """Write the rows that a journal does not count yet, and return the number of all rows."""
-    rows, begin, digest = 0, 0, hashlib.sha256()
-    if journal and (last := journal.last):
-        while rows < last["rows"] and (values := next(pieces, None)) is not None:
-            rows += len(values)
-            digest.update(values.tobytes())
-        begin = last["bytes"]
-        there = path.stat().st_size if path.exists() else 0
-        if digest.hexdigest() != last["digest"] or there < begin:
-            other = f"of another record, or of another file than {path}"
-            raise CheckpointError(f"the checkpoint {journal.path} is {other}: {ANEW}")
-        smoother._restore((_unpacked(smoother, last["state"]), last["samples"]))
-    with writer(path, begin) as (put, file):
-        for number, values in enumerate(pieces, 1):
-            put(*smooth(values))
-            rows += len(values)
-            if journal is None:
-                continue
-            digest.update(values.tobytes())
-            if number % KEPT == 0:
-                file.flush()
-                os.fsync(file.fileno())
-                place = {"rows": rows, "bytes": file.tell(), "digest": digest.hexdigest()}
-                state = {"samples": smoother.samples, "state": _packed(smoother)}
-                journal.append(place | state)
-    return rows
-
-
-def _packed(smoother: DiscreteSmoother) -> str:
-    memory, file = smoother._checkpoint()[0], io.BytesIO()
-    np.savez(file, *(memory if isinstance(memory, tuple) else [memory]))
-    return base64.b64encode(file.getvalue()).decode()
-
-
-def _unpacked(smoother: DiscreteSmoother, text: str) -> Any:
-    arrays = [*np.load(io.BytesIO(base64.b64decode(text))).values()]
-    kind = type(smoother._checkpoint()[0])
-    return kind(*arrays) if issubclass(kind, tuple) else arrays[0]
 
 
 @contextmanager

@@ -200,14 +200,14 @@ def test_a_damaged_checkpoint_is_refused(stopped, name, damage, message):
 
 
 def test_two_runs_at_a_time_are_refused(stopped, monkeypatch):
-    append = targets._append
+    writer = targets.writer
 
     def twice(*arguments):
         with pytest.raises(CheckpointError, match="is in use by another run"):
             smooth_record(discrete(), stopped / "y.npy", stopped / "w.csv", **CALL)
-        return append(*arguments)
+        return writer(*arguments)
 
-    monkeypatch.setattr(targets, "_append", twice)
+    monkeypatch.setattr(targets, "writer", twice)
     assert smooth_record(discrete(), stopped / "y.npy", stopped / "w.csv", **CALL) == ROWS
 
 
