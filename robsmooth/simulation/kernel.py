@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from robsmooth._numerics.vectors import BLOCK, LANES, fma, load, store
 from robsmooth._support.kernels import kept
+from robsmooth._support.validation import Matrix
 from robsmooth.simulation import noise
 from robsmooth.simulation.noise import DRAWS, SOURCES, WORDS
-
-Floats = NDArray[np.float64]
 
 CHUNK = 16  # steps for which noise is drawn ahead, and between two checks
 GROWTH = 1e6  # of an output over its size at the start: divergence
@@ -31,15 +30,15 @@ TOLERANCE = 1e-6  # relative, for rounding where a constraint holds with equalit
 class Scheme(NamedTuple):
     """Matrices of a step; z has S rows, the integral of y included if it is measured."""
 
-    transition: Floats  # (S, S)
-    first: Floats  # (S, f), K_1 of the functions' values
-    second: Floats  # (S, f), K_2 of the same
-    of_state: Floats  # (S, N), the states' columns of a root of the noise's covariance
-    of_measurement: Floats  # (S, S - N), the other columns
-    arguments: Floats  # (c, S), rows of L - R, function by function
-    linear: Floats  # (f, c), what Delta has of the functions, with a minus
-    outputs: Floats  # (3m, S), w and its filtered and smoothed estimates
-    signals: Floats  # (rows, S), all that is recorded or checked
+    transition: Matrix  # (S, S)
+    first: Matrix  # (S, f), K_1 of the functions' values
+    second: Matrix  # (S, f), K_2 of the same
+    of_state: Matrix  # (S, N), the states' columns of a root of the noise's covariance
+    of_measurement: Matrix  # (S, S - N), the other columns
+    arguments: Matrix  # (c, S), rows of L - R, function by function
+    linear: Matrix  # (f, c), what Delta has of the functions, with a minus
+    outputs: Matrix  # (3m, S), w and its filtered and smoothed estimates
+    signals: Matrix  # (rows, S), all that is recorded or checked
 
 
 class Calls(NamedTuple):
@@ -52,20 +51,20 @@ class Calls(NamedTuple):
 class Checks(NamedTuple):
     """The quadratic forms of the theory's constraints."""
 
-    delta: Floats  # (r + 2g, h + 2g)
+    delta: Matrix  # (r + 2g, h + 2g)
     driven: NDArray[np.int64]  # (f,), rows of xi-tilde that functions give
-    used: Floats  # (K, r + 2g, r + 2g)
-    allowed: Floats  # (K, h + 2g, h + 2g)
+    used: Matrix  # (K, r + 2g, r + 2g)
+    allowed: Matrix  # (K, h + 2g, h + 2g)
 
 
 class Memory(NamedTuple):
     """What is kept of N blocks from one call to the next."""
 
     generators: NDArray[np.uint32]  # (N, 2, WORDS BLOCK), of the state's noise, the measurement's
-    states: Floats  # (N, S, BLOCK)
-    past: Floats  # (N, lag + 1, m, BLOCK), w in the last steps, a ring
-    sizes: Floats  # (N, rows), the largest signals of the start
-    averages: Floats  # (N, 2 + 3K, BLOCK), sums until the end
+    states: Matrix  # (N, S, BLOCK)
+    past: Matrix  # (N, lag + 1, m, BLOCK), w in the last steps, a ring
+    sizes: Matrix  # (N, rows), the largest signals of the start
+    averages: Matrix  # (N, 2 + 3K, BLOCK), sums until the end
     diverged: NDArray[np.int64]  # (N, 2), path and step of the first divergence, or -1
 
 

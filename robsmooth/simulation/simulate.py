@@ -75,17 +75,15 @@ def simulate(
 
     Warns
     -----
-    InadmissibleWarning
-        Where a constraint of the theory, (eqIQC1) to (eqIQC4), is violated at times.
-    LongStepWarning
-        Where the step is above 1/4 of the response time, unless the loop is linear with constants.
+    InadmissibleWarning, LongStepWarning
+        Where a constraint of the theory, (eqIQC1) to (eqIQC4), is violated at times; where the step
+        is above 1/4 of the response time, unless the loop is linear with constants.
 
     Raises
     ------
-    UnstableLoopError
-        Where the loop is not stable without its nonlinearities.
-    RuntimeError
-        Where a path diverges; it names the path and the time. Where numba is off.
+    UnstableLoopError, RuntimeError
+        Where the loop is not stable without its nonlinearities; where a path diverges (it names the
+        path and the time), or numba is off.
     ValueError, ConnectionError, OSError
         For checkpoint and cluster, as in `monte_carlo`.
 

@@ -13,12 +13,9 @@ from operator import add
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robsmooth._support import plots, tables
 from robsmooth._support.validation import Frozen, Matrix
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -54,8 +51,7 @@ class InadmissibleWarning(RuntimeWarning):
     --------
     >>> import warnings
     >>> import robsmooth as rs
-    >>> with warnings.catch_warnings():
-    ...     warnings.simplefilter("error", rs.InadmissibleWarning)  # make it an error
+    >>> warnings.simplefilter("ignore", rs.InadmissibleWarning)
     """
 
 
@@ -91,8 +87,8 @@ class SimulationResult(Frozen):
 
     smoothed: MeanSquare
     filtered: MeanSquare
-    constraints: Floats
-    violated: Floats
+    constraints: Matrix
+    violated: Matrix
     equivalent_delta: Matrix
     runs: int
     path_steps: int
@@ -133,13 +129,13 @@ class SamplePaths(Frozen):
     (2, 223, 1)
     """
 
-    time: Floats
-    y: Floats
-    reference: Floats
-    w: Floats
-    filtered: Floats
-    delayed: Floats
-    smoothed: Floats
+    time: Matrix
+    y: Matrix
+    reference: Matrix
+    w: Matrix
+    filtered: Matrix
+    delayed: Matrix
+    smoothed: Matrix
     step: float
     delay: float
 
@@ -170,11 +166,11 @@ class Moments:
     """Means and variances of values that come in parts."""
 
     count: int = 0
-    means: Floats | float = 0.0
-    squares: Floats | float = 0.0  # sums of squared deviations from the mean
+    means: Matrix | float = 0.0
+    squares: Matrix | float = 0.0  # sums of squared deviations from the mean
 
     @classmethod
-    def of(cls, values: Floats) -> "Moments":
+    def of(cls, values: Matrix) -> "Moments":
         """Return the moments of values, (variables, paths)."""
         count = values.shape[-1]
         means = values.mean(axis=-1) if count else np.zeros(values.shape[:-1])
@@ -197,7 +193,7 @@ class Moments:
         return MeanSquare(float(self.means[variable]), float(error), float(gain))
 
 
-def control_weights(values: Floats, controls: Floats) -> Floats:
+def control_weights(values: Matrix, controls: Matrix) -> Matrix:
     """Return the regression weights, (values, controls), of values on controls, (., paths)."""
     values = values - values.mean(axis=1, keepdims=True)
     controls = controls - controls.mean(axis=1, keepdims=True)
@@ -216,7 +212,7 @@ class Tally(NamedTuple):
     slips: int = 0
 
     @classmethod
-    def of(cls, values: Floats, slips: Floats) -> "Tally":
+    def of(cls, values: Matrix, slips: Matrix) -> "Tally":
         """Return the tally of values (variables, paths) and slips (paths,)."""
         return cls(Moments.of(values), Moments.of(values[:, slips == 0]), int(slips.sum()))
 
