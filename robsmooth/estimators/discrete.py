@@ -155,7 +155,8 @@ class DiscreteSmoother(Exports):
         Parameters
         ----------
         state : (n,) array, optional
-            For an exact smoother the system's mean state, else the estimator's; by default the model's.
+            For an exact smoother the mean of the system's state, else the estimator's state. By
+            default that of the model.
         samples : int, those before, where a record is continued
         covariance : (n, n) array, optional
             Of the system's state, for an exact smoother. By default that of the model, where modes
