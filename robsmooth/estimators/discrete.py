@@ -155,8 +155,7 @@ class DiscreteSmoother(Exports):
         Parameters
         ----------
         state : (n,) array, optional
-            For an exact smoother the mean of the system's state, else the estimator's state. By
-            default that of the model.
+            Of the system's mean for an exact smoother, else of the estimator; default: the model's.
         samples : int, those before, where a record is continued
         covariance : (n, n) array, optional
             Of the system's state, for an exact smoother. By default that of the model, where modes
