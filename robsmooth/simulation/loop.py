@@ -45,7 +45,7 @@ from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import blocks_of, matrices, reference_outputs
 from robsmooth.simulation import kernel
-from robsmooth.simulation.called import Function
+from robsmooth.simulation.kernel import Function
 from robsmooth.systems.augmented import AugmentedSystem
 from robsmooth.systems.functions import on_arrays
 

@@ -18,9 +18,8 @@ from robsmooth._support.checkpoint import open_journal
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.simulation import groups, kernel, statistics
 from robsmooth.simulation import loop as loops
-from robsmooth.simulation.called import CalledFunctions
 from robsmooth.simulation.groups import checked_seed, threads
-from robsmooth.simulation.kernel import CHUNK
+from robsmooth.simulation.kernel import CHUNK, CalledFunctions
 from robsmooth.systems.augmented import AugmentedSystem
 
 COMPILED, IN_PYTHON = 4_000_000, 200_000  # path-steps between two looks at an interrupt

@@ -30,8 +30,7 @@ from robsmooth.homodyne.moments import stationary_errors
 from robsmooth.homodyne.montecarlo import monte_carlo
 from robsmooth.simulation import noise
 from robsmooth.simulation import simulate as run
-from robsmooth.simulation.called import Function
-from robsmooth.simulation.kernel import CHUNK
+from robsmooth.simulation.kernel import CHUNK, Function
 from robsmooth.simulation.loop import NonlinearLoop, Steps, nonlinear_loop
 from robsmooth.simulation.simulate import sample_paths, simulate
 from robsmooth.simulation.statistics import InadmissibleWarning
