@@ -12,7 +12,7 @@ import robsmooth as rs
 from robsmooth._support.plots import draw_curves
 from robsmooth.explorer.snapshot import SHOWN, SLOPES, STEP, Snapshot
 from robsmooth.paper.figures import use_style
-from robsmooth.paper.figures.style import label_ticks
+from robsmooth.paper.figures.plots import label_ticks
 
 _ERROR = "mean square error\n(Kalman filter's = 1)"
 # Fixed places: a layout engine takes as long as the drawing.

@@ -17,8 +17,7 @@ from robsmooth.homodyne.montecarlo import MeanSquare
 from robsmooth.homodyne.study import QUANTITIES, Study
 from robsmooth.paper import figures
 from robsmooth.paper.figures import diagrams
-from robsmooth.paper.figures.plots import shade
-from robsmooth.paper.figures.style import FORMATS
+from robsmooth.paper.figures.plots import FORMATS, shade
 from tests.helpers import looks
 
 SLOPES = np.linspace(-1.0, 0.0, 11)

@@ -1,27 +1,79 @@
-"""The figures of the notebooks."""
+"""The figures of the notebooks, their style, and the saving of a figure."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import BoundaryNorm
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
+from matplotlib.ticker import FixedLocator
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from robsmooth._support.plots import draw_curves, styles
+from robsmooth._support import files
+from robsmooth._support.plots import STYLE, draw_curves, styles
 from robsmooth.homodyne.parameters import HomodyneParameters
-from robsmooth.paper.figures import style
 from robsmooth.simulation.statistics import MeanSquare
 from robsmooth.systems.delay import pade_delay
 
 Array = NDArray[np.float64]
 Errors = Mapping[str, float]
+
+# No file has a date or a release: equal figures are equal bytes.
+FORMATS = {
+    "pdf": {"CreationDate": None, "ModDate": None, "Producer": None, "Creator": None},
+    "svg": {"Date": None, "Creator": None},
+    "png": {"Software": None},
+}
+
+DOTTED = {"color": "0.4", "linestyle": ":", "linewidth": 0.9}  # a line to compare with
+LOOSE = {"linestyle": "none", "clip_on": False}  # points, not clipped at the edge of the axes
+# Where a map has no value: hatched, because its colours are shades of grey in print.
+NOWHERE = {"facecolor": "w", "edgecolor": "0.55", "hatch": "/////", "linewidth": 0.0}
+
+
+def use_style() -> None:
+    """Set matplotlib to the style of all figures."""
+    plt.style.use(STYLE)
+
+
+def label_ticks(axis: Axis, ticks: Sequence[float], unit: float = 1.0) -> None:
+    """Label these ticks of a logarithmic axis in a unit, without powers of ten."""
+    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_major_formatter(lambda tick, _: f"{tick / unit:g}")
+    axis.axes.minorticks_off()
+
+
+def label_rows(axes: Axes, labels: Collection[str], width: int = 20) -> NDArray[np.int64]:
+    """Give each label a row of the axes, from the top, and return the rows' heights."""
+    heights = np.arange(len(labels))[::-1]
+    texts = [textwrap.fill(label, width) for label in labels]
+    axes.set(yticks=heights, yticklabels=texts, ylim=(-0.6, len(labels) - 0.4))
+    axes.grid(axis="y", visible=False)
+    return heights
+
+
+def with_legend(figure: Figure, **of: Any) -> Figure:
+    """Return the figure with a legend below its panels."""
+    figure.legend(loc="outside lower center", ncols=2, **of)
+    return figure
+
+
+def save_figure(figure: Figure, directory: Path | str, name: str) -> None:
+    """Write a figure as `name`.pdf, .svg and .png."""
+    for suffix, metadata in FORMATS.items():
+        path = Path(directory) / f"{name}.{suffix}"
+        with files.atomic_path(path) as temporary, mpl.rc_context({"svg.hashsalt": name}):
+            figure.savefig(temporary, format=suffix, metadata=metadata)
 
 
 def sector(parameters: HomodyneParameters, variance: float) -> Figure:
@@ -32,7 +84,7 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
     label = rf"design's sector $[{lower:g},\,{upper:g}]$"
     top.fill_between(error, lower * error, upper * error, color="C0", alpha=0.2, lw=0, label=label)
     top.plot(error, np.sin(error), color="C1", linestyle="-", label=r"$\sin\mu_1$")
-    top.plot(error, upper * error, label=rf"tangent, $\beta={upper:g}$", **style.DOTTED)
+    top.plot(error, upper * error, label=rf"tangent, $\beta={upper:g}$", **DOTTED)
     top.plot(error, wide * error, "C4--", lw=0.9, label=rf"$m=1-2\gamma={wide:.1f}$")
     reach = parameters.sector_range()
     for axes, end in itertools.product((top, bottom), (-reach, reach)):
@@ -44,7 +96,7 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
     bottom.fill_between(error, density, color="0.6", linewidth=0)
     bottom.set(xlabel=r"phase error $\mu_1 = \phi - \hat\phi$ (rad)", ylabel="density\n(1/rad)")
     bottom.set(xlim=(-np.pi, np.pi), ylim=(0, None))
-    return style.with_legend(figure)
+    return with_legend(figure)
 
 
 def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure:
@@ -54,7 +106,7 @@ def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure
     models = {order: pade_delay(delay, order).response(omega)[:, 0, 0] for order in orders}
     figure, axes = plt.subplots()
     draw_curves(axes, omega, {order: np.abs(of - exact) for order, of in models.items()})
-    axes.axvline(bandwidth, label="bandwidth", **style.DOTTED)
+    axes.axvline(bandwidth, label="bandwidth", **DOTTED)
     axes.set(xlabel=r"angular frequency $\omega$ (rad/s)", xscale="log")
     axes.set(ylabel=r"$|H(i\omega) - e^{-i\omega\delta}|$", yscale="log", ylim=(1e-12, 4.0))
     axes.set(xlim=(omega[0], 20 * bandwidth))  # beyond, all errors are of order one
@@ -67,7 +119,7 @@ def mean_squares(
 ) -> Figure:
     """Draw each quantity's simulated errors, a row for each case, and the printed as lines."""
     figure, axes = plt.subplots(figsize=(3.4, 0.9 + 0.36 * len(cases)))
-    heights = style.label_rows(axes, cases, width=18)
+    heights = label_rows(axes, cases, width=18)
     looks = styles(label.split(",")[0] for label in results)
     above = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "bottom"}
     for marker, look, (label, values) in zip("os", looks, results.items(), strict=False):
@@ -79,7 +131,7 @@ def mean_squares(
         text = {"text": f"printed {value:g}", "ha": side, "color": color}
         axes.annotate(xy=(value, 1.0), xytext=(0, 1), **text, **above)
     axes.set(xlabel=r"mean square error (rad$^2$)", xlim=(0, 1.3 * max(printed.values())))
-    return style.with_legend(figure)
+    return with_legend(figure)
 
 
 def candidates(
@@ -88,11 +140,11 @@ def candidates(
     """Draw estimators' errors in rows, those beyond the limits as numbers, and floors as lines."""
     figure, axes = plt.subplots(figsize=(3.4, 1.3 + 0.34 * len(errors)))
     legend = {}
-    for row, each in zip(style.label_rows(axes, errors), errors.values(), strict=True):
+    for row, each in zip(label_rows(axes, errors), errors.values(), strict=True):
         seen = [min(value, limits[1]) for value in each.values()]
         axes.plot([min(seen), max(seen)], [row, row], "-", color="0.85", linewidth=2.5, zorder=1)
         for number, (name, value) in enumerate(each.items()):
-            look = style.LOOSE | {"marker": "o^|x"[number], "color": ("C0", "C1", "k", "k")[number]}
+            look = LOOSE | {"marker": "o^|x"[number], "color": ("C0", "C1", "k", "k")[number]}
             if value <= limits[1]:
                 (legend[name],) = axes.plot(value, row, **look)
             else:
@@ -100,7 +152,7 @@ def candidates(
     for dashes, (name, floor) in zip(("-", "--", ":"), floors.items(), strict=False):
         legend[name] = axes.axvline(floor, color="0.45", linestyle=dashes, linewidth=0.9, zorder=0)
     axes.set(xlabel=f"mean square error ({unit})", xlim=limits)
-    return style.with_legend(figure, handles=legend.values(), labels=legend.keys())
+    return with_legend(figure, handles=legend.values(), labels=legend.keys())
 
 
 def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Figure:
@@ -112,7 +164,7 @@ def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Fig
         gains = np.log(np.maximum(ratios, 1.0))  # the delay model can make it slightly less
         shading = shade(axes, 100.0 * sizes, noises, gains, np.log(levels), "no guarantee")
         axes.set(xscale="log", yscale="log", title=title)
-        style.label_ticks(axes.xaxis, (1, 2, 5, 10, 20, 50))
+        label_ticks(axes.xaxis, (1, 2, 5, 10, 20, 50))
     figure.supxlabel("uncertainty (%)")
     figure.supylabel("measurement noise / signal")
     bar = figure.colorbar(shading, ax=panels, label="certified error, classical / minimax")
@@ -132,21 +184,21 @@ def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
     hatch(top, lags, noises, -saved, "no gain", hatch="-----")
     there = ~np.isnan(saved).all(axis=1)
     best = lags[np.nanargmax(saved[there], axis=1)]
-    points = style.LOOSE | {"markeredgecolor": "k"}
+    points = LOOSE | {"markeredgecolor": "k"}
     top.plot(best, noises[there], "o", color="w", label="best lag", **points)
     star = points | {"color": "C1", "markersize": 9, "label": "the paper's"}
     top.plot(lag, noises[middle], "*", **star)
     top.set(xscale="log", yscale="log", ylabel="shot noise / the paper's")
-    style.label_ticks(top.yaxis, (0.1, 0.3, 1, 3, 10))
+    label_ticks(top.yaxis, (0.1, 0.3, 1, 3, 10))
     figure.colorbar(shading, ax=top, label="saved by smoothing (%)", pad=0.02)
 
     study.plot(bottom, gamma, study.noises[middle])
     bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
     bottom.axvline(lag, color="0.6", linestyle="-", linewidth=0.8)
     bottom.set(xlabel="lag (µs)", ylim=(0.4, 1.6), xlim=lags[[0, -1]])
-    style.label_ticks(bottom.xaxis, (0.3e-6, 1e-6, 3e-6, 10e-6, 30e-6), unit=1e-6)
+    label_ticks(bottom.xaxis, (0.3e-6, 1e-6, 3e-6, 10e-6, 30e-6), unit=1e-6)
     handles = [*top.patches, *top.lines, *bottom.get_legend_handles_labels()[0]]
-    return style.with_legend(figure, handles=handles)
+    return with_legend(figure, handles=handles)
 
 
 def shade(
@@ -168,7 +220,7 @@ def hatch(axes: Axes, x: Array, y: Array, excess: Array, label: str, **look: Any
         region = axes.contourf(x, y, _spread(excess), [0.0, 2.0 * most])
         (path,) = region.get_paths()
         region.remove()
-        axes.add_patch(PathPatch(path, label=label, **style.NOWHERE | look))
+        axes.add_patch(PathPatch(path, label=label, **NOWHERE | look))
 
 
 def _spread(values: Array) -> Array:
