@@ -1,19 +1,17 @@
 """One notebook in its own process (several in one hang), judged by its executed copy."""
 
-import multiprocessing
 import os
 import re
+import subprocess
 import sys
 import time
 from contextlib import suppress
 from importlib.util import find_spec
-from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any
 
 _ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 _LAST_ERROR = re.compile(r".*^([\w.]*(?:Error|Exception|Exit)\b.*)", re.DOTALL | re.MULTILINE)
-_SERVER = multiprocessing.get_context("forkserver")
 _ADDED_BY_PAPERMILL = {"injected-parameters", "papermill-error-cell-tag"}
 
 
@@ -24,19 +22,24 @@ class Execution:
         self, notebook: Path, executed: Path, parameters: dict, scratch: Path, time_limit: float
     ) -> None:
         """Start; the run may take `time_limit` seconds, and one cell half as long."""
+        import yaml  # comes with papermill
+
         self.started = time.perf_counter()
         self._executed, self._log = executed, scratch / "log.txt"
         self._time_limit, self._reached = time_limit, ""
         executed.parent.mkdir(parents=True, exist_ok=True)
         executed.unlink(missing_ok=True)
-        # papermill reads a path as a template
-        paths = [str(path).replace("{", "{{").replace("}", "}}") for path in (notebook, executed)]
-        options = {"kernel_name": "python3", "language": "python", "cwd": notebook.parent}
-        options |= {"execution_timeout": max(1, round(time_limit / 2)), "progress_bar": False}
-        start_server()
-        arguments = self._log, _environment(scratch), (*paths, parameters), options
-        self._process = _SERVER.Process(target=_execute, args=arguments)
-        self._process.start()
+        command = [sys.executable, "-P", "-m", "papermill", "--no-progress-bar"]
+        command += ["--kernel=python3", "--language=python", "--log-level=ERROR"]
+        command += [f"--cwd={notebook.parent}", f"--execution-timeout={max(1, time_limit / 2):.0f}"]
+        command += ["--parameters_yaml", yaml.safe_dump(parameters, sort_keys=False)]
+        for path in (notebook, executed):  # papermill reads a path as a template
+            command.append(str(path).replace("{", "{{").replace("}", "}}"))
+        options = {"stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT}
+        # in a new session, Ctrl-C reaches only this process
+        options |= {"env": _environment(scratch), "start_new_session": True}
+        with open(self._log, "wb") as log:
+            self._process = subprocess.Popen(command, stdout=log, **options)
 
     @property
     def seconds(self) -> float:
@@ -45,10 +48,10 @@ class Execution:
 
     def finished(self) -> bool:
         """Whether it has ended; past its time limit it is ended here."""
-        if self._process.is_alive() and self.seconds > self._time_limit:
+        if self._process.poll() is None and self.seconds > self._time_limit:
             self._reached = f"the time limit of {self._time_limit:g} s for the notebook was reached"
             self.kill()
-        return not self._process.is_alive()
+        return self._process.poll() is not None
 
     def kill(self) -> None:
         """End the process, its kernel, and all that the kernel has started."""
@@ -62,7 +65,7 @@ class Execution:
         for process in family:
             with suppress(psutil.NoSuchProcess):
                 process.kill()
-        self._process.join()
+        self._process.wait()
         psutil.wait_procs(family, timeout=10)
 
     def failure(self) -> str:
@@ -80,7 +83,7 @@ class Execution:
             # papermill marks a cell as completed even where the kernel died; the reply tells
             if traceback or "shell.execute_reply" not in cell.metadata.get("execution", {}):
                 return f"cell {number}\n{outside or traceback or 'it was not run to its end'}"
-        if self._reached or self._process.exitcode or not cells:
+        if self._reached or self._process.returncode or not cells:
             return outside or "\n".join(log.splitlines()[-20:]) or "its process died"
         return ""
 
@@ -98,25 +101,6 @@ class Execution:
             if cell.cell_type == "code" and cell.source.strip():
                 found.append((number, cell))
         return found
-
-
-def start_server() -> None:
-    """Start the process from which those of the notebooks are forked."""
-    _SERVER.set_forkserver_preload([__name__, "papermill"])  # the import takes two seconds
-    forkserver.ensure_running()
-
-
-def _execute(log: Path, environment: dict[str, str], arguments: tuple, options: dict) -> None:
-    """Run a notebook by papermill in a process of its own."""
-    import papermill
-
-    os.setsid()  # Ctrl-C then reaches only the process that runs them all
-    with open(log, "wb") as file:
-        os.dup2(file.fileno(), sys.stdout.fileno())
-        os.dup2(file.fileno(), sys.stderr.fileno())
-    os.environ.clear()
-    os.environ.update(environment)
-    papermill.execute_notebook(*arguments, **options)
 
 
 def _environment(scratch: Path) -> dict[str, str]:

@@ -16,7 +16,7 @@ from robsmooth._support.extras import extra
 from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
 from robsmooth.workbench.dependencies import dependencies, modules_in
-from robsmooth.workbench.execution import Execution, start_server
+from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import SET_BY_PIPELINE, PipelineError, unknown
 from robsmooth.workbench.provenance import sha256
 
@@ -114,7 +114,6 @@ def plan(run: Request) -> list[Task]:
     with extra("notebooks", "a run of the notebooks"):
         for package in NEEDED:
             metadata.version(package)  # without an import; an error where it is not installed
-    start_server()  # while the notebooks are read
     folder = run.root / "notebooks"
     profiles = _profiles(folder)
     names = select(profiles["notebooks"], run.only)
