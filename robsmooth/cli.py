@@ -47,14 +47,13 @@ def figures(options: argparse.Namespace) -> int:
     if failed:
         print(_summary(failed, len(results)), file=sys.stderr)
     if not run.parameters and len(failed) < len(results):
-        write_report(run)
+        _write_report(run)
     if not failed:
         print(f"figures and tables are in {run.results / 'figures'}")
     return 1 if failed else 0
 
 
-def write_report(run: Request) -> None:
-    """Write the report and, with the paper's own values, the README's scorecard."""
+def _write_report(run: Request) -> None:
     from robsmooth.paper import report
 
     if not (run.results / "data/monte_carlo.json").exists():

@@ -82,6 +82,11 @@ def gaussians(seed, first_path, steps):
     return draws.reshape(steps, noise.DRAWS, BLOCK)
 
 
+def blocks_of(simulation):
+    """The number of blocks that its paths take."""
+    return -(-simulation.runs // BLOCK)
+
+
 def same_numbers(result):
     """All of a result that must not change, to the last bit, as a text."""
     numbers = result.to_dict()

@@ -30,6 +30,7 @@ from tests.helpers.loops import (
     PARAMETERS,
     SIGMAS,
     assert_within,
+    blocks_of,
     gaussians,
     kalman_filter,
     printed_smoother,
@@ -166,7 +167,7 @@ def test_kernel_agrees_with_the_scheme_as_it_is_written(estimator, options):
 @pytest.mark.parametrize("estimator", [kalman_filter(), printed_smoother()], ids=["1", "3"])
 def test_control_has_the_moments_that_it_is_said_to_have(estimator):
     given = simulation(estimator, runs=20_000, duration=1e-5, seed=1)
-    values = given.simulate(0, given.blocks).transpose(1, 0, 2).reshape(6, -1)
+    values = given.simulate(0, blocks_of(given)).transpose(1, 0, 2).reshape(6, -1)
     for row, mean in zip(values[2:5], given.control, strict=True):
         assert_within(row.mean(), mean, row.std() / math.sqrt(row.size))
 
@@ -233,11 +234,11 @@ def test_intervals_cover_the_truth_as_often_as_they_say(estimator, arguments):
 
 def test_pilot_shares_no_path_with_a_run_and_changes_no_mean():
     given = simulation(printed_smoother(), runs=2**40)
-    assert given.blocks < PILOT_BLOCK
+    assert blocks_of(given) < PILOT_BLOCK
     for weights in (np.zeros((2, 3)), np.eye(2, 3)):
         given = simulation(printed_smoother(), runs=20_000, duration=1e-5)
         other = replace(given, weights=weights)
-        outputs = other.simulate(0, other.blocks).transpose(1, 0, 2).reshape(6, -1)
+        outputs = other.simulate(0, blocks_of(other)).transpose(1, 0, 2).reshape(6, -1)
         plain, controlled = other.reduce(outputs[:5]).reshape(2, 2, -1)
         difference = controlled - plain
         error = difference.std(axis=1) / math.sqrt(difference.shape[1])

@@ -39,6 +39,7 @@ from tests.helpers.loops import (
     PARAMETERS,
     QUIET,
     assert_within,
+    blocks_of,
     for_the_loop,
     gaussians,
     kalman_filter,
@@ -161,8 +162,8 @@ def test_a_path_depends_on_seed_and_index_alone(protocol, precision):
     how = {"protocol": protocol, "precision": precision, "step": 3.1e-8}
     few = simulation(printed_smoother(), **how)
     many = simulation(printed_smoother(), **how, runs=1000)
-    assert many.blocks == 16  # of which the last is not whole
-    whole = many.simulate(0, many.blocks)
+    assert blocks_of(many) == 16  # of which the last is not whole
+    whole = many.simulate(0, blocks_of(many))
     assert_array_equal(few.simulate(0, 2), whole[:2])
     parts = [many.simulate(0, 5), many.simulate(5, 1), many.simulate(6, 10)]
     assert_array_equal(np.concatenate(parts), whole)

@@ -275,7 +275,7 @@ def test_every_notebook_is_run_and_one_summary_tells_of_the_failures(project, mo
     (quick / "figures" / "figure.txt").write_text("yesterday's")
     monkeypatch.chdir(project.root / "notebooks")
     reports = []
-    monkeypatch.setattr(cli, "write_report", lambda run: reports.append(run))
+    monkeypatch.setattr(cli, "_write_report", lambda run: reports.append(run))
     command = ["figures", "--profile", "quick", "--only"]
 
     assert cli.main([*command, "02,03,04,06", "--time-limit", "20"]) == 1
@@ -548,6 +548,6 @@ def test_set_reads_values_as_python_writes_them(text, value):
 def test_the_folder_to_work_in_is_named_from_where_the_command_is_given(project, monkeypatch):
     project.add("good")
     monkeypatch.chdir(project.root)
-    monkeypatch.setattr(cli, "write_report", lambda run: None)
+    monkeypatch.setattr(cli, "_write_report", lambda run: None)
     assert cli.main(["figures", "--profile", "quick", "--build", "elsewhere"]) == 0
     assert (project.root / "elsewhere" / "quick" / "data" / "result.json").is_file()

@@ -53,11 +53,6 @@ class Simulation:
     default_runs: ClassVar[int]
     compiled_for: ClassVar[tuple[int, ...]] = ()  # besides the order and the precision
 
-    @property
-    def blocks(self) -> int:
-        """Number of blocks of paths."""
-        return -(-self.runs // BLOCK)
-
     def simulate(self, first: int, count: int, report: Callable | None = None) -> Matrix:
         """Simulate `count` blocks from `first` on: (count, outputs, BLOCK), cycle slips last."""
         real, n = PRECISIONS[self.precision], self.readout.shape[1]

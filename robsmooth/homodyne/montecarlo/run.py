@@ -79,11 +79,8 @@ class MonteCarloResult:
 
     def to_dict(self) -> dict[str, Any]:
         """All fields as a dict that the json module writes; NaN becomes None."""
-
-        def finite(fields):  # NaN does not equal itself
-            return {name: None if value != value else value for name, value in fields}
-
-        return asdict(self, dict_factory=finite)
+        # NaN does not equal itself
+        return asdict(self, dict_factory=lambda items: {k: v if v == v else None for k, v in items})
 
     def __repr__(self) -> str:
         slips = "no slips"
