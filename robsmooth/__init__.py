@@ -1,7 +1,6 @@
 """robsmooth: robust continuous-time fixed-lag smoothing for nonlinear uncertain systems.
 
-A public name is imported when it is first asked for. `__init__.pyi` lists them, each with the
-module that defines it.
+A public name is imported when first asked for. `__init__.pyi` has them, each with its module.
 """
 
 import ast

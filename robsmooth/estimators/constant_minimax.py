@@ -78,8 +78,7 @@ def constant_minimax_smoother(
     Raises
     ------
     InfeasibleDesignError
-        Where each of these has an infinite error for some constant uncertainty, and else as in
-        `minimax_smoother`.
+        Where each has an infinite error for some constant uncertainty; as in `minimax_smoother`.
 
     Examples
     --------

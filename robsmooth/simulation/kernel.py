@@ -2,9 +2,8 @@ r"""The compiled steps of any loop: the scheme of `robsmooth.simulation.loop`, f
 
 One compilation serves every loop: the sizes of its matrices are known when it runs, and functions
 are called by their addresses. What numba or NumPy has compiled runs without Python; other functions
-are called back, with arrays. Rows of numbers, one for each path, are what the compiler turns into
-vector instructions. Results do not depend on the number of threads: a block of paths has its own
-memory and its own sums.
+are called back, with arrays. A block of paths has its own memory and sums, so results do not depend
+on the number of threads.
 """
 
 import ctypes
@@ -61,12 +60,12 @@ class Calls(NamedTuple):
 
 
 class Checks(NamedTuple):
-    """The quadratic forms of the theory's constraints."""
+    """Delta, the rows of xi-tilde that functions give, and the K constraints' quadratic forms."""
 
-    delta: Matrix  # (r + 2g, h + 2g)
-    driven: NDArray[np.int64]  # (f,), rows of xi-tilde that functions give
-    used: Matrix  # (K, r + 2g, r + 2g)
-    allowed: Matrix  # (K, h + 2g, h + 2g)
+    delta: Matrix
+    driven: NDArray[np.int64]
+    used: Matrix  # (K, ., .), M_i
+    allowed: Matrix  # (K, ., .), N_i
 
 
 class Memory(NamedTuple):

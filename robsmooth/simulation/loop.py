@@ -24,8 +24,7 @@ With :math:`\rho_0 = \rho(t, Lz)`, a step is exact except for the change of :mat
 
 That is Heun's scheme for additive noise (P. E. Kloeden and E. Platen, "Numerical Solution of
 Stochastic Differential Equations", Springer, 1992, Section 15.1) in the exponential form of
-`robsmooth.estimators.discrete`: of weak order two in `h`, and exact in distribution where the loop
-is linear.
+`robsmooth.estimators.discrete`: of weak order two in `h`, and exact for a linear loop.
 """
 
 from collections.abc import Callable, Sequence

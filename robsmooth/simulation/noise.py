@@ -28,17 +28,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 from robsmooth._numerics import vectors
-from robsmooth._numerics.vectors import (
-    BLOCK,
-    LANES,
-    converted,
-    fma,
-    load,
-    polynomial,
-    root,
-    store,
-    view,
-)
+from robsmooth._numerics.vectors import BLOCK, LANES, fma, load, polynomial, root, store, view
 
 CACHE_LINE = 64  # bytes
 WORDS = 4  # 32-bit words of a generator's state
@@ -150,7 +140,7 @@ def whole_turns(typingctx, x):
 def minus_two_log(v):
     """-2 log(v / 2^31) of a float32 v between 1/2 and 2^31, to a relative 3e-7."""
     bits = view(v, np.int32) - SQRT_HALF_BITS_31  # 31 less in the exponent
-    exponent = converted(bits >> 23, np.float32)
+    exponent = vectors.converted(bits >> 23, np.float32)
     f = 1.0 - view((bits & MANTISSA) + SQRT_HALF_BITS, np.float32)  # 1 - sqrt(2) to 1 - sqrt(1/2)
     series = fma(f * f, polynomial(f, LOG), f + f)
     return fma(exponent, MINUS_TWO_LN_2, series)
@@ -209,7 +199,7 @@ def next_word(state):
 @njit(inline="always")
 def two_gaussians(a, b):
     """Two independent standard normal variables, float32, from two words."""
-    radius = root(minus_two_log(converted(view(a >> 1, np.int32), np.float32) + 0.5))
+    radius = root(minus_two_log(vectors.converted(view(a >> 1, np.int32), np.float32) + 0.5))
     # The low bits of b are the mantissa of a number in [2, 4).
     angle = view(((b >> 8) & MANTISSA) ^ BITS_OF_3, np.float32) - 3.0  # in quarter turns
     cosine = view(view(cos_quarter(angle), np.uint32) ^ (b & SIGN), np.float32)

@@ -58,8 +58,7 @@ def simulate(
         (`numba.njit`, `numpy.tanh`) runs on all threads, and many times as fast as another.
     uncertainties : sequence of k numbers, (r_s, h_s) arrays or functions
         Constants of norm at most one, as in `AugmentedSystem.structured_delta`, or functions
-        ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), with t in s from the end of the
-        warm-up. Default: zero.
+        ``xi(t, zeta)`` that map (h_s, paths) to (r_s, paths), t in s from the end of the warm-up.
     runs : int, independent paths
     duration : float, optional
         Of a path, without the warm-up, s; in whole steps. Default: 100 times the slowest time
@@ -151,17 +150,11 @@ def sample_paths(
     signals = np.split(np.moveaxis(signals, 2, 0), rows, axis=2)  # the warm-up comes first
     w, filtered, smoothed, y = (signals[i][:, run.before :] for i in (0, 1, 2, 5))
     reference = signals[4][..., arguments - 2 * g : arguments - g]
-    return statistics.SamplePaths(
-        time=run.step * np.arange(1, run.averaged + 1),
-        y=y,
-        reference=(reference[:, run.before - 1 : -1] + reference[:, run.before :]) / 2,
-        w=w,
-        filtered=filtered,
-        delayed=signals[0][:, run.before - run.lag : run.steps - run.lag],
-        smoothed=smoothed,
-        step=run.step,
-        delay=smoother.plant.delay,
-    )
+    time = run.step * np.arange(1, run.averaged + 1)
+    means = (reference[:, run.before - 1 : -1] + reference[:, run.before :]) / 2
+    delayed = signals[0][:, run.before - run.lag : run.steps - run.lag]
+    found = time, y, means, w, filtered, delayed, smoothed
+    return statistics.SamplePaths(*found, run.step, smoother.plant.delay)
 
 
 class _Run:

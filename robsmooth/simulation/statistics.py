@@ -25,8 +25,7 @@ class MeanSquare:
     Attributes
     ----------
     mean_square, standard_error : float
-        In the squared unit of the estimated quantity: rad^2 for a phase. The second is NaN for a
-        single path.
+        In the squared unit of what is estimated: rad^2 for a phase. The second is NaN for one path.
     variance_reduction : float, paths needed without control variates, over those with them
 
     Examples

@@ -70,8 +70,7 @@ class Nonlinearity(Channel):
         :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`. Either this
         or `sector` is given; a sector sets it to the larger size of its ends.
     function : callable, optional
-        :math:`\psi_i`, zero at zero, vectorised or compiled by numba, for scalars too. A design
-        needs none.
+        :math:`\psi_i`, zero at zero, vectorised or compiled by numba. A design needs none.
     reference : {None, "filtered", "smoothed"}
         The estimate :math:`r_i` of :math:`\nu_i` fed back to the detector: the nonlinearity acts on
         :math:`\nu_i - r_i`, the copy on :math:`\tilde\nu_i - r_i`. Designs do not use it.
