@@ -47,7 +47,7 @@ def build(root: Path, profile: str, folder: Path | None = None) -> Path | None:
         Where a notebook has not been executed to its end.
     """
     run = Request(root, profile=profile, build=folder)
-    executed = [_executed(task) for task in plan(run)]
+    executed = [_executed(task) for task in sorted(plan(run), key=lambda task: task.name)]
     with tempfile.TemporaryDirectory(dir=run.work, prefix="site.") as work:
         source, html = Path(work) / "source", Path(work) / "html"
         stage(run, source, executed)
