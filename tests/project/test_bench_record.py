@@ -171,7 +171,8 @@ def test_the_record_is_complete_and_the_readme_says_which_aims_it_misses(results
 def test_the_record_scales(undisturbed):
     scales = undisturbed["scales"]
     for what in ("runs", "steps"):
-        assert abs(scales[what]["exponent"] - 1) < 0.05
+        # no faster than the work; below one, what any call costs shows in the smallest
+        assert scales[what]["exponent"] < 1.05
     assert scales["memory"][-1]["megabytes"] < 1.1 * scales["memory"][0]["megabytes"]
     assert scales["first_call"]["call"] < 1.0
     for row in scales["orders"][1:]:
