@@ -3,18 +3,17 @@
 The loop is the paper's, with the classical smoother and its copy: four states, and two sines whose
 arguments are evaluated twice a step. NumPy draws the same amount of noise for `PATHS` paths at a
 time, on one thread, as its arrays are too small for more. Both give the same errors, within
-standard errors. Run as ``python -m benchmarks.any_loop``; it prints JSON.
+standard errors.
 """
 
-import argparse
-import json
-import time
+from functools import partial
 
 import numba
 import numpy as np
 
 import robsmooth as rs
-from benchmarks.race import SIGMAS, middle, say
+from benchmarks.race import SIGMAS, middle
+from benchmarks.timing import interleaved
 from robsmooth.simulation.loop import Steps, nonlinear_loop
 
 PATHS = 512
@@ -39,8 +38,8 @@ def numpy_errors(smoother: rs.Estimator, result: rs.SimulationResult, runs: int,
     return errors
 
 
-def contenders(smoother: rs.Estimator, how: dict) -> dict:
-    """Return ways to simulate the loop: path-steps, mean square and standard error of a seed."""
+def contenders(smoother: rs.Estimator, how: dict) -> tuple[dict, int]:
+    """Return ways to simulate paths, which give mean square and standard error, and the steps."""
     system = smoother.plant.system
     planned = rs.simulate(smoother, **how, runs=1)
     threads = numba.get_num_threads()
@@ -58,62 +57,43 @@ def contenders(smoother: rs.Estimator, how: dict) -> dict:
         def simulate(runs, seed):
             before = numba.get_num_threads()
             numba.set_num_threads(count)
-            result = rs.simulate(estimator, **how, runs=runs, seed=seed)
+            error = rs.simulate(estimator, **how, runs=runs, seed=seed).filtered
             numba.set_num_threads(before)
-            error = result.filtered
-            return result.path_steps, error.mean_square, error.standard_error
+            return error.mean_square, error.standard_error
 
         return simulate
 
     def theirs(runs, seed):
         errors = numpy_errors(smoother, planned, runs, seed)
-        return planned.path_steps * runs, np.mean(errors), np.std(errors) / np.sqrt(runs)
+        return np.mean(errors), np.std(errors) / np.sqrt(runs)
 
-    return {
+    ways = {
         NUMPY: theirs,
         "robsmooth, functions in Python": ours(called_back, 1),
         "robsmooth, one thread": ours(smoother, 1),
         f"robsmooth, {threads} threads": ours(smoother, threads),
     }
+    return ways, planned.path_steps
 
 
-def measure(quick: bool) -> dict:
+def any_loop(quick: bool) -> dict:
     """Check all, and measure them in interleaved rounds."""
     smoother = rs.baselines.fixed_lag_smoother(
         rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2, copies=True
     )
-    how = {"duration": 5e-5 if quick else 2e-4}
-    found, checks = contenders(smoother, how), {}
-    _, exact, error = found["robsmooth, one thread"](1024 if quick else 16384, 1)
-    for name, simulate in found.items():
-        _, mean, own = simulate(256 if quick else 1024, 2)
-        off = (mean - exact) / np.hypot(error, own)
-        checks[name] = {"off": float(off), "agrees": bool(abs(off) < SIGMAS)}
-    rates = {name: [] for name in found}
-    for number in range(QUICK if quick else ROUNDS):
-        say(f"any loop, round {number + 1}")
-        for name, simulate in found.items():
-            runs = PATHS if "Python" in name or name == NUMPY else 16 * PATHS
-            started = time.perf_counter()
-            steps = simulate(runs, number)[0]
-            rates[name].append(steps / (time.perf_counter() - started))
+    found, steps = contenders(smoother, {"duration": 5e-5 if quick else 2e-4})
+    exact, error = found["robsmooth, one thread"](1024 if quick else 16384, 1)
+    runs = {name: PATHS if "Python" in name or name == NUMPY else 16 * PATHS for name in found}
+    calls = {name: partial(simulate, runs[name], 3) for name, simulate in found.items()}
+    times = interleaved(calls, QUICK if quick else ROUNDS)
+    rates = {name: steps * runs[name] / np.array(each) for name, each in times.items()}
     rows = {}
-    for name, values in rates.items():
-        rate, quartiles = middle(values)
-        ratio, ratio_quartiles = middle(np.divide(values, rates[NUMPY]))
-        rows[name] = {"rate": rate, "rate_quartiles": quartiles, "ratio": ratio}
-        rows[name] |= {"ratio_quartiles": ratio_quartiles, **checks[name]}
+    for name, simulate in found.items():
+        mean, own = simulate(256 if quick else 1024, 2)
+        off = (mean - exact) / np.hypot(error, own)
+        rate, quartiles = middle(rates[name])
+        ratio, ratio_quartiles = middle(rates[name] / rates[NUMPY])
+        rows[name] = {"off": float(off), "agrees": bool(abs(off) < SIGMAS)}
+        rows[name] |= {"rate": rate, "rate_quartiles": quartiles}
+        rows[name] |= {"ratio": ratio, "ratio_quartiles": ratio_quartiles}
     return {"rounds": QUICK if quick else ROUNDS, "contenders": rows}
-
-
-def main() -> None:
-    """Measure, and print what came out as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    result = measure(parser.parse_args().quick)
-    say("")
-    print(json.dumps(result, indent=1))
-
-
-if __name__ == "__main__":
-    main()

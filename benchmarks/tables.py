@@ -16,7 +16,7 @@ def peers_table(results: dict) -> Table:
         rows.append(
             (
                 name,
-                span(peer["rate"] / 1e6, [q / 1e6 for q in peer["rate_quartiles"]]),
+                measured_span(peer, "rate", 1e6),
                 *(ratio(peer, precision, quartiles=True) for precision in ("single", "mixed")),
                 f"{off:+.1f}" + ("" if peer["agrees"] else " DISAGREES"),
                 f"{peer['paths']} x {peer['steps'] / 100:g} µs",
@@ -92,8 +92,8 @@ def any_loop_table(results: dict) -> Table:
     rows = [
         (
             name,
-            span(row["rate"] / 1e6, [q / 1e6 for q in row["rate_quartiles"]]),
-            span(row["ratio"], row["ratio_quartiles"]),
+            measured_span(row, "rate", 1e6),
+            measured_span(row, "ratio"),
             f"{row['off']:+.1f}",
         )
         for name, row in measured["contenders"].items()
@@ -116,8 +116,8 @@ def records_table(results: dict) -> Table:
     rows = [
         (
             name,
-            span(row["rate"] / 1e6, [q / 1e6 for q in row["rate_quartiles"]]),
-            span(row["ratio"], row["ratio_quartiles"]),
+            measured_span(row, "rate", 1e6),
+            measured_span(row, "ratio"),
             "" if name.startswith("robsmooth") else f"{row['off']:.1e}",
             row["samples"],
         )
@@ -140,8 +140,8 @@ def files_table(results: dict) -> Table:
     measured = results["from_files"]
     rows = []
     for name, row in measured["paths"].items():
-        rates = [span(row[of] / 1e6, [q / 1e6 for q in row[f"{of}_quartiles"]]) for of in RATES]
-        rows.append((name, *rates, span(row["share"], row["share_quartiles"])))
+        rates = [measured_span(row, of, 1e6) for of in RATES]
+        rows.append((name, *rates, measured_span(row, "share")))
     return Table(
         columns=("from file to file", "million rows/s", "its reader alone", "share"),
         rows=rows,
@@ -159,7 +159,7 @@ def latency_tables(results: dict) -> Iterator[Table]:
     for name, row in results["latency"]["contenders"].items():
         times = [f"{each:.3g}" for each in row["nanoseconds"]]
         times += [""] * (3 - len(times))
-        rows.append((name, *times, span(row["ratio"], row["ratio_quartiles"])))
+        rows.append((name, *times, measured_span(row, "ratio")))
     yield Table(
         columns=("a sample by", "ns: median", "99%", "99.9%", "times as fast"),
         rows=rows,
@@ -196,8 +196,8 @@ def kalman_tables(results: dict) -> Iterator[Table]:
             rows=[
                 (
                     name,
-                    span(row["rate"] / 1e3, [q / 1e3 for q in row["rate_quartiles"]]),
-                    span(row["ratio"], row["ratio_quartiles"]),
+                    measured_span(row, "rate", 1e3),
+                    measured_span(row, "ratio"),
                     off_by(row) if not name.startswith("robsmooth") else "",
                 )
                 for name, row in rows.items()
@@ -219,7 +219,7 @@ def riccati_table(results: dict) -> Table:
             row["states"],
             row["name"],
             1e3 * row["seconds"],
-            span(row["ratio"], row["ratio_quartiles"]),
+            measured_span(row, "ratio"),
             "" if row["name"].startswith("robsmooth") else f"{row['off']:.1e}",
         )
         for row in results["riccati"]["rows"]
@@ -294,11 +294,11 @@ def summary_table(results: dict) -> Table:
     for work, contenders in works.items():
         for name, row in contenders.items():
             if not name.startswith("robsmooth"):
-                cells = name, span(row["ratio"], row["ratio_quartiles"]), off_by(row)
+                cells = name, measured_span(row, "ratio"), off_by(row)
                 rows.append((work, *cells))
     for row in results["riccati"]["rows"]:
         if not row["name"].startswith("robsmooth"):
-            cells = row["name"], span(row["ratio"], row["ratio_quartiles"]), f"{row['off']:.1e}"
+            cells = row["name"], measured_span(row, "ratio"), f"{row['off']:.1e}"
             rows.append((f"a filter of {row['states']} states", *cells))
     return Table(
         columns=("work", "peer", "robsmooth is times as fast", "off by"),
@@ -394,6 +394,11 @@ def span(value: float, quartiles: list[float] | None = None) -> str:
         )
 
     return text(value) + (f" ({text(quartiles[0])} to {text(quartiles[1])})" if quartiles else "")
+
+
+def measured_span(row: dict, key: str, unit: float = 1.0) -> str:
+    """Return what was measured, in a unit, with its quartiles."""
+    return span(row[key] / unit, [each / unit for each in row[f"{key}_quartiles"]])
 
 
 def off_by(row: dict) -> str:

@@ -72,9 +72,7 @@ class Functions:
         self.compiled = jit and all(numbers)
         pairs = zip(self.given, numbers, strict=True)
         self._kept = [number or self._called_back(function) for function, number in pairs]
-        pointers = [getattr(one, "ctypes", one) for one in self._kept]
-        addresses = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers]
-        self.addresses = np.array(addresses, dtype=np.intp)
+        self.addresses = addresses_of(self._kept)
 
     def __reduce__(self) -> tuple[type, tuple[tuple[Function, ...]]]:
         return type(self), (self.given,)
@@ -96,6 +94,13 @@ class Functions:
             raise error
         if not finite:
             raise ArithmeticError(f"{what} left the range of floating-point numbers")
+
+
+def addresses_of(functions: Iterable[Any]) -> np.ndarray:
+    """Return the addresses of functions of ctypes, or that numba compiled for calls from C."""
+    pointers = (getattr(function, "ctypes", function) for function in functions)
+    addresses = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers]
+    return np.array(addresses, dtype=np.intp)
 
 
 @lru_cache(maxsize=64)

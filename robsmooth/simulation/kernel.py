@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from robsmooth._numerics.vectors import BLOCK, LANES, fma, load, store
 from robsmooth._support.kernels import kept
 from robsmooth._support.validation import Matrix
-from robsmooth.estimators.copies import is_compiled, jitted
+from robsmooth.estimators.copies import addresses_of, is_compiled, jitted
 from robsmooth.simulation import noise
 from robsmooth.simulation.noise import DRAWS, SOURCES, WORDS, sine
 from robsmooth.systems.functions import Combination, on_arrays
@@ -306,11 +306,6 @@ class Function(NamedTuple):
     function: Callable  # of a number, or of t and (outputs, paths), which gives (inputs, paths)
     elementwise: bool  # whether it is of a number: an input depends on one output
 
-    def compiled(self) -> Any:
-        """Return compiled code of (t, arguments, values, their number), or None."""
-        compiled = self.elementwise and is_compiled(self.function)
-        return _of_rows(self.function) if compiled else None
-
     def values(self, time: float, arguments: NDArray) -> NDArray:
         """Return its values, (inputs, paths), of arguments, (outputs, paths)."""
         if self.elementwise:
@@ -350,22 +345,20 @@ class CalledFunctions:
     """Functions of a loop with their addresses, which are those of this process."""
 
     def __init__(self, functions: Sequence[Function]) -> None:
-        self._errors: list[BaseException] = []
-        found = [function.compiled() for function in functions]
-        self.in_python = not all(found)
-        pairs = zip(functions, found, strict=True)
-        self._kept = [code or function.called_back(self._errors) for function, code in pairs]
-        pointers = [getattr(one, "ctypes", one) for one in self._kept]
-        addresses = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers]
+        self.in_python, self._kept, self._errors = False, [], list[BaseException]()
+        for each in functions:
+            ready = each.elementwise and is_compiled(each.function)
+            code = _of_rows(each.function) if ready else None
+            self.in_python |= code is None
+            self._kept.append(code or each.called_back(self._errors))
         sizes = np.reshape([(len(f.outputs), len(f.inputs)) for f in functions], (-1, 2))
-        self.calls = Calls(np.array(addresses, np.intp), np.cumsum(sizes, axis=0, dtype=np.int64))
+        ends = np.cumsum(sizes, axis=0, dtype=np.int64)
+        self.calls = Calls(addresses_of(self._kept), ends)
 
     def check(self) -> None:
         """Raise the error of a function that was called back."""
         if self._errors:
-            error = self._errors[0]
-            self._errors.clear()
-            raise error
+            raise self._errors[0]
 
 
 @lru_cache(maxsize=64)

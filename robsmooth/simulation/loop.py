@@ -267,8 +267,8 @@ class Steps:
         return z + self.scheme.second @ (self._remainder(time + self.step, z) - rho)
 
     def _remainder(self, time: float, z: NDArray) -> NDArray:
-        rho, row = self.scheme.linear @ self.scheme.arguments @ z, 0
-        for part in self.loop.functions:
-            rows = slice(row, row := row + len(part.inputs))
-            rho[rows] += part.values(time, self.loop.arguments[part.outputs] @ z[: self.loop.order])
-        return rho
+        arguments, functions = self.scheme.arguments @ z, self.loop.functions
+        ends = np.cumsum([len(part.outputs) for part in functions], dtype=int)
+        given = zip(functions, np.split(arguments, ends)[:-1], strict=True)
+        values = [part.values(time, each) for part, each in given]
+        return self.scheme.linear @ arguments + np.vstack([arguments[:0], *values])

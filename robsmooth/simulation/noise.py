@@ -84,6 +84,14 @@ def slip(typingctx, away):
     return away(away), codegen
 
 
+@njit(inline="always")
+def count_slips(lock, start, result):
+    """Count the slips of paths at these distances from zero, in the rows of slips and of turns."""
+    slips, turns = load(result, start, (0.0, 0.0))
+    passed = slip(lock - turns)
+    store(result, start, (fma(passed, passed, slips), fma(passed, TURN, turns)))
+
+
 def multiple(builder, x, period, mantissa):
     r"""Return code for the integer nearest to x / period, in the lowest bits, and as a float.
 

@@ -18,9 +18,9 @@ protocol and step         filtered  smoothed    taken
 
 The smoothed column has the worst of the Kalman-Bucy filter, the paper's designs and those of
 `minimize_bound` with orders 0 to 4. The standard errors of a default run are 0.65% ("paper") and
-0.015% ("ergodic"), of which the bias is a third, with 1/7 a sixth. The paper's protocol refuses
-steps with which the Euler-Maruyama scheme is unstable: from 2 without a lag, and from 0.26 for a
-lag of 3.1 us and a delay model of order 4.
+0.015% ("ergodic"), of which the bias is at most a third. The paper's protocol refuses steps with
+which the Euler-Maruyama scheme is unstable: from 2 without a lag, and from 0.26 for a lag of 3.1 us
+and a delay model of order 4.
 
 The ergodic protocol has too few slips: with ten times the paper's diffusion their rate is 11% too
 low with the default step, 15% with 1/4 and 43% with 1/2.

@@ -21,7 +21,7 @@ from robsmooth._numerics.vectors import BLOCK, LANES, add_product, fma, load, st
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
 from robsmooth.simulation import noise
-from robsmooth.simulation.noise import DRAWS, SOURCES, TURN, WORDS, sine, slip
+from robsmooth.simulation.noise import DRAWS, SOURCES, WORDS, sine
 
 CHUNK = 32  # steps for which noise is drawn ahead (16 KiB), and between two looks at the lock
 # Of a path: squared filtered and smoothed error at the end, cycle slips, turns away.
@@ -89,10 +89,7 @@ def advance(order, coefficients, readout, steps, state, generator, gaussians, re
         for path in range(0, BLOCK, LANES):
             (phase,), x = load(state, path, order[:1]), load(state, BLOCK + path, order)
             _, _, lock = add_product(readout, 0, x, (0.0, 0.0, phase))
-            slips, turns = load(result, SLIPS * BLOCK + path, (0.0, 0.0))
-            passed = slip(lock - turns)
-            slips, turns = fma(passed, passed, slips), fma(passed, TURN, turns)
-            store(result, SLIPS * BLOCK + path, (slips, turns))
+            noise.count_slips(lock, SLIPS * BLOCK + path, result)
 
 
 @njit

@@ -41,7 +41,7 @@ from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
 from robsmooth.simulation import noise
-from robsmooth.simulation.noise import DRAWS, SOURCES, TURN, WORDS, sine, slip
+from robsmooth.simulation.noise import DRAWS, SOURCES, TURN, WORDS, sine
 
 CHUNK = 8  # steps for which noise is drawn ahead
 # Of a path: time averages of the loop and of its control, cycle slips, turns away.
@@ -120,9 +120,7 @@ def collect(readout, phase, delayed, y, x_less_y, path, result):
     a, b, c, d, e = load(result, path, MEANS)
     sums = (fma(filtered, filtered, a), fma(smoothed, smoothed, b), c + square)
     store(result, path, (*sums, fma(control[1], control[1], d), fma(square, square, e)))
-    slips, turns = load(result, SLIPS * BLOCK + path, (0.0, 0.0))
-    passed = slip(lock - turns)
-    store(result, SLIPS * BLOCK + path, (slips + passed * passed, fma(passed, TURN, turns)))
+    noise.count_slips(lock, SLIPS * BLOCK + path, result)
 
 
 @njit(inline="always")
