@@ -8,9 +8,9 @@ matrix `E` after a time `t` give those after twice the time,
     W(2t) = W(t) + E(t)\,W(t)\,E(t)', \qquad R(2t) = [R(t)\;\; E(t)R(t)], \qquad E(2t) = E(t)^2,
 
 and `W` tends to the stationary covariance, which solves :math:`AP + PA' + BB' = 0`. The first step
-is short, by Taylor's series. QR factorisations keep the roots small. This is R. A. Smith's squared
+is short, by Taylor's series. QR factorisations keep roots small. This is R. A. Smith's squared
 method (SIAM J. Appl. Math. 16(1), 1968) with an exact transition matrix, for variances and time
-constants decades apart, and any span. No digit of a root depends on the units of the states. Slow
+constants decades apart, and any span. No digit depends on the units of the states. Slow
 modes keep their digits, as :math:`F = E - I` is doubled: :math:`F(2t) = 2F + F^2`. Where the system
 is stable nothing grows, unlike :math:`e^{-At}` in Van Loan's method.
 """
@@ -49,18 +49,17 @@ def covariances(A: Matrix, B: Matrix, span: float = 0.0) -> Covariances:
 
     An UnstableLoopError says that the system, to rounding, is not stable.
     """
-    root, grown, transition, first, transitions = _settled(A, B, span)
-    P = _squared(root)
+    P, grown, transition, first, transitions = _settled(A, B, span, root=False)
     half = A @ P  # the error is roughly the solution for the residual of P
     error = (half + half.mT + _squared(B)) * first
     for E in transitions:
         error = error + E @ error @ E.mT
-    return Covariances(P, _squared(grown), transition, error)
+    return Covariances(P, grown, transition, error)
 
 
 def stationary_root(A: Matrix, B: Matrix) -> Matrix:
     """Return the root of `covariances`' P, in the form that `noise_root` has."""
-    return _with_signs(_settled(A, B, 0.0)[0])
+    return _with_signs(_settled(A, B, 0.0, root=True)[0])
 
 
 def noise_root(A: Matrix, B: Matrix, span: float) -> Matrix:
@@ -69,7 +68,7 @@ def noise_root(A: Matrix, B: Matrix, span: float) -> Matrix:
     R is lower triangular and has no negative entry on its diagonal.
     """
     first, doublings = _first_step(A, span)
-    steps = itertools.islice(_doubled(A, B, first), max(doublings, 0), None)
+    steps = itertools.islice(_doubled(A, B, first, root=True), max(doublings, 0), None)
     return _with_signs(next(steps)[0])
 
 
@@ -96,23 +95,23 @@ def square_root(P: Matrix) -> Matrix:
     return units[:, None] * directions * np.sqrt(np.maximum(weights, 0.0))
 
 
-def _settled(A: Matrix, B: Matrix, span: float) -> tuple:
-    """Return the root of P, that of W and E after the span, the first step and all E."""
+def _settled(A: Matrix, B: Matrix, span: float, root: bool) -> tuple:
+    """Return P, W and E after the span, the first step and all E; roots of P and W if so asked."""
     first, doublings = _first_step(A, span)
     grown, transition = np.zeros_like(A), np.broadcast_to(np.eye(A.shape[-1]), A.shape)
     transitions = []
     with np.errstate(over="ignore", invalid="ignore"):  # of an unstable system
-        steps = itertools.islice(_doubled(A, B, first), abs(doublings) + _DOUBLINGS)
-        for count, (R, E, moved) in enumerate(steps):
+        steps = itertools.islice(_doubled(A, B, first, root), abs(doublings) + _DOUBLINGS)
+        for count, (W, E, moved) in enumerate(steps):
             transitions.append(E)
             if span > 0.0 and count == max(doublings, 0):
-                grown, transition = R, E
+                grown, transition = W, E
             if count < doublings:
                 continue
             forgotten = (np.abs(np.linalg.diagonal(E)) <= _FORGOTTEN).all()  # of undriven states
-            variances, increments = ((root**2).sum(axis=-1) for root in (R, moved))
+            variances, increments = (_variances(each, root) for each in (W, moved))
             if forgotten and (increments <= _SETTLED * variances).all():
-                return _compressed(R, moved), grown, transition, first, transitions
+                return next(steps, (W,))[0], grown, transition, first, transitions
     raise UnstableLoopError(
         "the stationary covariance does not exist: to rounding, the system is not stable"
     )
@@ -132,16 +131,20 @@ def balanced_norm(A: Matrix) -> float:
     return float(np.linalg.norm(dgebal(A, scale=1)[0], 1)) or 1.0
 
 
-def _doubled(A: Matrix, B: Matrix, first: float) -> Iterator[tuple[Matrix, Matrix, Matrix]]:
-    """Yield R, E and E R after the first step, after twice that, and so on."""
+def _doubled(A: Matrix, B: Matrix, first: float, root: bool) -> Iterator[tuple]:
+    """Yield W, E and E W E', or R, E and E R, after the first step, after twice that, and so on."""
     F, R = _after(first * A, math.sqrt(first) * B)
-    identity = np.eye(A.shape[-1])
+    identity, W = np.eye(A.shape[-1]), R if root else _squared(R)
     while True:
         E = identity + F
-        moved = E @ R
-        yield R, E, moved
-        R = _compressed(R, moved)
+        moved = E @ W if root else E @ W @ E.mT
+        yield W, E, moved
+        W = _compressed(W, moved) if root else W + (moved + moved.mT) / 2
         F = 2.0 * F + F @ F
+
+
+def _variances(W: Matrix, root: bool) -> Matrix:
+    return (W**2).sum(axis=-1) if root else np.linalg.diagonal(W)
 
 
 def _after(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]:
