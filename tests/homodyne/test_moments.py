@@ -13,7 +13,7 @@ from scipy.sparse.linalg import expm_multiply
 from scipy.special import ive
 
 from robsmooth import UnstableLoopError, error_covariance, statistical_linearisation
-from robsmooth.estimators.baselines import fixed_lag_smoother
+from robsmooth.estimators.baselines import fixed_lag_smoother, kalman_bucy
 from robsmooth.homodyne import PAPER, HomodyneParameters, moments
 from robsmooth.homodyne.loop import OSCILLATORS, homodyne_loop
 from robsmooth.homodyne.moments import StationaryErrors, stationary_errors
@@ -123,6 +123,24 @@ def test_error_of_a_scalar_loop_has_its_density(noise, tolerance):
     # Where the tails leave the lobe, the digits after those do not mean anything.
     lock = 10 * np.exp(-2 * GAIN / scalar_diffusion(parameters, noise))
     assert abs(found.filtered - exact) <= 2 * found.filtered_truncation + lock
+
+
+@pytest.mark.parametrize("gain", [0.6, 0.7, 0.8, 1.0, 1.2])
+def test_stated_error_covers_the_true_one_far_from_the_papers_noise(gain):
+    """The filter for each gain of the detector; at 0.6 the law gives 0.149912608 rad^2."""
+    parameters = PAPER.with_gain(gain)
+    filter_ = kalman_bucy(parameters.uncertain_system())
+    for noise in (0.3, 0.6, 1.0, 1.3, 1.5, 1.7):
+        loop = homodyne_loop(parameters, filter_, shot_noise=noise)
+        rate, diffusion = loop.gains[1, 0], (loop.noise[0, 0] ** 2 + loop.noise[1, 1] ** 2) / 2
+        exact = variance_of_density(
+            lambda e, rate=rate: rate * (1 - np.cos(e)) + parameters.lam * e**2 / 2, diffusion
+        )
+        found = stationary_errors(parameters, filter_, shot_noise=noise)
+        assert abs(found.filtered - exact) <= found.filtered_truncation
+        assert found.filtered_truncation < 1e-3 * exact
+        if (gain, noise) == (0.6, 1.0):
+            assert exact == pytest.approx(0.1499126080, rel=2e-9)
 
 
 @pytest.mark.parametrize("lam", [100.0, 1e-1])
