@@ -23,22 +23,8 @@ class UnstableLoopError(ValueError):
 
 
 class CoarseDelayWarning(RuntimeWarning):
-    """The delay's model is too coarse: the smoothed estimate is worse than the filtered one.
-
-    Examples
-    --------
-    >>> import warnings
-    >>> import robsmooth as rs
-    >>> warnings.simplefilter("ignore", rs.CoarseDelayWarning)
-    """
+    """The delay's model is too coarse: the smoothed estimate is worse than the filtered one."""
 
 
 class LongStepWarning(RuntimeWarning):
-    """The step is long for the loop: the results of the simulation depend on it.
-
-    Examples
-    --------
-    >>> import warnings
-    >>> import robsmooth as rs
-    >>> warnings.simplefilter("ignore", rs.LongStepWarning)
-    """
+    """The step is long for the loop: the results of the simulation depend on it."""

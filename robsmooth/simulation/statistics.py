@@ -44,14 +44,7 @@ class MeanSquare:
 
 
 class InadmissibleWarning(RuntimeWarning):
-    """The simulated loop left the region in which the theory's constraints hold.
-
-    Examples
-    --------
-    >>> import warnings
-    >>> import robsmooth as rs
-    >>> warnings.simplefilter("ignore", rs.InadmissibleWarning)
-    """
+    """The simulated loop left the region in which the theory's constraints hold."""
 
 
 @dataclass(frozen=True, eq=False)

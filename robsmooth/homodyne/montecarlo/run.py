@@ -19,14 +19,7 @@ from robsmooth.simulation.statistics import MeanSquare
 
 
 class LossOfLockWarning(RuntimeWarning):
-    """Some paths slipped: their errors depend on the duration, those in lock do not.
-
-    Examples
-    --------
-    >>> import warnings
-    >>> import robsmooth as rs
-    >>> warnings.simplefilter("ignore", rs.LossOfLockWarning)
-    """
+    """Some paths slipped: their errors depend on the duration, those in lock do not."""
 
 
 @dataclass(frozen=True)
