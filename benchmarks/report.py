@@ -8,9 +8,8 @@ from matplotlib.figure import Figure
 
 from benchmarks import tables
 from benchmarks.aims import remarks, shortfalls
-from benchmarks.tables import ratio, sorted_peers, span
+from benchmarks.tables import ratio, span
 from robsmooth._support import files
-from robsmooth._support.tables import Table
 from robsmooth.paper import figures
 
 FOLDER = Path(__file__).parent
@@ -69,12 +68,17 @@ def words(results: dict) -> Iterator[str]:
             f"With its exact delay it is smoothed at {ours:.1f} million, "
             f"{_listed(named)} Kalman filter with a delay line."
         )
-    waits = {row["name"]: row["measured"] for row in results["targets"]}
+    yield waits(results)
+
+
+def waits(results: dict) -> str:
+    """Say how long one waits for a design, a sweep and a simulation."""
+    measured = {row["name"]: row["measured"] for row in results["targets"]}
     design, sweep, answer = (
-        1e3 * next(value for name, value in waits.items() if name.startswith(start))
+        1e3 * next(value for name, value in measured.items() if name.startswith(start))
         for start in ("design_smoother", "delta_sweep", "monte_carlo")
     )
-    yield (
+    return (
         f"A design of the example takes {design:.2g} ms, a sweep over 101 values of its "
         f"uncertainty {sweep:.2g} ms, and the default answer of the Monte Carlo {answer:.2g} ms."
     )
@@ -108,6 +112,7 @@ def markdown(results: dict) -> str:
         f"Written by `make bench`, on {heading(results)}.",
         tables.aims_table(results).markdown(),
         found,
+        "\n".join(f"- {text}" for text in words(results)),
         tables.summary_table(results).markdown(),
         *since(results),
         "## The simulation",
@@ -136,23 +141,20 @@ def markdown(results: dict) -> str:
 
 
 def readme_block(results: dict) -> str:
-    """Return what the README says."""
-    rows = [
-        (name, *(ratio(peer, precision) for precision in ("single", "mixed")))
-        for name, peer in sorted_peers(results)
-        if not name.startswith("robsmooth")
-    ]
-    table = Table(
-        columns=("peer", "single", "mixed"),
-        rows=rows,
-        caption=(
-            "How many times as fast robsmooth is on one core, by its precision: medians of "
-            f"{results['race']['rounds']} interleaved rounds."
-        ),
+    """Return what the README says: the simulation, records, and designs."""
+    peers, missed = results["race"]["peers"], shortfalls(results)
+    records = results["throughput"]["contenders"]
+    csv = results["from_files"]["paths"]["csv to npy"]["rate"]
+    aims = f"{len(missed)} aims" if len(missed) != 1 else "1 aim"
+    texts = (
+        f"One core simulates the paper's example {ratio(peers['C++, single'], 'single')} times as "
+        f"fast as C++ and {ratio(peers['NumPy, float32'], 'single')} times as fast as NumPy.",
+        f"A record is smoothed at {records['robsmooth']['rate'] / 1e6:.0f} million samples a "
+        f"second from memory, and at {csv / 1e6:.1f} million from a CSV file.",
+        f"{waits(results)} [The bench](benchmarks/results.md) has all measurements and the {aims} "
+        "that they miss.",
     )
-    texts = [*words(results), *(f"Missed here: {text}." for text in shortfalls(results))]
-    bullets = "\n".join(f"- {text}" for text in texts)
-    return f"{table.markdown()}\n{bullets}\n\nMeasured on: {heading(results)}.\n"
+    return "".join(f"- {text}\n" for text in texts)
 
 
 def write_readme(readme: Path, results: dict) -> None:

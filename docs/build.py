@@ -19,7 +19,10 @@ from robsmooth.workbench.parameters import SET_BY_PIPELINE, PipelineError
 from robsmooth.workbench.runner import Request, Task, plan
 
 SOURCE = Path(__file__).resolve().parent / "source"
-DOCUMENTS = ("README.md", "environment.md", "CONTRIBUTING.md", "CITATION.cff", "LICENSE")
+DOCUMENTS = (
+    *("README.md", "environment.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md"),
+    *("CITATION.cff", "LICENSE"),
+)
 RESULTS = (".png", ".pdf", ".svg", ".csv", ".json")
 _SET_BY_PIPELINE = re.compile(rf"(?:{'|'.join(SET_BY_PIPELINE)}) = ")
 
@@ -86,8 +89,9 @@ def stage(run: Request, source: Path, executed: list[Path]) -> None:
     mathjax = Path(find_spec("sphinx-mathjax-offline").origin).parent / "static/mathjax"
     _copy([mathjax / "tex-svg-full.js"], source / "_static/mathjax")
     _copy([root / name for name in DOCUMENTS], source)
-    readme = source / "README.md"  # the site's own pages stand beside it
-    readme.write_text(readme.read_text("utf-8").replace("](docs/source/", "]("), encoding="utf-8")
+    for name in ("README.md", "environment.md"):  # the site's own pages stand beside them
+        page = source / name
+        page.write_text(page.read_text("utf-8").replace("](docs/source/", "]("), encoding="utf-8")
     _copy((root / "benchmarks").glob("*.*"), source / "benchmarks", (*RESULTS, ".md"))
     _copy([root / "data/published.toml", *(run.results / "data").glob("*.json")], source / "data")
     _copy(figures.iterdir(), source / "figures", RESULTS)
@@ -117,6 +121,8 @@ def shown(path: Path) -> nbformat.NotebookNode:
     notebook = nbformat.read(path, as_version=4)
     notebook.metadata.pop("papermill", None)
     for cell in notebook.cells:
+        if cell.cell_type == "markdown":
+            cell.source = cell.source.replace("](../docs/source/", "](../")
         if "injected-parameters" in cell.metadata.get("tags", []):
             lines = cell.source.splitlines()
             cell.source = "\n".join(line for line in lines if not _SET_BY_PIPELINE.match(line))

@@ -28,14 +28,17 @@ def write(figures: Path, data: Path) -> list[Verdict]:
 
 
 def write_scorecard(readme: Path, verdicts: Iterable[Verdict]) -> None:
-    """Put the scorecard between its marks in the README."""
+    """Put the counts of the scorecard between its marks in the README."""
     text = readme.read_text(encoding="utf-8")
     before, begin, rest = text.partition(_BEGIN)
     _, end, after = rest.partition(_END)
     if not (begin and end):
         raise ValueError(f"{readme.name} must have the marks {_BEGIN!r} and {_END!r}")
-    card = scorecard(verdicts).markdown()
-    files.write_text(readme, f"{before}{begin}\n{card}{end}{after}")
+    *rows, total = scorecard(verdicts).rows
+    for column, kind in enumerate(("printed numbers", "statements"), start=1):
+        counts = ", ".join(f"{row[column]} {row[0]}" for row in rows if row[column])
+        begin += f"\nOf {total[column]} {kind}: {counts}."
+    files.write_text(readme, f"{before}{begin}\n{end}{after}")
 
 
 def scorecard(verdicts: Iterable[Verdict]) -> Table:
