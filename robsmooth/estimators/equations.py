@@ -21,7 +21,7 @@ The estimator knows the copy's output: :math:`a\tilde\mu` is a known input, and 
 Nothing cancels in e and f.
 
 With the channels of uncertainties and nonlinearities side by side in B, D and
-:math:`C_1 = [C_{1,s};\ \beta_i\bar C_{1,i}]`, the weights :math:`\Lambda_Y` of
+:math:`C_1 = [C_{1,s};\ L_i\bar C_{1,i}]`, the weights :math:`\Lambda_Y` of
 :math:`\lambda_s` and e, and :math:`\Lambda_X` of :math:`\lambda_s` and f, Assumption 3 is
 
 .. math::

@@ -2,8 +2,8 @@ r"""The example of Section IV: adaptive homodyne estimation of a varying optical
 
 .. math::
 
-    d\phi = -\lambda\phi\,dt + \sqrt\kappa\,dV, \qquad
-    I\,dt = 2\alpha\sin(\phi - \hat\phi)\,dt + dW,
+    d\phi = -\lambda_\phi\,\phi\,dt + \sqrt\kappa\,dW_1, \qquad
+    I\,dt = 2\alpha\sin(\phi - \hat\phi)\,dt + dW_2,
 
 with the phase of the local oscillator at :math:`\hat\phi + \pi/2`. With :math:`e = \phi-\hat\phi`
 and :math:`\sin e = \beta e + f(e)`, the measurement
@@ -33,7 +33,7 @@ class HomodyneParameters:
     Attributes
     ----------
     lam, kappa : float
-        :math:`\lambda \ge 0, \kappa > 0`, decay rate (rad/s) and diffusion (rad^2/s) of the phase.
+        :math:`\lambda_\phi \ge 0, \kappa > 0`, decay rate (rad/s) and diffusion (rad^2/s) of the phase.
     alpha : float, positive, amplitude of the coherent beam, s^(-1/2)
     beta, gamma : float, positive and in (0, 1), tangent of the sine and half width of the sector
 
@@ -72,7 +72,7 @@ class HomodyneParameters:
     def table(self) -> Table:
         """Return Table I."""
         rows = [
-            (r"$\lambda$", f"{self.lam:g}", "rad/s", "decay rate of the phase"),
+            (r"$\lambda_\phi$", f"{self.lam:g}", "rad/s", "decay rate of the phase"),
             (r"$\kappa$", f"{self.kappa:g}", "rad²/s", "diffusion of the phase"),
             (r"$\alpha$", f"{self.alpha:g}", "s^-1/2", "amplitude of the beam"),
             (r"$\beta$", f"{self.beta:g}", "", "slope of the tangent of the sine"),

@@ -18,10 +18,13 @@ from robsmooth.paper import published
 from robsmooth.simulation.statistics import MeanSquare
 
 
-def estimate(found: MeanSquare, form: str = ".5f", error_form: str | None = None) -> str:
-    """Return a mean square and its standard error in words."""
+def estimate(found: MeanSquare) -> str:
+    """Return a mean square and its standard error, to two significant digits of the error."""
     value, error = found.mean_square, found.standard_error
-    return "none" if math.isnan(value) else f"{value:{form}} ± {error:{error_form or form}}"
+    if not 0.0 < error < math.inf:  # of one path, or none
+        return "none" if math.isnan(value) else f"{value:.5g}"
+    digits = max(0, 1 - math.floor(math.log10(float(f"{error:.1e}"))))
+    return f"{value:.{digits}f} ± {error:.{digits}f}"
 
 
 def sign_readings(tau: float, multipliers: Sequence[float]) -> Table:

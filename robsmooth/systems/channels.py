@@ -67,7 +67,7 @@ class Nonlinearity(Channel):
     D : (l, 1) array
         :math:`\bar D_{21,i}`, how it enters the measurement rate.
     lipschitz : float, optional
-        :math:`\beta_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le \beta_i |a - b|`. Either this
+        :math:`L_i > 0`, with :math:`|\psi_i(a) - \psi_i(b)| \le L_i |a - b|`. Either this
         or `sector` is given; a sector sets it to the larger size of its ends.
     function : callable, optional
         :math:`\psi_i`, zero at zero, vectorised or compiled by numba. A design needs none.

@@ -40,7 +40,7 @@ class UncertainSystem(Frozen):
     uncertainties : sequence of `Uncertainty`
         The k channels :math:`(B_{1s}, C_{1,s}, D_{21,s})`.
     nonlinearities : sequence of `Nonlinearity`
-        The g channels :math:`(\bar B_{1i}, \bar C_{1,i}, \bar D_{21,i}, \beta_i)`, centred.
+        The g channels :math:`(\bar B_{1i}, \bar C_{1,i}, \bar D_{21,i}, L_i)`, centred.
     B2, D22 : (n, p) and (l, p) arrays, optional
         Of known inputs u: :math:`B_2u` adds to the drift, :math:`D_{22}u` to the measurement.
     n, m, l, q, p, k, g : int
@@ -261,7 +261,7 @@ class UncertainSystem(Frozen):
                 estimate = rf",\quad r_{{{i}}}\text{{ the {c.reference} estimate of }}{nu}"
             lines.append(
                 rf"{symbol} &= \psi_{{{i}}}({argument}),\quad {nu} = {of_x(c.C)},\quad "
-                rf"\beta_{{{i}}} = {notation.number(c.lipschitz)}{estimate}"
+                rf"L_{{{i}}} = {notation.number(c.lipschitz)}{estimate}"
             )
         for c, symbol in xi:
             zeta = symbol.replace("xi", "zeta")

@@ -22,7 +22,7 @@ DIMENSIONLESS = {
     r"measurement uncertainty $\Delta_2$",
     r"uncertainty $\Delta_2$",
     "detector's signal",
-    r"$y = f(\mu_1) + \beta\mu_1$",
+    r"$\sin e = \beta e + f(e)$",
     r"$|H(i\omega) - e^{-i\omega\delta}|$",
     "measurement noise / signal",
     "certified error, classical / minimax",

@@ -81,20 +81,21 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
     figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(3.4, 4.2), height_ratios=(3, 1))
     error = np.linspace(-np.pi, np.pi, 721)
     upper, lower, wide = parameters.beta, parameters.lower_slope, parameters.sector_slope
-    label = rf"design's sector $[{lower:g},\,{upper:g}]$"
+    label = rf"sector $[{lower:g},\,{upper:g}]$"
     top.fill_between(error, lower * error, upper * error, color="C0", alpha=0.2, lw=0, label=label)
-    top.plot(error, np.sin(error), color="C1", linestyle="-", label=r"$\sin\mu_1$")
+    top.plot(error, np.sin(error), color="C1", linestyle="-", label=r"$\sin e$")
     top.plot(error, upper * error, label=rf"tangent, $\beta={upper:g}$", **DOTTED)
     top.plot(error, wide * error, "C4--", lw=0.9, label=rf"$m=1-2\gamma={wide:.1f}$")
-    reach = parameters.sector_range()
-    for axes, end in itertools.product((top, bottom), (-reach, reach)):
-        axes.axvline(end, color="C0", linestyle="-.", linewidth=0.8)
-    beside = {"xytext": (3, 0), "textcoords": "offset points", "color": "C0"}
-    top.annotate(f"{reach:.2f} rad", (reach, -1.55), **beside)
-    top.set(ylim=(-1.75, 1.75), ylabel=r"$y = f(\mu_1) + \beta\mu_1$")
+    reach, lipschitz = parameters.sector_range(), parameters.lipschitz_range
+    for axes, sign in itertools.product((bottom, top), (-1, 1)):
+        side = axes.axvline(sign * reach, color="C0", linestyle="-.", linewidth=0.8)
+        limit = axes.axvline(sign * lipschitz, color="k", linestyle=(0, (3, 3)), linewidth=0.8)
+    side.set_label(f"sector to {reach:.2f} rad")
+    limit.set_label(f"Lipschitz to {lipschitz:.3f} rad")
+    top.set(ylim=(-1.75, 1.75), ylabel=r"$\sin e = \beta e + f(e)$")
     density = np.exp(-(error**2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
     bottom.fill_between(error, density, color="0.6", linewidth=0)
-    bottom.set(xlabel=r"phase error $\mu_1 = \phi - \hat\phi$ (rad)", ylabel="density\n(1/rad)")
+    bottom.set(xlabel=r"phase error $e = \phi - \hat\phi$ (rad)", ylabel="density\n(1/rad)")
     bottom.set(xlim=(-np.pi, np.pi), ylim=(0, None))
     return with_legend(figure)
 
