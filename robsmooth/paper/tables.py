@@ -27,6 +27,12 @@ def estimate(found: MeanSquare) -> str:
     return f"{value:.{digits}f} ± {error:.{digits}f}"
 
 
+def deviation(found: MeanSquare, exact: float) -> str:
+    """Return by how much an error differs from the exact one, and its standard error, in words."""
+    share, error = found.mean_square / exact - 1, found.standard_error / exact
+    return f"({estimate(MeanSquare(100 * share, 100 * error))})%"
+
+
 def sign_readings(tau: float, multipliers: Sequence[float]) -> Table:
     """Return the gains at a tau and lambda for each reading of the X equation."""
     records: list[dict[str, Any]] = []
