@@ -22,11 +22,11 @@ L is a matrix on the polynomials of total degree up to N. The stationary moments
 :math:`m_\alpha = E\,h_\alpha(\xi)` solve :math:`\sum_\alpha m_\alpha L_{\alpha\beta} = 0` for
 :math:`0 < |\beta| \le N`, with :math:`m_0 = 1`. The expectation of a linear read-out
 :math:`w = pz` a time t later is :math:`e^{Lt}w`. With :math:`d = \varphi - C_a\hat x` and
-:math:`L\varphi = -\lambda\varphi`, the smoothed error is, without cancellation for a large phase,
+:math:`L\varphi = -\lambda_\phi\varphi`, the smoothed error is, without cancellation for a large phase,
 
 .. math::
 
-    E\bigl(\varphi(t - \delta) - C_a\hat x(t)\bigr)^2 = 2(1 - e^{-\lambda\delta})\,E\varphi^2
+    E\bigl(\varphi(t - \delta) - C_a\hat x(t)\bigr)^2 = 2(1 - e^{-\lambda_\phi\delta})\,E\varphi^2
         + E\,d^2 + 2E\bigl[\varphi\,(e^{L\delta} - 1)d\bigr].
 
 All terms are odd: odd moments are zero, read-outs stay odd. Degree 2 is statistical linearisation.
