@@ -22,7 +22,7 @@ L is a matrix on the polynomials of total degree up to N. The stationary moments
 :math:`m_\alpha = E\,h_\alpha(\xi)` solve :math:`\sum_\alpha m_\alpha L_{\alpha\beta} = 0` for
 :math:`0 < |\beta| \le N`, with :math:`m_0 = 1`. The expectation of a linear read-out
 :math:`w = pz` a time t later is :math:`e^{Lt}w`. With :math:`d = \varphi - C_a\hat x` and
-:math:`L\varphi = -\lambda_\phi\varphi`, the smoothed error is, without cancellation for a large phase,
+:math:`L\varphi = -\lambda_\phi\varphi`, the smoothed error is, without cancellation,
 
 .. math::
 

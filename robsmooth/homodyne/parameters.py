@@ -33,7 +33,7 @@ class HomodyneParameters:
     Attributes
     ----------
     lam, kappa : float
-        :math:`\lambda_\phi \ge 0, \kappa > 0`, decay rate (rad/s) and diffusion (rad^2/s) of the phase.
+        :math:`\lambda_\phi \ge 0, \kappa > 0`, decay (rad/s) and diffusion (rad^2/s) of the phase.
     alpha : float, positive, amplitude of the coherent beam, s^(-1/2)
     beta, gamma : float, positive and in (0, 1), tangent of the sine and half width of the sector
 

@@ -23,14 +23,8 @@ def estimate(found: MeanSquare) -> str:
     value, error = found.mean_square, found.standard_error
     if not 0.0 < error < math.inf:  # of one path, or none
         return "none" if math.isnan(value) else f"{value:.5g}"
-    digits = max(0, 1 - math.floor(math.log10(float(f"{error:.1e}"))))
+    digits = max(0, 1 - int(f"{error:.1e}".partition("e")[2]))
     return f"{value:.{digits}f} ± {error:.{digits}f}"
-
-
-def deviation(found: MeanSquare, exact: float) -> str:
-    """Return by how much an error differs from the exact one, and its standard error, in words."""
-    share, error = found.mean_square / exact - 1, found.standard_error / exact
-    return f"({estimate(MeanSquare(100 * share, 100 * error))})%"
 
 
 def sign_readings(tau: float, multipliers: Sequence[float]) -> Table:
@@ -87,10 +81,9 @@ def change_needed(smoother: Estimator, ngcf: Estimator, values: HomodyneParamete
             distance = off / (target * math.sqrt(2 / runs))
             record[f"{name} at the mean factor"] = f"{target + off:.4f} ({distance:+.1f})"
         records.append(record)
-    errors = " and ".join(f"{target:g}" for target in printed.values())
     caption = (
-        f"The factor on one number of the loop at which each printed error ({errors} rad²) is "
-        "predicted, and what is predicted at the mean of the two factors; in brackets, how far "
-        f"off, in standard errors of a simulation of {runs:.0f} runs."
+        "The factor on one number of the loop at which each printed error is predicted, and what "
+        "is predicted (rad²) at the mean of the two factors. In brackets: how far off this is, in "
+        f"standard errors of a simulation of {runs:.0f} runs."
     )
     return Table.of_records(records, caption)

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from robsmooth.paper import report
+from robsmooth.paper import report, tables
 from robsmooth.paper import verdicts as reproduction
 from robsmooth.paper.verdicts import Verdict
+from robsmooth.simulation.statistics import MeanSquare
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -28,6 +29,22 @@ def test_the_scorecard_counts_every_verdict_once(verdicts):
     assert sum(row[1] + row[2] for row in rows[:-1]) == len(verdicts)
     counted = Counter(verdict.verdict for verdict in verdicts)
     assert {row[0]: row[1] + row[2] for row in rows[:-1]} == counted
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.0884870123, 0.00000384, "0.0884870 ± 0.0000038"),
+        (0.5, 0.0996, "0.50 ± 0.10"),
+        (47.69, 12.4, "48 ± 12"),
+        (3000.4, 123.0, "3000 ± 123"),
+        (0.05, 0.0, "0.05"),
+        (0.05, float("nan"), "0.05"),
+        (float("nan"), float("nan"), "none"),
+    ],
+)
+def test_an_estimate_has_the_digits_that_its_error_leaves(value, error, text):
+    assert tables.estimate(MeanSquare(value, error)) == text
 
 
 def test_reproduced_zeros_share_a_row_and_nothing_else_does():

@@ -256,9 +256,7 @@ def test_a_system_is_shown_as_its_equations():
     assert r"dx &= \left[-9140\,x + 200\,\xi_{1}\right]dt + \begin{bmatrix}200 & 0\end" in text
     assert r"dy &= \left[x + 0.0004303\,\mu_{1}\right]dt" in text
     assert r"w &= x \\" in text
-    assert (
-        r"\mu_{1} &= \psi_{1}(\nu_{1} - r_{1}),\quad \nu_{1} = 929.6\,x,\quad L_{1} = 1" in text
-    )
+    assert r"\mu_{1} &= \psi_{1}(\nu_{1} - r_{1}),\quad \nu_{1} = 929.6\,x,\quad L_{1} = 1" in text
     assert r"L_{1} = 1,\quad r_{1}\text{ the filtered estimate of }\nu_{1} \\" in text
     assert r"\lVert\xi_{1}\rVert &\le \lVert\zeta_{1}\rVert,\quad \zeta_{1} = 0" in text
 

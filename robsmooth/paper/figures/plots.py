@@ -179,7 +179,6 @@ def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
     lags, noises = np.array(study.lags), np.array(study.noises)
     middle = int(np.argmin(np.abs(np.log(noises))))
     figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(3.4, 5.4))
-
     saved = 100 * (1 - ratio[:, -1])
     shading = shade(top, lags, noises, saved, np.arange(0, 61, 10), missing="no design or lock")
     hatch(top, lags, noises, -saved, "no gain", hatch="-----")
@@ -187,12 +186,10 @@ def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
     best = lags[np.nanargmax(saved[there], axis=1)]
     points = LOOSE | {"markeredgecolor": "k"}
     top.plot(best, noises[there], "o", color="w", label="best lag", **points)
-    star = points | {"color": "C1", "markersize": 9, "label": "the paper's"}
-    top.plot(lag, noises[middle], "*", **star)
+    top.plot(lag, noises[middle], "*", color="C1", ms=9, label="the paper's", **points)
     top.set(xscale="log", yscale="log", ylabel="shot noise / the paper's")
     label_ticks(top.yaxis, (0.1, 0.3, 1, 3, 10))
     figure.colorbar(shading, ax=top, label="saved by smoothing (%)", pad=0.02)
-
     study.plot(bottom, gamma, study.noises[middle])
     bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
     bottom.axvline(lag, color="0.6", linestyle="-", linewidth=0.8)

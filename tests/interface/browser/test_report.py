@@ -39,7 +39,9 @@ def test_the_report_can_be_read_and_searched(report, offline, complaints):
     offline.goto((report / "index.html").as_uri())
     sidebar = offline.locator(".sidebar-tree")
     sidebar.get_by_role("link", name="3. How does the error grow with the uncertainty?").click()
-    expect(offline.locator("h1")).to_contain_text("3. How does the error grow with the uncertainty?")
+    expect(offline.locator("h1")).to_contain_text(
+        "3. How does the error grow with the uncertainty?"
+    )
     search = offline.locator(".sidebar-search")
     search.fill("delta_sweep")
     search.press("Enter")
