@@ -1,6 +1,6 @@
-"""An estimator's copies of nonlinearities, as functions that compiled code calls by address.
+"""Functions that compiled code calls by address, such as an estimator's copies of nonlinearities.
 
-The loop over samples is compiled once for all. What numba cannot compile is called in Python.
+A loop is compiled once for all. What numba cannot compile is called in Python.
 """
 
 import ctypes
@@ -16,6 +16,7 @@ from llvmlite import ir
 from numba import types
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic, is_jitted, overload
+from numpy.typing import NDArray
 
 from robsmooth.systems.channels import Nonlinearity
 from robsmooth.systems.functions import Combination, compiled, name_of
@@ -24,7 +25,9 @@ _Vectorized = type(numba.vectorize(lambda value: value))
 _TRIED = np.concatenate([[0.0], np.geomspace(1e-6, 1e3, 20), -np.geomspace(1e-6, 1e3, 20)])
 _ROUNDING = 1e-12  # by which a compiled function may differ from the one given
 Function = Callable[[Any], Any]
-_Address = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)
+# Of the time, the addresses of the arguments and of the values, and the number of arguments.
+_Called = ctypes.CFUNCTYPE(None, ctypes.c_double, *3 * [ctypes.c_ssize_t])
+_REALS = types.CPointer(types.float64)
 
 
 def running_copies(estimator: Any) -> list[int]:
@@ -61,67 +64,76 @@ def running_functions(
     return tuple(functions[i] for i in running)
 
 
-class Functions:
-    """Functions of one number, and their addresses for compiled code."""
+class CalledFunctions:
+    """Functions by their addresses, which are those of this process.
 
-    def __init__(self, given: Iterable[Function]) -> None:
-        self.given = tuple(given)
-        self.error: Exception | None = None  # of a function that was called back
-        jit = not numba.config.DISABLE_JIT
-        numbers = [_of_number(f) if jit and isinstance(f, Hashable) else None for f in self.given]
-        self.compiled = jit and all(numbers)
-        pairs = zip(self.given, numbers, strict=True)
-        self._kept = [number or self._called_back(function) for function, number in pairs]
-        self.addresses = addresses_of(self._kept)
+    Of each, there is the code of `of_rows`, or None; the function of t and (outputs, paths) that
+    gives (inputs, paths), which is called in Python where there is no code; and these two numbers.
+    """
 
-    def __reduce__(self) -> tuple[type, tuple[tuple[Function, ...]]]:
-        return type(self), (self.given,)
+    def __init__(self, parts: Iterable[tuple[Any, Callable[[float, Any], Any], int, int]]) -> None:
+        self.in_python, self._kept, self._errors = False, [], list[BaseException]()
+        for code, *of in parts:
+            self.in_python |= code is None
+            self._kept.append(code or self._called_back(*of))
+        pointers = (getattr(code, "ctypes", code) for code in self._kept)
+        addresses = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers]
+        self.addresses = np.array(addresses, dtype=np.intp)
 
-    def _called_back(self, function: Function) -> Any:
-        def value(argument: float) -> float:
+    def _called_back(self, function: Callable[[float, Any], Any], outputs: int, inputs: int) -> Any:
+        """Return a function in Python: its first error is kept, and then nothing is called."""
+
+        def of_rows(time: float, arguments: int, values: int, size: int) -> None:
+            paths = size // outputs
+            given, found = _array(arguments, outputs, paths), _array(values, inputs, paths)
             try:
-                return float(np.asarray(function(np.array([argument])))[0])
-            except Exception as error:
-                self.error = error
-                return np.nan
+                with np.errstate(over="ignore", invalid="ignore"):
+                    found[:] = np.nan if self._errors else function(time, given.copy())
+            except BaseException as error:  # an interrupt, too: compiled code cannot pass it on
+                self._errors.append(error)
+                found[:] = np.nan
 
-        return _Address(value)
+        return _Called(of_rows)
 
-    def check(self, finite: bool, what: str) -> None:
+    def check(self, finite: bool = True, what: str = "") -> None:
         """Raise the error of a function, or an ArithmeticError where `what` is not finite."""
-        error, self.error = self.error, None
-        if error is not None:
-            raise error
+        errors, self._errors[:] = self._errors[:1], []
+        if errors:
+            raise errors[0]
         if not finite:
             raise ArithmeticError(f"{what} left the range of floating-point numbers")
 
 
-def addresses_of(functions: Iterable[Any]) -> np.ndarray:
-    """Return the addresses of functions of ctypes, or that numba compiled for calls from C."""
-    pointers = (getattr(function, "ctypes", function) for function in functions)
-    addresses = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers]
-    return np.array(addresses, dtype=np.intp)
+@lru_cache(maxsize=256)  # of few places in memory, which each call uses again
+def _array(address: int, rows: int, count: int) -> NDArray[np.float64]:
+    memory = (ctypes.c_double * (rows * count)).from_address(address)
+    return np.frombuffer(memory).reshape(rows, count)
+
+
+class Functions(CalledFunctions):
+    """Functions of one number, which copies run."""
+
+    def __init__(self, given: Iterable[Function]) -> None:
+        self.given = tuple(given)
+        jit = not numba.config.DISABLE_JIT
+        codes = [_of_copy(f) if jit and isinstance(f, Hashable) else None for f in self.given]
+        super().__init__(
+            (code, lambda _, x, function=function: np.asarray(function(x[0]))[0], 1, 1)
+            for code, function in zip(codes, self.given, strict=True)
+        )
+        self.compiled = jit and not self.in_python
+
+    def __reduce__(self) -> tuple[type, tuple[tuple[Function, ...]]]:
+        return type(self), (self.given,)
 
 
 @lru_cache(maxsize=64)
-def _of_number(function: Function) -> Any:
-    """Return a function as numba compiles it for a number; None, with a warning, if it cannot."""
-    try:
-        of_argument = jitted(function)
-
-        @numba.cfunc(types.float64(types.float64), error_model="numpy")
-        def number(argument):
-            try:
-                return of_argument(argument)
-            except Exception:
-                return np.nan
-
-    except (NumbaError, TypeError):
-        pass
-    else:
-        called = _Address(number.address)
-        if is_jitted(function) or isinstance(function, _Vectorized) or _agree(function, called):
-            return number
+def _of_copy(function: Function) -> Any:
+    """Return a function as `of_rows` compiles it; None, with a warning, if it cannot."""
+    code = of_rows(function)
+    own = is_jitted(function) or isinstance(function, _Vectorized)
+    if code is not None and (own or _agree(function, code)):
+        return code
     warnings.warn(
         f"numba cannot compile the function {name_of(function)}, which a copy runs: each sample "
         "calls it in Python, which takes some microseconds",
@@ -131,11 +143,31 @@ def _of_number(function: Function) -> Any:
     return None
 
 
-def _agree(function: Function, number: Callable[[float], float]) -> bool:
+def _agree(function: Function, code: Any) -> bool:
     with np.errstate(all="ignore"):
         expected = np.asarray(function(_TRIED))
-    found = [number(argument) for argument in _TRIED]
+    call(code.address, 0.0, _TRIED, found := np.empty_like(_TRIED))
     return np.allclose(found, expected, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True)
+
+
+@lru_cache(maxsize=64)
+def of_rows(function: Function) -> Any:
+    """Return compiled code that calls a function of a number for each argument, or None."""
+    try:
+        of_number = jitted(function)
+
+        @numba.cfunc(types.void(types.float64, _REALS, _REALS, types.intp))
+        def code(_, arguments, values, count):
+            given, found = numba.carray(arguments, (count,)), numba.carray(values, (count,))
+            for i in range(count):
+                try:
+                    found[i] = of_number(given[i])
+                except Exception:
+                    found[i] = np.nan
+
+    except (NumbaError, TypeError):
+        return None
+    return code
 
 
 def is_compiled(function: Function) -> bool:
@@ -156,20 +188,26 @@ def jitted(function: Function) -> Function:
     return numba.njit(function)
 
 
-def call(address: int, argument: float) -> float:
-    """Call the function at an address."""
-    return _Address(int(address))(argument)
+def call(address: int, time: float, arguments: NDArray, values: NDArray) -> None:
+    """Write the values of the function at an address."""
+    _Called(int(address))(time, arguments.ctypes.data, values.ctypes.data, arguments.size)
 
 
 @intrinsic
-def _call(_typing, address, argument):
-    def generate(_context, builder, _signature, arguments):
-        kind = ir.FunctionType(ir.DoubleType(), [ir.DoubleType()])
-        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), [arguments[1]])
+def _call(_typing, address, time, arguments, values, count):
+    def generate(_context, builder, _signature, given):
+        real, word = ir.DoubleType(), ir.IntType(64)
+        kind = ir.FunctionType(ir.VoidType(), [real, word, word, word])
+        builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
+        return ir.Constant(ir.IntType(1), 0)
 
-    return types.float64(types.intp, types.float64), generate
+    words = (types.intp, types.float64, types.intp, types.intp, types.intp)
+    return types.boolean(*words), generate
 
 
 @overload(call)
-def _compiled_call(address, argument):
-    return lambda address, argument: _call(address, argument)
+def _compiled_call(address, time, arguments, values):
+    def called(address, time, arguments, values):
+        _call(address, time, arguments.ctypes.data, values.ctypes.data, arguments.size)
+
+    return called

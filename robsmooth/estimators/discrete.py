@@ -1,6 +1,6 @@
 """An estimator in discrete time, for a record: an `ExactFilter` or else a `HeldEstimator`."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from copy import deepcopy
 from threading import RLock
 from typing import Any, Literal, TypedDict, Unpack, overload
@@ -208,7 +208,7 @@ class DiscreteSmoother(Exports):
         if sample.ndim != 2 or (np.ndim(y) == 0 and self.l > 1):
             raise ValueError(f"y must have shape ({self.l},), got shape {np.shape(y)}")
         given = self._given(sample, *beside, None if interval is None else [interval])
-        return self._take(given, "smoothed", None, False)[0][0, 0]
+        return self._take(given, "smoothed", False)[0][0, 0]
 
     @overload
     def run(self, y: ArrayLike, *, return_std: Literal[False] = False, **of: Any) -> Floats: ...
@@ -260,25 +260,8 @@ class DiscreteSmoother(Exports):
             self._exact("return_std")
         validation.choice("output", output, OUTPUTS)
         given = self._given(y, reference, inputs, intervals)
-        found, spread = self._take(given, output, None, return_std)
+        found, spread = self._take(given, output, return_std)
         return (found[:, 0], spread[:, 0]) if return_std else found[:, 0]
-
-    def bank(self, y: ArrayLike, lags: Sequence[int], **beside: Unpack[Beside]) -> Floats:
-        """Take samples; return the (N, len(lags), m) estimates at many lags in one pass.
-
-        Parameters
-        ----------
-        y, **beside : the record, and reference, inputs and intervals, as in `run`
-        lags : sequence of int
-            In samples, ascending, at most the delay; counted back from the row's own.
-        """
-        longest = self._exact("bank").samples_back
-        if not isinstance(lags, Iterable):
-            raise TypeError(f"lags must be a sequence of integers, got {lags!r}")
-        lags = [validation.integer("lags", lag, low=0) for lag in lags]
-        if not lags or lags != sorted(set(lags)) or lags[-1] > longest:
-            raise ValueError(f"lags must ascend, and be at most {longest}, got {lags}")
-        return self._take(self._given(y, **beside), "filtered", lags, False)[0]
 
     def two_sided(self, y: ArrayLike, **beside: Unpack[Beside]) -> Pair:
         """Return the estimates that use a whole record: fixed-interval smoothing.
@@ -310,9 +293,7 @@ class DiscreteSmoother(Exports):
             "delay='model': this one runs a model of its delay"
         )
 
-    def _take(
-        self, given: Samples, output: str, lags: Sequence[int] | None, spread: bool
-    ) -> tuple[Floats, Floats]:
+    def _take(self, given: Samples, output: str, spread: bool) -> Pair:
         rows = len(given.y) if given.intervals is None else _ROWS
         with self._lock:
             before = self._engine.memory
@@ -321,7 +302,7 @@ class DiscreteSmoother(Exports):
                     Samples(*(None if each is None else each[i : i + rows] for each in given))
                     for i in range(0, len(given.y) or 1, rows or 1)
                 )
-                found = [self._engine.take(part, output, lags, spread) for part in parts]
+                found = [self._engine.take(part, output, spread) for part in parts]
             except BaseException:
                 self._engine.memory = before
                 raise

@@ -81,7 +81,7 @@ class ExactFilter(Engine):
         self.memory = self._fresh(self.samples_back)
         if self._stationary and state is None and covariance is None:
             # estimates at times before the record, too
-            self.take(self._model.nothing(self.samples_back + 1), "filtered", [0], False)
+            self.take(self._model.nothing(self.samples_back + 1), "filtered", False)
 
     def _fresh(self, ring: int) -> Memory:
         state, covariance = self._begin
@@ -92,21 +92,17 @@ class ExactFilter(Engine):
         memory.covariances[-1] = self._prior if covariance is None else covariance
         return memory
 
-    def take(
-        self, given: Samples, output: str, lags: Sequence[int] | None, spread: bool
-    ) -> tuple[Floats, Floats]:
-        """Return estimates and, where `spread`, deviations, (rows, lags, m); None: output's lag."""
-        lags = [0] if lags is None and output == "filtered" else lags
-        count = 1 if lags is None else len(lags)
-        result = np.empty((len(given.y), count, len(self._C0)))
+    def take(self, given: Samples, output: str, spread: bool) -> tuple[Floats, Floats]:
+        """Return estimates and, where `spread`, deviations, (rows, 1, m)."""
+        result = np.empty((len(given.y), 1, len(self._C0)))
         deviations = np.empty_like(result) if spread else result[:0]
-        memory, reading = self.copied(), self._reading if lags is None else self._at(lags)
+        memory, reading = self.copied(), self._reading if output == "smoothed" else self._at([0])
         memory.counts[3] |= given.intervals is not None
         if memory.counts[3]:
             if given.intervals is None:
                 given = given._replace(intervals=np.full(len(given.y), self._dt))
             memory, delayed = self._delayed(memory, given.intervals)
-            reading = delayed if lags is None else reading
+            reading = delayed if output == "smoothed" else reading
         self._run(memory, reading, given, (result, deviations, given.y[:0]))
         self.memory = memory
         return result, deviations

@@ -24,7 +24,7 @@ along the interval: its innovation is zero. This changes `A` and :math:`B_\mu`, 
 missing channels has matrices of its own. In a long gap the estimates go to the prior, zero.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
@@ -84,9 +84,7 @@ class HeldEstimator(Engine):
         take_one = partial(hold, self._sizes, self._transposed, y, *of_state, estimate)
         return self.memory, take_one, y, reference, estimate
 
-    def take(
-        self, given: Samples, output: str, _lags: Sequence[int] | None, _spread: bool
-    ) -> tuple[Floats, Floats]:
+    def take(self, given: Samples, output: str, _spread: bool) -> tuple[Floats, Floats]:
         """Return the estimates after samples, (rows, 1, m), and no deviations."""
         missing, lengths, memory = np.isnan(given.y), given.intervals, self.copied()
         memory.counts[3] |= lengths is not None

@@ -172,7 +172,9 @@ def _copies(functions, arguments, x, reference, k, values, first):
         argument = -reference[k, i]
         for j in range(arguments.shape[1]):
             argument += arguments[i, j] * x[j]
-        values[first + i] = call(functions[i], argument)
+        of_copy = values[first + i : first + i + 1]
+        of_copy[0] = argument
+        call(functions[i], 0.0, of_copy, of_copy)
 
 
 @kept()

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
-from scipy.special import erf
 
 from robsmooth._support import validation
 from robsmooth._support.tables import Table
@@ -125,40 +124,10 @@ class HomodyneParameters:
             return 0.0
         return math.acos(max(self.lower_slope, -1.0))
 
-    def centred(self) -> "HomodyneParameters":
-        """Return the parameters with the same lower edge and an upper edge of at most 1."""
-        if not self.lower_slope < 1.0:
-            raise ValueError(f"beta - gamma must be below 1, got {self.lower_slope:g}")
-        beta = min(self.beta, (1.0 + self.lower_slope) / 2)
-        return replace(self, beta=beta, gamma=min(self.gamma, 1.0 - beta))
-
     def with_gain(self, gain: float) -> "HomodyneParameters":
         r"""Return the parameters for a detector that sees :math:`c\sin e`, noise unchanged."""
         gain = validation.positive("gain", gain)
         return replace(self, alpha=gain * self.alpha, beta=self.beta / gain)
-
-
-def fraction_inside(error_range: float, variance: float) -> float:
-    """Return the fraction of time that a Gaussian error of this variance is within the range.
-
-    Parameters
-    ----------
-    error_range : float, rad, as `HomodyneParameters.sector_range` or `lipschitz_range`
-    variance : float, rad^2
-
-    Returns
-    -------
-    float
-
-    Examples
-    --------
-    >>> import robsmooth as rs
-    >>> round(rs.homodyne.fraction_inside(1.0, variance=0.25), 4)
-    0.9545
-    """
-    error_range = validation.real("error_range", error_range, low=0.0)
-    variance = validation.positive("variance", variance)
-    return float(erf(error_range / math.sqrt(2.0 * variance)))
 
 
 PAPER = HomodyneParameters(lam=9.14e3, kappa=4e4, alpha=1162.0, beta=1.0, gamma=0.4)

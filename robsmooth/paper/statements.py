@@ -74,7 +74,7 @@ def sector(parameters: homodyne.HomodyneParameters = homodyne.PAPER) -> Finding:
         return True, value, ""
     ngcf, reach = baselines.ngcf(parameters.uncertain_system()), parameters.sector_range()
     variance = statistical_linearisation(parameters, ngcf).filtered
-    outside = 1.0 - homodyne.fraction_inside(reach, variance)
+    outside = math.erfc(reach / math.sqrt(2.0 * variance))  # of a Gaussian error
     reason = (
         f"gamma = (1 - m)/2 is for a sector around its middle slope (1 + m)/2 = {(1 + m) / 2:.3g}, "
         f"but the design has beta = {beta:g}, so that its sector is [{beta - gamma:.3g}, "

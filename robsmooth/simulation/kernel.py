@@ -6,24 +6,20 @@ are called back, with arrays. A block of paths has its own memory and sums, so r
 on the number of threads.
 """
 
-import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba import njit, prange, types
-from numba.core.errors import NumbaError
-from numba.extending import intrinsic
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from robsmooth._numerics.vectors import BLOCK, LANES, fma, load, store
 from robsmooth._support.kernels import kept
 from robsmooth._support.validation import Matrix
-from robsmooth.estimators.copies import addresses_of, is_compiled, jitted
+from robsmooth.estimators.copies import CalledFunctions, call, is_compiled, of_rows
 from robsmooth.simulation import noise
 from robsmooth.simulation.noise import DRAWS, SOURCES, WORDS, sine
 from robsmooth.systems.functions import Combination, on_arrays
@@ -33,9 +29,6 @@ GROWTH = 1e6  # of an output over its size at the start: divergence
 LARGEST = 1e290  # of an output that is zero at the start
 NUMBER = (0.0,)  # of the type that sums have
 TOLERANCE = 1e-6  # relative, for rounding where a constraint holds with equality
-
-_REALS = types.CPointer(types.float64)
-_Called = ctypes.CFUNCTYPE(None, ctypes.c_double, *3 * [ctypes.c_ssize_t])
 
 
 class Scheme(NamedTuple):
@@ -92,18 +85,6 @@ def empty_memory(scheme: Scheme, blocks: int, lag: int, constraints: int) -> Mem
     )
 
 
-@intrinsic
-def _call(_typing, address, time, arguments, values, count):
-    def generate(_context, builder, _signature, given):
-        real, word = ir.DoubleType(), ir.IntType(64)
-        kind = ir.FunctionType(ir.VoidType(), [real, word, word, word])
-        builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
-        return ir.Constant(ir.IntType(1), 0)
-
-    words = (types.intp, types.float64, types.intp, types.intp, types.intp)
-    return types.boolean(*words), generate
-
-
 @njit
 def add_product(matrix, x, out):
     """Add a matrix times the rows of x to the rows of `out`."""
@@ -125,7 +106,7 @@ def find_remainder(time, scheme, calls, z, arguments, values):
     for i in range(calls.addresses.size):
         end, end_values = calls.ends[i]
         given, found = arguments[begin:end], values[begin_values:end_values]
-        _call(calls.addresses[i], time, given.ctypes.data, found.ctypes.data, given.size)
+        call(calls.addresses[i], time, given, found)
         begin, begin_values = end, end_values
     add_product(scheme.linear, arguments, values)
 
@@ -312,28 +293,8 @@ class Function(NamedTuple):
             return on_arrays(self.function)(arguments.ravel()).reshape(arguments.shape)
         return self.function(time, arguments)
 
-    def called_back(self, errors: list[BaseException]) -> Any:
-        """Return the same in Python: the first error is kept, and then nothing is called."""
 
-        def of_rows(time: float, arguments: int, values: int, size: int) -> None:
-            paths = size // len(self.outputs)
-            given = _array(arguments, len(self.outputs), paths)
-            found = _array(values, len(self.inputs), paths)
-            try:
-                with np.errstate(over="ignore", invalid="ignore"):
-                    found[:] = np.nan if errors else self.values(time, given.copy())
-            except BaseException as error:  # an interrupt, too: compiled code cannot pass it on
-                errors.append(error)
-
-        return _Called(of_rows)
-
-
-@lru_cache(maxsize=256)  # of few places in memory, which each call uses again
-def _array(address: int, rows: int, count: int) -> NDArray[np.float64]:
-    memory = (ctypes.c_double * (rows * count)).from_address(address)
-    return np.frombuffer(memory).reshape(rows, count)
-
-
+@lru_cache(maxsize=64)
 def with_fast_sine(function: Callable) -> Callable:
     """Return a function with the vectorised sine of `noise`, to 2e-11, in the place of NumPy's."""
     if isinstance(function, Combination):
@@ -341,37 +302,13 @@ def with_fast_sine(function: Callable) -> Callable:
     return numba.njit(lambda value: sine(value)) if function is np.sin else function
 
 
-class CalledFunctions:
-    """Functions of a loop with their addresses, which are those of this process."""
-
-    def __init__(self, functions: Sequence[Function]) -> None:
-        self.in_python, self._kept, self._errors = False, [], list[BaseException]()
-        for each in functions:
-            ready = each.elementwise and is_compiled(each.function)
-            code = _of_rows(each.function) if ready else None
-            self.in_python |= code is None
-            self._kept.append(code or each.called_back(self._errors))
-        sizes = np.reshape([(len(f.outputs), len(f.inputs)) for f in functions], (-1, 2))
-        ends = np.cumsum(sizes, axis=0, dtype=np.int64)
-        self.calls = Calls(addresses_of(self._kept), ends)
-
-    def check(self) -> None:
-        """Raise the error of a function that was called back."""
-        if self._errors:
-            raise self._errors[0]
-
-
-@lru_cache(maxsize=64)
-def _of_rows(function: Callable) -> Any:
-    """Return compiled code that calls a function of a number for each argument, or None."""
-    of_number = jitted(with_fast_sine(function))
-
-    def of_rows(time, arguments, values, count):
-        given, found = numba.carray(arguments, (count,)), numba.carray(values, (count,))
-        for i in range(count):
-            found[i] = of_number(given[i])
-
-    try:
-        return numba.cfunc(types.void(types.float64, _REALS, _REALS, types.intp))(of_rows)
-    except (NumbaError, TypeError):
-        return None
+def called(functions: Sequence[Function]) -> tuple[CalledFunctions, Calls]:
+    """Return the functions of a loop for compiled code."""
+    parts = []
+    for each in functions:
+        ready = each.elementwise and is_compiled(each.function)
+        code = of_rows(with_fast_sine(each.function)) if ready else None
+        parts.append((code, each.values, len(each.outputs), len(each.inputs)))
+    sizes = np.reshape([part[2:] for part in parts], (-1, 2))
+    kept = CalledFunctions(parts)
+    return kept, Calls(kept.addresses, np.cumsum(sizes, axis=0, dtype=np.int64))

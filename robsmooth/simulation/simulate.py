@@ -19,7 +19,7 @@ from robsmooth.estimators.estimator import Estimator
 from robsmooth.simulation import groups, kernel, statistics
 from robsmooth.simulation import loop as loops
 from robsmooth.simulation.groups import checked_seed, threads
-from robsmooth.simulation.kernel import CHUNK, CalledFunctions
+from robsmooth.simulation.kernel import CHUNK
 from robsmooth.systems.augmented import AugmentedSystem
 
 COMPILED, IN_PYTHON = 4_000_000, 200_000  # path-steps between two looks at an interrupt
@@ -192,14 +192,15 @@ class _Run:
 
     def parts(self, first: int, count: int, recorded: bool = False) -> Iterator[tuple]:
         """Simulate blocks part by part; yield path-steps, averages, and signals if recorded."""
-        scheme, functions = self.scheme, CalledFunctions(self.scheme.loop.functions)
+        scheme = self.scheme
+        functions, calls = kernel.called(scheme.loop.functions)
         memory = kernel.empty_memory(scheme.scheme, count, self.lag, len(self.plant.M_i))
         loop, sizes = scheme.loop, scheme.loop.delta.shape
         both = zip((self.plant.M_i, self.plant.N_i), sizes, strict=True)
         forms = [np.reshape(form, (len(form), size, size)) for form, size in both]
         checks = kernel.Checks(loop.delta, scheme.driven, *forms)
         numbers = (self.step, loop.growth_rate, self.lag, self.before, self.runs)
-        constants = scheme.scheme, functions.calls, checks, memory, numbers, loop.stationary_root
+        constants = scheme.scheme, calls, checks, memory, numbers, loop.stationary_root
         at_once = RECORDED if recorded else IN_PYTHON if functions.in_python else COMPILED
         most = CHUNK * max(1, at_once // (count * BLOCK * CHUNK))
         for start in range(-self.before, self.averaged, most):

@@ -238,13 +238,6 @@ def test_where_a_delay_model_fails_the_exact_smoother_has_the_optimal_error():
     assert deviation**2 == pytest.approx(optimum, rel=1e-3)
 
 
-def test_a_bank_has_the_estimates_of_every_delay():
-    y = with_gaps(np.random.default_rng(3).standard_normal((40, 2)), np.random.default_rng(4))
-    bank = exact(PAIR, 0.7).bank(y, [0, 1, 3, 7])
-    for i, lag in enumerate((0, 1, 3, 7)):
-        assert_allclose(bank[:, i], exact(PAIR, lag * DT).run(y), atol=1e-13)
-
-
 def test_what_the_delay_needs_is_kept_while_filtered_estimates_are_read():
     y = np.random.default_rng(24).standard_normal((60, 2))
     lengths = np.full(60, DT / 5)  # more samples are in the delay than of dt
@@ -424,7 +417,6 @@ def test_a_robust_design_runs_with_its_delay_model():
     discrete = robust.discretize(1e-7)
     for call in (
         lambda: discrete.run([[0.0]], return_std=True),
-        lambda: discrete.bank([[0.0]], [0]),
         lambda: discrete.two_sided([[0.0]]),
         lambda: discrete.innovations([[0.0]]),
         lambda: discrete.reset([0.0], covariance=[[1.0]]),
@@ -497,8 +489,6 @@ for copies in (False, True):
     [
         (lambda d: d.reset(covariance=[[1, 0.9], [0, 1]]), "covariance must be symmetric"),
         (lambda d: d.reset(covariance=[[1, 2], [2, 1]]), "covariance must be nonnegative definite"),
-        (lambda d: d.bank([[0, 0]], 3), "lags must be a sequence of integers, got 3"),
-        (lambda d: d.bank([[0, 0]], [2, 1]), "lags must ascend, and be at most 3"),
         (lambda d: d.run([[0, 0]], intervals=[0.1, 0.1]), "intervals must be the lengths of 1 int"),
         (lambda d: d.run([[0, 0]] * 2, intervals=[0.1, -0.1]), "rows in order of their times"),
         (lambda d: d.step([0, 0], interval=0.0), "not below 1e-06 dt"),
@@ -507,7 +497,6 @@ for copies in (False, True):
             lambda d: baselines.kalman_bucy(PAIR).discretize(1, delay="model", samples="instants"),
             "samples='instants' is for an exact smoother",
         ),
-        (lambda d: d.bank([[0, 0]], [4]), "lags must ascend, and be at most 3"),
         (lambda d: replace(PAIR, D22=1.0), r"D22 must have 2 dimension"),
         (lambda d: replace(PAIR, B2=np.zeros((2, 1)), D22=np.zeros((2, 2))), "D22 must have shape"),
         (lambda d: replace(PAIR, D22=np.zeros((3, 1))), "D22 must have shape"),
