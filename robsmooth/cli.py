@@ -100,6 +100,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--force", action="store_true", help="also run the fresh notebooks")
     text = "compute on the cluster of the Dask scheduler at tcp://host:port"
     add("--dask", metavar="ADDRESS", default=Request.dask, help=text)
+    add("--allow-insecure", action="store_true", help="let --dask be off this machine without TLS")
     add("--build", metavar="FOLDER", type=Path, help="folder to work in (default: build)")
 
     _command(commands, "verdicts", verdicts, "every printed number with its verdict")

@@ -6,6 +6,7 @@ Dask only warns of other versions, of its own packages. Dask is optional, and im
 
 import asyncio
 import hashlib
+import ipaddress
 import itertools
 import logging
 import pickle
@@ -21,6 +22,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robsmooth._support import validation
 from robsmooth._support.extras import extra
 
 if TYPE_CHECKING:
@@ -98,8 +100,15 @@ def workers(client: "Client") -> int:
 
 
 @contextmanager
-def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
-    """Connect to the scheduler at an address; the empty address gives None."""
+def connect(
+    address: str, timeout: float = 5.0, *, allow_insecure: bool = False
+) -> "Iterator[Client | None]":
+    """Connect to the scheduler at an address; the empty address gives None.
+
+    What answers can run code here. So off the loopback the address must be ``tls://host:port``, or
+    `allow_insecure` True, where the network is trusted. Else, or without answer: ConnectionError.
+    """
+    allow_insecure = validation.boolean("allow_insecure", allow_insecure)
     if address == "":
         yield None
         return
@@ -110,12 +119,16 @@ def connect(address: str, timeout: float = 5.0) -> "Iterator[Client | None]":
             stack.callback(logger.setLevel, logger.level)
             logger.setLevel(logging.CRITICAL)
         try:
-            _check_scheduler(address, timeout)
-            client = Client(address, timeout=timeout, set_as_default=False)
+            if allowed := allow_insecure or _is_safe(address):
+                _check_scheduler(address, timeout)
+                client = Client(address, timeout=timeout, set_as_default=False)
         except Exception as error:
             reason = "is it running?" if isinstance(error, OSError) else str(error)
             message = f"no Dask scheduler answers at {address} within {timeout:g} s: {reason}"
             raise ConnectionError(message) from None
+        if not allowed:
+            advice = "give a tls:// address, or allow_insecure where you trust the network"
+            raise ConnectionError(f"what answers at {address} could run code here: {advice}")
         yield stack.enter_context(client)
 
 
@@ -206,6 +219,19 @@ def _lost(client: "Client") -> ConnectionError:
     why = "it ended, does not answer or was restarted, or the client was closed"
     lost = f"there is no connection to the Dask scheduler (the client is {client.status})"
     return ConnectionError(f"{lost}: {why}")
+
+
+def _is_safe(address: str) -> bool:
+    """Say whether what answers at an address has a certificate, or is of this machine."""
+    from distributed.comm.addressing import parse_address, parse_host_port
+
+    scheme, location = parse_address(address)
+    if scheme in ("tls", "wss", "inproc"):
+        return True
+    host, _ = parse_host_port(location)
+    with suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return host == "localhost"
 
 
 def _check_scheduler(address: str, timeout: float) -> None:

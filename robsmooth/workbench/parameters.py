@@ -15,8 +15,8 @@ from robsmooth._support import validation
 
 TYPES = {"bool": bool, "int": int, "float": float, "str": str}
 # The pipeline sets these for each run; no result depends on them.
-OPTIONAL = ("scheduler", "checkpoint_dir")
-SET_BY_PIPELINE = ("output_dir", "data_dir", *OPTIONAL)
+OPTIONAL = {"scheduler": "str", "allow_insecure": "bool", "checkpoint_dir": "str"}
+SET_BY_PIPELINE = {"output_dir": "str", "data_dir": "str", **OPTIONAL}
 
 _INTERVAL = re.compile(r"([\[(])\s*([^\s,]+)\s*,\s*([^\s,]+?)\s*([\])])\s*")
 
@@ -69,10 +69,10 @@ def read(notebook: Path) -> dict[str, Parameter]:
     parameters = {each.name: each for each in _lines(tagged[0], notebook)}
     for each in parameters.values():
         each.check(each.default, f"{notebook.name}, default")
-    types = dict.fromkeys(OPTIONAL, "str") | {name: each.type for name, each in parameters.items()}
-    for name in SET_BY_PIPELINE:
-        if types.get(name) != "str":
-            raise PipelineError(f"{notebook.name}: the parameters cell must hold {name}: str")
+    types = OPTIONAL | {name: each.type for name, each in parameters.items()}
+    for name, kind in SET_BY_PIPELINE.items():
+        if types.get(name) != kind:
+            raise PipelineError(f"{notebook.name}: the parameters cell must hold {name}: {kind}")
     return parameters
 
 

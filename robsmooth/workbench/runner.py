@@ -37,6 +37,7 @@ class Request:
     time_limit: float = 1800.0  # s for a notebook; a cell may take half as long
     force: bool = False  # whether to run fresh notebooks
     dask: str = ""  # address of a scheduler, which changes no result; empty for this machine
+    allow_insecure: bool = False  # whether it may be off the loopback without TLS
     build: Path | None = None  # folder to work in; None for root/build
 
     def __post_init__(self) -> None:
@@ -124,7 +125,7 @@ def plan(run: Request) -> list[Task]:
             raise unknown("--set: parameter", name, everywhere - {*SET_BY_PIPELINE})
     tasks = [_task(run, name, each, profiles[run.profile]) for name, each in known.items()]
     try:
-        with cluster.connect(run.dask):
+        with cluster.connect(run.dask, allow_insecure=run.allow_insecure):
             pass
     except (ConnectionError, ImportError) as error:
         raise PipelineError(f"--dask: {error}") from error
@@ -215,6 +216,7 @@ def _start(task: Task) -> Execution:
     if "checkpoint_dir" in task.parameters:
         task.checkpoints.mkdir(parents=True, exist_ok=True)
     ours = {"scheduler": task.run.dask, "checkpoint_dir": str(task.checkpoints)}
+    ours["allow_insecure"] = task.run.allow_insecure
     ours |= {"output_dir": str(task.staging / "figures"), "data_dir": str(task.staging / "data")}
     values = {**task.values, **{name: ours[name] for name in ours if name in task.parameters}}
     scratch = task.staging / "scratch"

@@ -12,6 +12,7 @@ import time
 from collections import deque
 from contextlib import closing, contextmanager
 from itertools import repeat
+from pathlib import Path
 
 import dask
 import distributed
@@ -20,7 +21,7 @@ import pytest
 
 from robsmooth._support import cluster as cluster_module
 from robsmooth._support.cluster import connect, in_order, worker_threads, workers
-from tests.helpers.clusters import cluster_of_threads, start_cluster
+from tests.helpers.clusters import LOOPBACK, cluster_of_threads, listening, start_cluster
 from tests.helpers.waiting import PATIENCE, wait_until
 
 # Functions that are sent to a worker are made within tests: they travel by value then, because a
@@ -360,7 +361,7 @@ def test_a_worker_without_this_package_then_a_scheduler_that_freezes_and_is_kill
     tmp_path, monkeypatch
 ):
     def start(*arguments):
-        options = ["--no-dashboard", "--host", "127.0.0.1"]
+        options = LOOPBACK
         started.append(
             subprocess.Popen(
                 [sys.executable, "-m", "dask", *arguments, *options],
@@ -437,7 +438,7 @@ def test_an_asynchronous_client_is_refused(cluster):
         ("tcp://host", "missing port number"),
         ("tcp:/host:1", "invalid address"),
         ("tcp://host:1/path", "invalid .* '1/path'"),
-        ("http://host:80", "unknown address scheme 'http'"),
+        ("http://127.0.0.1:80", "unknown address scheme 'http'"),
         (" ", "missing port number"),
         (8786, "expected str, got 'int'"),
         (b"tcp://host:1", "expected str, got 'bytes'"),
@@ -465,6 +466,31 @@ def test_a_scheduler_that_cannot_be_reached_is_an_error_in_time(listener):
     assert "TLS" in connection_error(f"tls://127.0.0.1:{port}"), "there are no certificates"
 
 
+@pytest.mark.parametrize(
+    "address",
+    ["tcp://10.0.0.1:8786", "10.0.0.1:8786", "tcp://127.0.0.1.example:1", "ws://host:1"],
+)
+def test_off_the_loopback_a_scheduler_has_a_certificate_or_is_allowed(address, monkeypatch):
+    def said(address, **settings):
+        with pytest.raises((ConnectionError, TypeError)) as caught, connect(address, **settings):
+            pass
+        return str(caught.value)
+
+    asked = []
+    monkeypatch.setattr(cluster_module, "_check_scheduler", lambda *_: asked.append(1) or 1 / 0)
+    assert "could run code here: give a tls:// address, or allow_insecure" in said(address)
+    assert "allow_insecure must be" in said(address, allow_insecure="no")
+    assert not asked, "nothing was sent"
+    assert "division by zero" in said(address, allow_insecure=True)
+    assert "division by zero" in said("tls://10.0.0.1:8786")
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.2", "[::1]"])
+def test_the_loopback_needs_no_certificate(host):
+    with pytest.raises(ConnectionError, match="is it running"), connect(f"tcp://{host}:1", 0.5):
+        pass
+
+
 def test_a_worker_is_no_scheduler(cluster):
     said = connection_error(cluster.workers[0].worker_address, PATIENCE)
     assert said.endswith("there is a Dask worker")
@@ -483,6 +509,40 @@ def test_loggers_are_set_back(cluster):
     with connect(cluster.scheduler_address):
         assert not logging.getLogger("distributed.client").isEnabledFor(logging.ERROR)
     assert [logging.getLogger(name).level for name in cluster_module.LOGGERS] == levels
+
+
+# --- sockets --------------------------------------------------------------------------------------
+
+
+def test_the_clusters_of_tests_listen_on_the_loopback_alone(cluster):
+    assert listening() and all(host == "127.0.0.1" for host, _ in listening())
+
+
+def test_the_commands_of_environment_md_open_no_port_elsewhere(tmp_path):
+    """They are those of the document, with the loopback for the addresses of its machines."""
+    text = (Path(__file__).parents[2] / "environment.md").read_text()
+    commands = re.findall(
+        r"^\.venv/bin/(dask (?:scheduler|worker) .*?)(?:  +#.*)?$", text, re.MULTILINE
+    )
+    assert [command.split()[1] for command in commands] == ["scheduler", "worker"]
+    with closing(socket.create_server(("127.0.0.1", 0))) as free:
+        port = free.getsockname()[1]
+    started = []
+    try:
+        for command in commands:
+            command = re.sub(r"10\.0\.0\.\d+", "127.0.0.1", command).replace(" 32", " 2")
+            command = command.replace(":8787", ":0").replace(":8786", f":{port}")
+            arguments = [sys.executable, "-m", *command.split()]
+            arguments += ["--port", str(port)] if "scheduler" in command else []
+            started.append(subprocess.Popen(arguments, stderr=subprocess.DEVNULL, cwd=tmp_path))
+        with connect(f"tcp://127.0.0.1:{port}", timeout=PATIENCE) as client:
+            wait_until(lambda: workers(client) == 2)
+            found = [each for process in started for each in listening(process.pid)]
+        assert len(found) > 2 and {host for host, _ in found} == {"127.0.0.1"}
+    finally:
+        for process in reversed(started):
+            process.terminate()
+            process.wait()
 
 
 # --- in a worker ----------------------------------------------------------------------------------

@@ -63,7 +63,11 @@ class Project:
 
     def add_optional(self, name):
         """Give a notebook the parameters that the pipeline sets where they are there."""
-        lines = [f'{each}: str = ""  # may be there' for each in parameters.OPTIONAL]
+        defaults = {"str": '""', "bool": "False"}
+        lines = [
+            f"{each}: {kind} = {defaults[kind]}  # may be there"
+            for each, kind in parameters.OPTIONAL.items()
+        ]
         self.edit_code(name, "scale: str", "\n".join([*lines, "scale: str"]))
 
     def run(self, **options):
@@ -228,10 +232,10 @@ def test_a_notebook_must_let_its_folders_be_chosen(project, folder):
         project.plan()
 
 
-@pytest.mark.parametrize("name", ["scheduler", "checkpoint_dir"])
-def test_what_the_pipeline_may_set_must_be_a_text(project, name):
+@pytest.mark.parametrize(("name", "kind"), parameters.OPTIONAL.items())
+def test_what_the_pipeline_may_set_must_have_its_type(project, name, kind):
     project.add("good").edit("01_good", "seed: int = 7", f"{name}: int = 7")
-    with pytest.raises(PipelineError, match=f"the parameters cell must hold {name}: str"):
+    with pytest.raises(PipelineError, match=f"the parameters cell must hold {name}: {kind}"):
         project.plan()
 
 
@@ -457,7 +461,8 @@ def test_a_notebook_that_can_use_a_cluster_is_given_its_scheduler(project):
     "address, message",
     [
         ("tcp://127.0.0.1:1", "--dask: no Dask scheduler answers at tcp://127.0.0.1:1 within 5 s"),
-        ("http://host:80", "--dask: no Dask scheduler answers at http://host:80"),
+        ("http://127.0.0.1:80", "--dask: no Dask scheduler answers at http://127.0.0.1:80"),
+        ("tcp://10.0.0.1:80", "--dask: what answers at tcp://10.0.0.1:80 could run code here"),
     ],
 )
 def test_a_cluster_that_is_not_there_is_one_line_before_anything_runs(
