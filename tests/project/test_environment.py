@@ -75,10 +75,9 @@ def started(folder, *command):
 @contextmanager
 def cluster(folder, *options, secure=()):
     """The address of a scheduler with two workers, started by the commands of the page."""
-    commands = [line.split("  ")[0].split() for line in TEXT.splitlines() if "/dask " in line]
+    here = re.sub(r"\b10\.0\.0\.\d", "127.0.0.1", TEXT)
+    commands = [line.split("  ")[0].split() for line in here.splitlines() if "/dask " in line]
     scheduler, worker = (command[1:] for command in commands[:2])
-    address = scheduler.index("--host") + 1
-    scheduler[address] = "127.0.0.1"
     free = ["--port", "0", "--dashboard-address", "127.0.0.1:0", *options]
     with started(folder, *scheduler, *free, *secure) as log:
 
