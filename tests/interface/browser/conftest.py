@@ -21,7 +21,7 @@ QUIET = [
 ]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # until it ends, this thread has a running event loop
 def browser():
     """Chromium with a profile of its own, or a skip that says what is missing."""
     try:
