@@ -32,7 +32,7 @@ help:  ## list the targets and variables
 	@echo 'Variables:'
 	@echo '  PROFILE     paper (default) or quick: the scale of the Monte Carlo and of the sweeps'
 	@echo '  ONLY        notebooks to run, for example ONLY=03 or ONLY=02,sweep (default: all)'
-	@echo '  DASK        a Dask scheduler to compute on, for example DASK=tcp://10.0.0.1:8786'
+	@echo '  DASK        a Dask scheduler to compute on, for example DASK=tls://10.0.0.1:8786'
 	@echo '  PYTHON      the Python, 3.11 or newer, to make .venv with (default: python3)'
 	@echo '  RESOLUTION  what test-library installs: highest (default) or lowest-direct'
 	@echo '  LAB         more options of JupyterLab, for example LAB=--no-browser'

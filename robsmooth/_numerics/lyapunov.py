@@ -111,7 +111,7 @@ def _settled(A: Matrix, B: Matrix, span: float, root: bool) -> tuple:
             forgotten = (np.abs(np.linalg.diagonal(E)) <= _FORGOTTEN).all()  # of undriven states
             variances, increments = (_variances(each, root) for each in (W, moved))
             if forgotten and (increments <= _SETTLED * variances).all():
-                return next(steps, (W,))[0], grown, transition, first, transitions
+                return _sum(W, moved, root), grown, transition, first, transitions
     raise UnstableLoopError(
         "the stationary covariance does not exist: to rounding, the system is not stable"
     )
@@ -139,8 +139,12 @@ def _doubled(A: Matrix, B: Matrix, first: float, root: bool) -> Iterator[tuple]:
         E = identity + F
         moved = E @ W if root else E @ W @ E.mT
         yield W, E, moved
-        W = _compressed(W, moved) if root else W + (moved + moved.mT) / 2
+        W = _sum(W, moved, root)
         F = 2.0 * F + F @ F
+
+
+def _sum(W: Matrix, moved: Matrix, root: bool) -> Matrix:
+    return _compressed(W, moved) if root else W + (moved + moved.mT) / 2
 
 
 def _variances(W: Matrix, root: bool) -> Matrix:

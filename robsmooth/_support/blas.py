@@ -15,7 +15,8 @@ class _OneThread(ContextDecorator):
         self._libraries = ThreadpoolController().select(user_api="blas")
         self._calls = 0
         self._renew_lock()
-        os.register_at_fork(after_in_child=self._renew_lock)
+        if hasattr(os, "register_at_fork"):  # not on Windows
+            os.register_at_fork(after_in_child=self._renew_lock)
 
     def _renew_lock(self) -> None:
         self._lock = threading.Lock()

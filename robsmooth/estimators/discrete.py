@@ -208,7 +208,7 @@ class DiscreteSmoother(Exports):
         if sample.ndim != 2 or (np.ndim(y) == 0 and self.l > 1):
             raise ValueError(f"y must have shape ({self.l},), got shape {np.shape(y)}")
         given = self._given(sample, *beside, None if interval is None else [interval])
-        return self._take(given, "smoothed", False)[0][0, 0]
+        return self._take(given, "smoothed", False)[0][0]
 
     @overload
     def run(self, y: ArrayLike, *, return_std: Literal[False] = False, **of: Any) -> Floats: ...
@@ -261,7 +261,7 @@ class DiscreteSmoother(Exports):
         validation.choice("output", output, OUTPUTS)
         given = self._given(y, reference, inputs, intervals)
         found, spread = self._take(given, output, return_std)
-        return (found[:, 0], spread[:, 0]) if return_std else found[:, 0]
+        return (found, spread) if return_std else found
 
     def two_sided(self, y: ArrayLike, **beside: Unpack[Beside]) -> Pair:
         """Return the estimates that use a whole record: fixed-interval smoothing.

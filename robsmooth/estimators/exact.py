@@ -93,7 +93,7 @@ class ExactFilter(Engine):
         return memory
 
     def take(self, given: Samples, output: str, spread: bool) -> tuple[Floats, Floats]:
-        """Return estimates and, where `spread`, deviations, (rows, 1, m)."""
+        """Return estimates and, where `spread`, deviations, (rows, m)."""
         result = np.empty((len(given.y), 1, len(self._C0)))
         deviations = np.empty_like(result) if spread else result[:0]
         memory, reading = self.copied(), self._reading if output == "smoothed" else self._at([0])
@@ -105,7 +105,7 @@ class ExactFilter(Engine):
             reading = delayed if output == "smoothed" else reading
         self._run(memory, reading, given, (result, deviations, given.y[:0]))
         self.memory = memory
-        return result, deviations
+        return result[:, 0], deviations[:, 0]
 
     def two_sided(self, given: Samples) -> tuple[Floats, Floats]:
         """Return the estimates and deviations that use the whole record."""

@@ -85,7 +85,7 @@ class HeldEstimator(Engine):
         return self.memory, take_one, y, reference, estimate
 
     def take(self, given: Samples, output: str, _spread: bool) -> tuple[Floats, Floats]:
-        """Return the estimates after samples, (rows, 1, m), and no deviations."""
+        """Return the estimates after samples, (rows, m), and no deviations."""
         missing, lengths, memory = np.isnan(given.y), given.intervals, self.copied()
         memory.counts[3] |= lengths is not None
         reading, kinds = self._readings[output], np.empty(0, dtype=np.int64)
@@ -104,7 +104,7 @@ class HeldEstimator(Engine):
             results = result, result[:0], given.y[:0]
             self._advance(sampled, kinds, memory, reading, samples, results)
         self.memory = memory
-        return result, result[:0]
+        return result[:, 0], result[:0, 0]
 
     def _sampled(self, kinds: Iterable[Floats]) -> Sampled:
         """Return the matrices for kinds of samples: missing channels, then the length, s."""

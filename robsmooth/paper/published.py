@@ -30,7 +30,8 @@ from robsmooth.workbench import provenance
 DELAY = 3.1e-6  # s
 ORDER = 2
 RESULTS = "monte_carlo.json"  # which notebook 04 writes
-NONLINEAR_FLOOR = "nonlinear_floor.json"  # which benchmarks/nonlinear_floor.py writes
+# By Bayes' rule, in a loop that the filter steers; benchmarks/nonlinear_floor.py writes it.
+NONLINEAR_FLOOR = "nonlinear_floor.json"
 LITERAL = ("smoother, as printed", "NGCF")  # designs with verdicts, by the paper's protocol
 AVERAGED = ("NGCF, time averages", "Kalman-Bucy, time averages")  # with one by the ergodic protocol
 SimulatedErrors = Mapping[str, Mapping[str, MeanSquare]]  # by design, "smoothed" or "filtered"

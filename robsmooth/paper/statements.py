@@ -89,6 +89,7 @@ def scaled_nonlinearity() -> Finding:
     gamma = homodyne.PAPER.gamma
     error = np.linspace(0.0, homodyne.PAPER.sector_range(), 501)[1:]
     ratio = np.abs(homodyne.PAPER.remainder(error) / error).max()
+
     readings = {-1: "f/gamma", 0: "f", 1: "f gamma"}
     recovered = {power: gamma * gamma**power for power in readings}
     reach = {power: ratio * gamma**power for power in readings}

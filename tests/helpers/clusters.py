@@ -4,23 +4,11 @@ import logging
 from contextlib import contextmanager
 
 import distributed
-import psutil
 
 from robsmooth._support.cluster import connect
 from tests.helpers.waiting import PATIENCE
 
 LOOPBACK = ["--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0"]  # of Dask's commands
-
-
-def listening(pid=None):
-    """Hosts and ports at which a process listens, or one that it has started."""
-    process = psutil.Process(pid)
-    sockets = [
-        each
-        for one in (process, *process.children(recursive=True))
-        for each in one.net_connections("inet")
-    ]
-    return [tuple(each.laddr) for each in sockets if each.status == psutil.CONN_LISTEN]
 
 
 def start_cluster(**options):

@@ -27,17 +27,12 @@ def scalar_bound(
     p: ArrayLike,
     tau: ArrayLike,
     J_21: float = 1.0,
-    corner: tuple[NDArray, NDArray] | None = None,
 ) -> NDArray:
-    """Return V, rad^2, at p in [0, 1] and tau > 0, rad^2 s; infinity where there is no design.
-
-    With a corner, a larger p and tau, Y is of that: no V in between is less than this.
-    """
+    """Return V, rad^2, at p in [0, 1] and tau > 0, rad^2 s; infinity where there is no design."""
     p, tau = np.asarray(p, dtype=float), np.asarray(tau, dtype=float)
-    p_Y, tau_Y = (p, tau) if corner is None else corner
     slopes = np.array([parameters.beta, parameters.gamma])
     s, c2 = (2.0 * parameters.alpha * slopes) ** 2
-    Y = _root(parameters, parameters.kappa, (s - c2) * p_Y - 1.0 / tau_Y)
+    Y = _root(parameters, parameters.kappa, (s - c2) * p - 1.0 / tau)
     r = 1.0 - p
     q = (np.sqrt(r**2 + 4.0 * r / J_21**2) - r) / 2.0  # of q^2 = (1 - p)(1/J_21^2 - q)
     h = np.where(p <= 1.0 / (1.0 + J_21**2), 0.0, np.maximum(p - q, 0.0))

@@ -4,13 +4,13 @@ import ast
 import ipaddress
 import json
 import sys
-from contextlib import suppress
 
 import psutil
 import pytest
 from jupyter_client import BlockingKernelClient
 
 from tests.helpers.labs import ROOT, running_lab
+from tests.helpers.sockets import listening
 from tests.helpers.waiting import PATIENCE
 
 
@@ -22,16 +22,6 @@ def labs(tmp_path_factory):
         yield first, second
 
 
-def listening(lab):
-    """Addresses that the processes of a lab listen on."""
-    addresses = []
-    for process in lab.make.children(recursive=True):
-        with suppress(psutil.NoSuchProcess):  # one that JupyterLab has asked something
-            connections = process.net_connections("inet")
-            addresses += [each.laddr for each in connections if each.status == psutil.CONN_LISTEN]
-    return addresses
-
-
 def test_a_second_lab_takes_a_port_and_a_token_of_its_own(labs):
     first, second = labs
     assert first.port != second.port
@@ -41,8 +31,8 @@ def test_a_second_lab_takes_a_port_and_a_token_of_its_own(labs):
 
 def test_labs_listen_on_the_loopback_only(labs):
     for lab in labs:
-        assert lab.port in {address.port for address in listening(lab)}
-        assert all(ipaddress.ip_address(address.ip).is_loopback for address in listening(lab))
+        assert lab.port in {address.port for address in listening(lab.make)}
+        assert all(ipaddress.ip_address(address.ip).is_loopback for address in listening(lab.make))
 
 
 def test_nothing_is_shown_without_the_token(labs):

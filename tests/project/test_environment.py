@@ -8,10 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import dask
+import psutil
 import pytest
 
 import robsmooth as rs
+from robsmooth._support.cluster import workers
 from robsmooth.workbench import connect
+from tests.helpers.sockets import listening
 from tests.helpers.waiting import PATIENCE, wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -75,11 +78,10 @@ def started(folder, *command):
 @contextmanager
 def cluster(folder, *options, secure=()):
     """The address of a scheduler with two workers, started by the commands of the page."""
-    here = re.sub(r"\b10\.0\.0\.\d", "127.0.0.1", TEXT)
+    here = re.sub(r"\b10\.0\.0\.\d", "127.0.0.1", TEXT).replace(":8787", ":0")
     commands = [line.split("  ")[0].split() for line in here.splitlines() if "/dask " in line]
     scheduler, worker = (command[1:] for command in commands[:2])
-    free = ["--port", "0", "--dashboard-address", "127.0.0.1:0", *options]
-    with started(folder, *scheduler, *free, *secure) as log:
+    with started(folder, *scheduler, "--port", "0", *options, *secure) as log:
 
         def lines():
             return re.findall(r"Scheduler at:\s+(\S+)", log.read_text())
@@ -87,7 +89,7 @@ def cluster(folder, *options, secure=()):
         wait_until(lines)
         worker[1] = lines()[0]
         worker[worker.index("--nworkers") + 1] = "2"
-        with started(folder, *worker, "--no-dashboard", *secure):
+        with started(folder, *worker, *secure):
             yield worker[1]
 
 
@@ -95,6 +97,13 @@ def test_the_commands_make_a_cluster_with_the_same_bits(tmp_path):
     with cluster(tmp_path) as address, connect(address, timeout=PATIENCE) as client:
         assert address.startswith("tcp://127.0.0.1:")
         assert few_paths(client).smoothed == few_paths().smoothed
+
+
+def test_the_commands_open_no_port_elsewhere(tmp_path):
+    with cluster(tmp_path) as address, connect(address, timeout=PATIENCE) as client:
+        wait_until(lambda: workers(client) == 2)
+        found = [each for child in psutil.Process().children() for each in listening(child)]
+    assert len(found) > 2 and {each.ip for each in found} == {"127.0.0.1"}
 
 
 def test_with_certificates_only_those_who_have_them_are_served(tmp_path, certificate):

@@ -1,5 +1,6 @@
 """The limit of one BLAS thread, under nested calls, threads and errors."""
 
+import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -8,7 +9,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import robsmooth as rs
-from robsmooth._support.blas import one_thread
+from robsmooth._support.blas import _OneThread, one_thread
 
 
 def threads():
@@ -44,6 +45,11 @@ def test_the_end_of_an_inner_call_leaves_the_outer_one_its_limit():
 def test_an_error_takes_the_limit_back():
     with pytest.raises(ZeroDivisionError):
         seen(lambda: 1 / 0)
+
+
+def test_a_system_that_cannot_fork_has_the_limit_too(monkeypatch):
+    monkeypatch.delattr(os, "register_at_fork")  # as on Windows
+    assert set(_OneThread()(threads)()) == {1}
 
 
 def test_calls_that_overlap_have_one_thread_until_the_last_one_ends():

@@ -12,16 +12,17 @@ import time
 from collections import deque
 from contextlib import closing, contextmanager
 from itertools import repeat
-from pathlib import Path
 
 import dask
 import distributed
 import numpy as np
+import psutil
 import pytest
 
 from robsmooth._support import cluster as cluster_module
 from robsmooth._support.cluster import connect, in_order, worker_threads, workers
-from tests.helpers.clusters import LOOPBACK, cluster_of_threads, listening, start_cluster
+from tests.helpers.clusters import LOOPBACK, cluster_of_threads, start_cluster
+from tests.helpers.sockets import listening
 from tests.helpers.waiting import PATIENCE, wait_until
 
 # Functions that are sent to a worker are made within tests: they travel by value then, because a
@@ -515,34 +516,8 @@ def test_loggers_are_set_back(cluster):
 
 
 def test_the_clusters_of_tests_listen_on_the_loopback_alone(cluster):
-    assert listening() and all(host == "127.0.0.1" for host, _ in listening())
-
-
-def test_the_commands_of_environment_md_open_no_port_elsewhere(tmp_path):
-    """They are those of the document, with the loopback for the addresses of its machines."""
-    text = (Path(__file__).parents[2] / "environment.md").read_text()
-    commands = re.findall(
-        r"^\.venv/bin/(dask (?:scheduler|worker) .*?)(?:  +#.*)?$", text, re.MULTILINE
-    )
-    assert [command.split()[1] for command in commands] == ["scheduler", "worker"]
-    with closing(socket.create_server(("127.0.0.1", 0))) as free:
-        port = free.getsockname()[1]
-    started = []
-    try:
-        for command in commands:
-            command = re.sub(r"10\.0\.0\.\d+", "127.0.0.1", command).replace(" 32", " 2")
-            command = command.replace(":8787", ":0").replace(":8786", f":{port}")
-            arguments = [sys.executable, "-m", *command.split()]
-            arguments += ["--port", str(port)] if "scheduler" in command else []
-            started.append(subprocess.Popen(arguments, stderr=subprocess.DEVNULL, cwd=tmp_path))
-        with connect(f"tcp://127.0.0.1:{port}", timeout=PATIENCE) as client:
-            wait_until(lambda: workers(client) == 2)
-            found = [each for process in started for each in listening(process.pid)]
-        assert len(found) > 2 and {host for host, _ in found} == {"127.0.0.1"}
-    finally:
-        for process in reversed(started):
-            process.terminate()
-            process.wait()
+    found = listening(psutil.Process())
+    assert found and all(each.ip == "127.0.0.1" for each in found)
 
 
 # --- in a worker ----------------------------------------------------------------------------------

@@ -179,6 +179,7 @@ def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
     lags, noises = np.array(study.lags), np.array(study.noises)
     middle = int(np.argmin(np.abs(np.log(noises))))
     figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(3.4, 5.4))
+
     saved = 100 * (1 - ratio[:, -1])
     shading = shade(top, lags, noises, saved, np.arange(0, 61, 10), missing="no design or lock")
     hatch(top, lags, noises, -saved, "no gain", hatch="-----")
@@ -190,6 +191,7 @@ def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
     top.set(xscale="log", yscale="log", ylabel="shot noise / the paper's")
     label_ticks(top.yaxis, (0.1, 0.3, 1, 3, 10))
     figure.colorbar(shading, ax=top, label="saved by smoothing (%)", pad=0.02)
+
     study.plot(bottom, gamma, study.noises[middle])
     bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
     bottom.axvline(lag, color="0.6", linestyle="-", linewidth=0.8)
