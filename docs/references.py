@@ -2,7 +2,8 @@
 
 The project quotes an equation of the paper by its label in the paper's source, as in "(eqbound)",
 and an assumption as "Assumption 3.2": both read well in `help()`, and lead to theory.md here. A
-name between single backquotes leads to its entry where it is public, and is code where it is not.
+name between single backquotes leads to its entry where it is public, and is code where it is not;
+that of the page on the methods leads to the page.
 """
 
 import inspect
@@ -20,6 +21,7 @@ from sphinx.util.nodes import make_refnode
 import robsmooth
 
 THEORY = "theory"
+METHODS = "docs/source/methods.md"  # as docstrings name the page
 QUOTED = re.compile(r"\((eq(?!u)\w+)\)|Assumptions? (\d)(?:\.\d)?")
 _EQUATION = re.compile(
     r"^\((eq\w+)\)=\n\\begin\{equation\*\}.*?\\tag\{(\d+)\}", flags=re.MULTILINE | re.DOTALL
@@ -88,6 +90,8 @@ def _public_name_or_code(
     """Resolve a name between single backquotes that is not one of its own module or class."""
     if node.get("reftype") != "obj":
         return None
+    if node["reftarget"] == METHODS:
+        return make_refnode(app.builder, node["refdoc"], "methods", "", nodes.Text("The methods"))
     name = f"robsmooth.{node['reftarget'].removeprefix('rs.')}"
     entry = env.domains.python_domain.objects.get(name)
     if entry is None:

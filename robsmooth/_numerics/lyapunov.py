@@ -1,18 +1,12 @@
 r"""Covariances of linear stochastic systems, and their roots, by doubling of time.
 
-For :math:`dx = A x\,dt + B\,dW`, started at zero, the covariance :math:`W = RR'` and the transition
-matrix `E` after a time `t` give those after twice the time,
-
 .. math::
 
     W(2t) = W(t) + E(t)\,W(t)\,E(t)', \qquad R(2t) = [R(t)\;\; E(t)R(t)], \qquad E(2t) = E(t)^2,
 
-and `W` tends to the stationary covariance, which solves :math:`AP + PA' + BB' = 0`. The first step
-is short, by Taylor's series. QR factorisations keep roots small. This is R. A. Smith's squared
-method (SIAM J. Appl. Math. 16(1), 1968) with an exact transition matrix, for variances and time
-constants decades apart, and any span. No digit depends on the units of the states. Slow
-modes keep their digits, as :math:`F = E - I` is doubled: :math:`F(2t) = 2F + F^2`. Where the system
-is stable nothing grows, unlike :math:`e^{-At}` in Van Loan's method.
+where :math:`W = RR'` is the covariance of :math:`dx = A x\,dt + B\,dW`, started at zero, and `E`
+the transition matrix. Slow modes keep their digits, as :math:`F = E - I` is doubled:
+:math:`F(2t) = 2F + F^2`. `docs/source/methods.md` says more.
 """
 
 import itertools

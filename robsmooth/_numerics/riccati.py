@@ -1,16 +1,11 @@
-r"""The algebraic Riccati equation, its answer certified before it is used.
+"""The algebraic Riccati equation, its answer certified before it is used.
 
 .. math:: A'X + XA + Q - X S X = 0
 
-with symmetric `Q` and `S` of any sign. The stabilising solution makes :math:`A - SX` stable.
-The stable subspace of the Hamiltonian matrix can give nonsense where none exists. So its answer is
-the start of Newton's method, and the result counts only with its certificate: a small residual, a
-small last step, which estimates the error, and a stable closed loop.
-
-Results do not depend on the units of time, signals or states: the data are scaled to order one. The
-units of the states balance the Hamiltonian matrix. Time is in units of
-:math:`1/(|A| + \sqrt{|Q||S|})` and `X` in those of :math:`|Q|/(a + \sqrt{|Q||S|})`, where `a` is
-the decay rate of the slowest mode of `A`, or zero where `A` is not stable.
+with symmetric `Q` and `S` of any sign. The stable subspace of the Hamiltonian matrix is the start
+of Newton's method. The result counts only with its certificate: a small residual, a small last
+step, which estimates the error, and a stable closed loop. Data are scaled to order one
+(`docs/source/methods.md`), so that results do not depend on units.
 """
 
 from dataclasses import dataclass, field

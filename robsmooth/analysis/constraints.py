@@ -1,13 +1,8 @@
-r"""The exact worst case of a given estimator under the paper's constraints.
+"""The exact worst case of a given estimator under the paper's constraints.
 
-The bound of `robsmooth.estimators.certificate` holds for all multipliers :math:`\theta`. The least
-one is attained: an input may be chosen at random at the start, so the mean energies that can be
-reached form a convex set, and there is no duality gap. The energies of the worst input are the
-gradient of the bound: at the minimum they meet the constraints.
-
-A design's V is this bound with :math:`\theta = \tau\lambda` and more noise: :math:`2V =
-\operatorname{tr} B_\xi M(\lambda)^{-1}B_\xi'P`, where :math:`M(\lambda)^{-1} \ge JJ'` and
-:math:`B_\xi JJ'B_\xi' = \mathbf{BB}'`.
+It is the least bound of `robsmooth.estimators.certificate` over the multipliers: there is no
+duality gap (`docs/source/methods.md`). The energies of the worst input are the gradient of the
+bound.
 """
 
 import math

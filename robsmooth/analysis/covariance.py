@@ -1,16 +1,14 @@
 r"""Closed loop, stationary error covariance, and the worst constant uncertainty (Section III-A).
 
-The smoothed error of the loop (eqclosed) has the covariance (eqCo), whose terms nearly cancel where
-the estimate is good. Here it is the sum of two terms that cannot be negative,
+The terms of (eqCo) nearly cancel where the estimate is good. Here it is a sum that cannot cancel,
 
 .. math::
 
     P_{sa} = (C - C_s e^{\mathbf A\delta})\,\mathbf P\,(C - C_s e^{\mathbf A\delta})'
              + C_s \mathbf W C_s', \qquad
-    \mathbf W = \mathbf P - e^{\mathbf A\delta}\mathbf P e^{\mathbf A'\delta}:
+    \mathbf W = \mathbf P - e^{\mathbf A\delta}\mathbf P e^{\mathbf A'\delta},
 
-from the state one lag back, and from the noise since then. The state is
-:math:`[x_p;\; x_p - \hat x_p]`: a small error is no difference of large numbers.
+of the state :math:`[x_p;\; x_p - \hat x_p]`.
 """
 
 from collections.abc import Iterable

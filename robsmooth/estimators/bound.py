@@ -1,17 +1,10 @@
 r"""The least bound: minimisation of V over tau and lambda.
 
 SciPy's SLSQP minimises :math:`\log V` under the constraint :math:`J'M(\lambda)J \le I`, in natural
-units (`robsmooth.estimators.units`). With :math:`\theta = \tau\lambda`, neither :math:`X` nor
-:math:`Y/\tau` nor the estimator depends on :math:`\tau`, and :math:`V = \tau\,v(\theta)`: v is half
-the entropy of the central H-infinity controller for channels weighted by :math:`M(\theta)` and
-:math:`N(\theta)`. The search solves the equations fast. `design_smoother` certifies its result.
-
-- :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`: the least bound lies on the boundary of the
-  constraint, and the step onto it is exact.
-- Where no nonlinearity enters the state, the bound may fall as all multipliers of the mu and
-  mu-tilde constraints vanish. In the paper's example it does, for both costs, towards
-  :math:`\lambda = (1, \tfrac12, 0, 0)`. This limit (`limiting_smoother`) is searched, too.
-- V has several local minima: there are several starts, some with a channel nearly ignored.
+units (`robsmooth.estimators.units`), from several starts. With :math:`\theta = \tau\lambda`,
+:math:`V = \tau\,v(\theta)`, and :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`: the step onto the
+boundary of the constraint is exact. The limit in which the multipliers of the mu and mu-tilde
+constraints vanish (`limiting_smoother`) is searched, too. `docs/source/methods.md` has the reasons.
 """
 
 import math

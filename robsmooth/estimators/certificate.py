@@ -1,16 +1,15 @@
 r"""The certified error: the largest that the constraints on the uncertainty allow a loop.
 
-The constraints (eqIQC1) to (eqIQC4) limit the mean energies of inputs :math:`\tilde\xi`, which may
-depend on the whole past. For multipliers :math:`\theta \ge 0` and the stabilising solution of
+For multipliers :math:`\theta \ge 0` and the stabilising solution of
 
 .. math::
 
     \mathbf A'P + P\mathbf A + C'C + C_\zeta' N(\theta) C_\zeta +
     P B_\xi M(\theta)^{-1} B_\xi' P = 0, \qquad C = C_w - C_s,
 
-Ito's formula for :math:`X'PX` gives :math:`E|e|^2 \le \operatorname{tr}\mathbf B'P\mathbf B` for
-every admissible uncertainty. The right hand side is convex in :math:`\theta`. The worst input is
-the feedback :math:`\tilde\xi = M^{-1}B_\xi'PX`.
+:math:`E|e|^2 \le \operatorname{tr}\mathbf B'P\mathbf B` for every admissible uncertainty
+(`docs/source/methods.md`). The right hand side is convex in :math:`\theta`. The worst input is the
+feedback :math:`\tilde\xi = M^{-1}B_\xi'PX`.
 """
 
 import math

@@ -1,10 +1,9 @@
 r"""The estimator whose largest error over all constant uncertainties is the least.
 
-Quadratic constraints allow uncertainty that varies in time. A design against them is too cautious
-for an unknown constant. Here the largest error over a finite set of :math:`\Delta` is minimised
-over all matrices of the estimator, and the worst :math:`\Delta` of the result joins the set, until
-it is no new one. The maximum of the errors :math:`J_i` is smoothed as
-:math:`\tfrac1s\log\tfrac1N\sum_i J_i^s`, with a sharpness s that grows.
+The largest error over a finite set of :math:`\Delta` is minimised over all matrices of the
+estimator. The worst :math:`\Delta` of the result joins the set, until it is no new one. The maximum
+of the errors :math:`J_i` is smoothed as :math:`\tfrac1s\log\tfrac1N\sum_i J_i^s`, with a sharpness
+s that grows.
 """
 
 import math

@@ -1,13 +1,9 @@
 r"""Plants that drift: an observer of the drift, and a design for the rest.
 
-The modes that hardly decay, and that no uncertainty sees, are :math:`x = Vz` with
-:math:`AV = VA_z`. An observer of these,
-
-.. math:: dx_0 = (Ax_0 + VW\bar B\tilde\mu)\,dt + L_0\,dy', \qquad
-          dy' = dy - (C_2x_0 + \bar D\tilde\mu)\,dt, \qquad x_0 = Vz_0,
-
-leaves the stable plant of :math:`x - x_0` with the measurement :math:`dy'`. Observer and estimator
-of this rest make the plant's estimator. What the observer has of the copies' outputs is subtracted.
+An observer with the gain :math:`L_0` estimates the modes :math:`x_0 = Vz_0` that hardly decay and
+that no uncertainty sees. The rest :math:`x - x_0` is a stable plant with the measurement
+:math:`dy' = dy - (C_2x_0 + \bar D\tilde\mu)\,dt`. Observer and estimator of this rest make the
+plant's estimator. What the observer has of the copies' outputs is subtracted.
 """
 
 from dataclasses import replace

@@ -1,49 +1,21 @@
 r"""The equations of the design: Assumption 3, (eqCparams) and (eqbound) of Section III.
 
-:math:`M` is :math:`\tilde M(\lambda)`, :math:`N` is :math:`\tilde N(\lambda)`, and the cost decides
-on :math:`C`. The quadratic term of the X equation has the printed sign; the paper's numbers follow
-from the other one (`robsmooth.paper.published`).
-
-The entries of :math:`M(\lambda)` and :math:`N(\lambda)` off the diagonals are those between a
-nonlinearity and its copy. With the multipliers d of the difference, o of the nonlinearity's own
-constraint and c of its copy's, the squares are completed:
-
-.. math::
-
-    d(\mu - \tilde\mu)^2 + o\mu^2 + c\tilde\mu^2 &= e(\mu - a\tilde\mu)^2
-      + \tfrac{d + c}{e}f\,\tilde\mu^2, & a &= \tfrac{d}{d + o},\quad e = d + o,\\
-    d(\nu - \tilde\nu)^2 + o\nu^2 + c\tilde\nu^2 &= (d + c)(\tilde\nu - b\nu)^2 + f\nu^2, &
-      b &= \tfrac{d}{d + c},\quad f = o + \tfrac{dc}{d + c}.
-
-The estimator knows the copy's output: :math:`a\tilde\mu` is a known input, and the rest of
-:math:`\mu`, of weight e, is the noise of the Y equation. The estimator chooses the copy's argument,
-:math:`b\nu` if it knew the state. This leaves the weight f in the X equation, and the noise 1/f.
-Nothing cancels in e and f.
-
-With the channels of uncertainties and nonlinearities side by side in B, D and
-:math:`C_1 = [C_{1,s};\ L_i\bar C_{1,i}]`, the weights :math:`\Lambda_Y` of
-:math:`\lambda_s` and e, and :math:`\Lambda_X` of :math:`\lambda_s` and f, Assumption 3 is
+The squares of a nonlinearity and its copy are completed, so that nothing cancels as multipliers
+vanish. With d the multiplier of their difference, o that of the nonlinearity's own constraint and c
+that of its copy's, :math:`a = d/(d + o),\ b = d/(d + c),\ e = d + o,\ f = o + bc`; channels have
+the weights :math:`\Lambda_Y` of :math:`\lambda_s` and e, :math:`\Lambda_X` of :math:`\lambda_s` and
+f:
 
 .. math::
 
     R &= C'C + \tau C_1'\Lambda_Y C_1,\qquad E = D\Lambda_Y^{-1}D',\qquad L = B\Lambda_Y^{-1}D',\\
-    0 &= (A_p - LE^{-1}C_2)Y + Y(A_p - LE^{-1}C_2)' - Y(C_2'E^{-1}C_2 - R/\tau)Y
-         + B\Lambda_Y^{-1}B' - LE^{-1}L',\\
-    0 &= XA_p + A_p'X + \tau C_1'\Lambda_X C_1 + \tfrac1\tau XB\Lambda_X^{-1}B'X,
-
-with l measurements in the place of l + g. (eqCparams) and (eqbound) become
-
-.. math::
-
     K &= (YC_2' + L)E^{-1},\qquad T = (I - YX/\tau)^{-1},\qquad
          U = KEK' + B(\Lambda_X^{-1} - \Lambda_Y^{-1})B',\\
-    \tilde B_c &= [K,\ (\bar B_1 - K\bar D_{21})a],\qquad \tilde C_c = [C;\ b\bar C_1]T,\qquad
-    A_c = A_p - KC_2 + Y(R + \Gamma\tilde C_c)/\tau,\\
     V &= \tfrac12\operatorname{tr}(YR + UXT).
 
-As o and c go to zero, so does f. Where the noise 1/f of the X equation does not enter the state, it
-is left out: these are the equations of the limit. There a = 1: the *nonlinear observer* takes the
-copy's output for the nonlinearity's.
+Where the noise 1/f does not enter the state it is left out: these are the equations of the limit.
+The quadratic term of the X equation has the printed sign; the paper's numbers follow from the other
+one (`robsmooth.paper.published`). `docs/source/methods.md` derives all of it.
 """
 
 from typing import NamedTuple

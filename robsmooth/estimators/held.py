@@ -1,27 +1,13 @@
 r"""An estimator's equations in continuous time, with each sample held over its interval.
 
-With `y` held at its mean and the reference `r`, an estimator is
-
 .. math::
 
     \dot{\hat x} = A\hat x + B_y\,y + B_\mu\,\psi(\tilde\nu - r), \qquad \tilde\nu = C_\nu\hat x .
 
 The linear part is exact for any `dt`. The copies' part is the exponential Runge-Kutta method of
-second order ETD2RK (S. M. Cox and P. C. Matthews, J. Comput. Phys. 176(2), 2002),
-
-.. math::
-
-    a &= \varphi_0\hat x_k + \varphi_1 h\,[B_y y_k + B_\mu\,\mu(\hat x_k)], \\
-    \hat x_{k+1} &= a + \varphi_2 h\,B_\mu\,[\mu(a) - \mu(\hat x_k)], \qquad
-    \mu(x) = \psi(C_\nu x - r_k), \quad \varphi_j = \varphi_j(Ah),
-
-which keeps every equilibrium. The copies' slope at zero is not moved into `A`: the remainder could
-have twice the Lipschitz constant, and long steps are stable because that is small. In the example,
-at a `dt` of a third of the loop's time constant, its error is a thousandth of the estimate's.
-
-For a missing measurement the estimator takes :math:`(C_2\hat x)_i + (\bar D_{21}\,\tilde\mu)_i` all
-along the interval: its innovation is zero. This changes `A` and :math:`B_\mu`, so every set of
-missing channels has matrices of its own. In a long gap the estimates go to the prior, zero.
+second order ETD2RK (`docs/source/methods.md`). For a missing measurement the estimator takes
+:math:`(C_2\hat x)_i + (\bar D_{21}\,\tilde\mu)_i`: its innovation is zero, and every set of missing
+channels has matrices of its own.
 """
 
 from collections.abc import Iterable

@@ -1,46 +1,11 @@
 r"""The estimator with the least certified error: a semidefinite programme.
 
-The plant with its delay model, without what the estimator knows, is
-
-.. math::
-
-    dx = (A x + B_\xi\xi)\,dt + B_w\,dW,\quad dy = (C_2 x + D_\xi\xi)\,dt + D_w\,dW,\quad
-    \mathrm E|\xi_s|^2 \le \mathrm E|C_{1s} x|^2 .
-
-For an estimator :math:`d\hat x = A_c\hat x\,dt + B_c\,dy,\ \hat w = C_c\hat x` of the plant's
-order, and multipliers :math:`\theta`, a Lyapunov function of both states certifies that the mean
-square of :math:`w_a - \hat w` is at most :math:`\operatorname{tr} W`. This bound is the exact one
-of `robsmooth.analysis_bound`. The usual change of variables of robust filtering makes the
-conditions linear in Z, X, F, L, K, :math:`\theta` and W:
-
-.. math::
-
-    \begin{bmatrix} W & * & * \\ ZB_w & Z & * \\ XB_w + LD_w & Z & X\end{bmatrix} > 0,
-
-.. math::
-
-    \begin{bmatrix}
-    A'Z + ZA + Q & ZA + A'X + C_2'L' + F' + Q & ZB_\xi & C_a' - K'\\
-    * & XA + A'X + LC_2 + C_2'L' + Q & XB_\xi + LD_\xi & C_a'\\
-    * & * & -\Theta & 0\\
-    * & * & * & -I
-    \end{bmatrix} < 0
-
-with :math:`Q = \sum_s\theta_s C_{1s}'C_{1s}`, and :math:`A_c = (Z-X)^{-1}F`,
-:math:`B_c = (Z-X)^{-1}L`, :math:`C_c = K`. Noise need not enter through the uncertainty's channels.
-
-**Copies.** The estimator knows the output :math:`\tilde\mu` of a copy. A nonlinearity is
-:math:`\tilde\mu` and a rest, :math:`|\mu - \tilde\mu| \le \beta|\nu - \tilde\nu|`. The effect of
-:math:`\tilde\mu` on the measurement and on the state, :math:`dx_2 = (A x_2 + \bar B\tilde\mu)\,dt`,
-is known and subtracted. The programme is for the rest, where a nonlinearity is a channel with the
-output :math:`\bar C x - \tilde\nu_1`. It adds a row to the inequality: the estimator chooses
-:math:`\tilde\nu_1 = \tilde K\hat x/\theta`. This is the limit of vanishing multipliers of
-:math:`\mu` and :math:`\tilde\mu`. No uncertainty may see the states that :math:`\tilde\mu` drives.
-
-References: J. C. Geromel, "Optimal linear filtering under parameter uncertainty", IEEE Trans.
-Signal Process. 47(1), 1999; C. W. Scherer and I. E. Kose, "Robustness with dynamic IQCs: an exact
-state-space characterization of nominal stability with applications to robust estimation",
-Automatica 44(7), 2008.
+Its inequalities, linear in Z, X, F, L, K, :math:`\theta` and W, are in `docs/source/methods.md`,
+with the letters of `least_certified`: for the plant :math:`dx = (A x + B_\xi\xi)\,dt + B_w\,dW`,
+:math:`dy = (C_2 x + D_\xi\xi)\,dt + D_w\,dW`, a Lyapunov function of plant and estimator certifies
+the mean square :math:`\operatorname{tr} W`. The estimator is :math:`A_c = (Z-X)^{-1}F`,
+:math:`B_c = (Z-X)^{-1}L`, :math:`C_c = K`. What it knows, the copies' outputs and the states
+:math:`x_2` that they drive, is subtracted first. No uncertainty may see these states.
 """
 
 import warnings

@@ -1,49 +1,22 @@
 r"""The time-varying Kalman filter in discrete time, and the fixed-lag smoother of its innovations.
 
-The state :math:`x_k` at the beginning of sample k and the sample obey
+`docs/source/methods.md` has the equations, with the letters of the code: the model of a sample,
 
 .. math::
 
     x_{k+1} = \Phi x_k + d_k + w_k, \qquad y_k = H x_k + h_k + v_k, \qquad
-    \operatorname{cov}\begin{bmatrix}w\\v\end{bmatrix} = \begin{bmatrix}Q & S\\ S' & R\end{bmatrix}.
+    \operatorname{cov}\begin{bmatrix}w\\v\end{bmatrix} = \begin{bmatrix}Q & S\\ S' & R\end{bmatrix},
 
-The innovation :math:`e_k = y_k - h_k - H\hat x_k` has the covariance :math:`\Sigma = HPH' + R`, and
-
-.. math::
-
-    \hat x_{k+1} = \Phi\hat x_k + d_k + Ke_k, \qquad K = (\Phi PH' + S)\Sigma^{-1}, \qquad
-    \Psi = \Phi - KH .
-
-At the end of sample k, the smoothed estimate of the state :math:`x_j` is :math:`\hat x_j + P_jr`,
-and its covariance :math:`P_j - P_jNP_j`. The samples from k back to j give r and N, from
-:math:`r = 0,\ N = 0` on (P. de Jong, "Smoothing and interpolation with the state-space model",
-J. Am. Stat. Assoc. 84(408), 1989):
+the innovation e with the covariance :math:`\Sigma = LL'`, :math:`K = (\Phi PH' + S)\Sigma^{-1}`,
+:math:`\Psi = \Phi - KH`, and, from k back to j,
 
 .. math::
 
-    r \leftarrow H'\Sigma^{-1}e_i + \Psi_i'r, \qquad N \leftarrow H'\Sigma^{-1}H + \Psi_i'N\Psi_i .
+    r \leftarrow H'\Sigma^{-1}e_i + \Psi_i'r, \qquad N \leftarrow H'\Sigma^{-1}H + \Psi_i'N\Psi_i ,
 
-With the Cholesky factor :math:`\Sigma = LL'`, the normalised innovations :math:`L^{-1}e_k` of the
-model are white with covariance I. H has no rows for missing measurements.
-
-A time :math:`\tau` after sample j began, the state is
-:math:`x(\tau) = \Phi_\tau x_j + d_\tau + w_\tau`. With `r` and `N` of the samples after j and
-:math:`C = \Phi_\tau P_j\Psi_j' + \operatorname{E}w_\tau w_j' - \operatorname{E}w_\tau v_j'K_j'`,
-its estimate and covariance are
-
-.. math::
-
-    \Phi_\tau\hat x_j + d_\tau + G\Sigma^{-1}e_j + Cr, \qquad
-    \Phi_\tau P_j\Phi_\tau' + \operatorname{E}w_\tau w_\tau' - G\Sigma^{-1}G' - CNC', \qquad
-    G = \Phi_\tau P_jH' + \operatorname{E}w_\tau v_j' .
-
-Modes V of the state may be unknown at the start: :math:`x_0 = \hat x_0 + V\delta`. The filter then
-runs with :math:`\delta = 0` (P. de Jong, Ann. Stat. 19(2), 1991). With
-:math:`V \leftarrow \Psi V`, the innovations are :math:`e_k - HV\delta`. Once they determine
-:math:`\delta`, its least-squares estimate and covariance are added to those of the state.
-
-The output of a copy, :math:`\mu = \psi(C_\nu\hat x - r)`, is linear in time within a sample,
-between its value at the beginning and the predicted one at the end.
+with which the smoothed state is :math:`\hat x_j + P_jr` and its covariance :math:`P_j - P_jNP_j`.
+Modes V may be unknown at the start: :math:`x_0 = \hat x_0 + V\delta`, with
+:math:`V \leftarrow \Psi V`.
 """
 
 from typing import NamedTuple

@@ -1,16 +1,7 @@
 r"""The adaptive homodyne loop of Section IV with a linear estimator in it.
 
-Phase and photocurrent are those of `robsmooth.homodyne.parameters`, with the local oscillator's
-phase :math:`u` for the estimate, and noise of power s. Measurement and copy drive the estimator,
-
-.. math::
-
-    dy &= \frac{I\,dt + 2\alpha\beta u\,dt}{2\alpha\beta}
-        = \Bigl[\frac{\sin(\varphi - u)}{\beta} + u\Bigr]dt + \frac{\sqrt s}{2\alpha\beta}\,dW,\\
-    d\hat x &= \bigl[A_c\hat x + B_\mu\,\psi(\tilde\nu - 2\alpha\gamma u)\bigr]dt + B_y\,dy,
-    \qquad \psi(v) = 2\alpha f\Bigl(\frac{v}{2\alpha\gamma}\Bigr),\quad f(e) = \sin e - \beta e .
-
-As :math:`u`, :math:`\tilde\nu` and the estimates are linear in :math:`\hat x`, this is
+With the local oscillator's phase u for the estimate and noise of power s, measurement and copy
+drive the estimator (`docs/source/methods.md`), so that
 
 .. math::
 
@@ -19,8 +10,7 @@ As :math:`u`, :math:`\tilde\nu` and the estimates are linear in :math:`\hat x`, 
     \qquad \nu = \frac{\sqrt s}{2\alpha} .
 
 The phase u is the filtered or the smoothed estimate, or :math:`\tilde\nu/2\alpha\gamma`, with which
-the copy's output is zero, or zero. It is the loop of `robsmooth.estimators.loop` with the reference
-:math:`2\alpha\gamma u`, written with sines.
+the copy's output is zero, or zero.
 """
 
 import math

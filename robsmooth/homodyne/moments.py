@@ -1,16 +1,8 @@
 r"""Stationary mean square errors of the nonlinear loop in lock, without sampling.
 
-With :math:`z = (\varphi, \hat x)`, the arguments :math:`s_k z` of the two sines of
-`robsmooth.homodyne.loop` and their slopes :math:`\rho_k` by statistical linearisation, the loop is
-
-.. math::
-
-    dz = \Bigl[Az + \sum_k b_k\bigl(\sin s_kz - \rho_k s_kz\bigr)\Bigr]dt + Q^{1/2}\,dW,
-    \qquad AP + PA' + Q = 0 .
-
-Let :math:`z = S\xi` with :math:`P = SS'`: the linear part leaves :math:`N(0, I)` invariant. With
-the normalised Hermite polynomials :math:`h_\alpha` of :math:`\xi` and :math:`a_i =
-\partial/\partial\xi_i` (`robsmooth._numerics.hermite`), the backward Kolmogorov operator is
+The stationary moments :math:`m_\alpha = E\,h_\alpha(\xi)` of Hermite polynomials up to the degree N
+solve :math:`\sum_\alpha m_\alpha L_{\alpha\beta} = 0`, where L is the backward Kolmogorov operator
+of the loop in the coordinates :math:`z = S\xi` in which its linear part has the covariance I:
 
 .. math::
 
@@ -18,22 +10,8 @@ the normalised Hermite polynomials :math:`h_\alpha` of :math:`\xi` and :math:`a_
         + \sum_k\bigl(\sin s_kS\xi - \rho_k s_kS\xi\bigr)\,\tilde b_k\cdot a,
     \qquad \tilde A = S^{-1}AS,\quad \tilde b_k = S^{-1}b_k .
 
-L is a matrix on the polynomials of total degree up to N. The stationary moments
-:math:`m_\alpha = E\,h_\alpha(\xi)` solve :math:`\sum_\alpha m_\alpha L_{\alpha\beta} = 0` for
-:math:`0 < |\beta| \le N`, with :math:`m_0 = 1`. The expectation of a linear read-out
-:math:`w = pz` a time t later is :math:`e^{Lt}w`. With :math:`d = \varphi - C_a\hat x` and
-:math:`L\varphi = -\lambda_\phi\varphi`, the smoothed error is, without cancellation,
-
-.. math::
-
-    E\bigl(\varphi(t - \delta) - C_a\hat x(t)\bigr)^2 = 2(1 - e^{-\lambda_\phi\delta})\,E\varphi^2
-        + E\,d^2 + 2E\bigl[\varphi\,(e^{L\delta} - 1)d\bigr].
-
-All terms are odd: odd moments are zero, read-outs stay odd. Degree 2 is statistical linearisation.
-
-The expansion is about the lock point at zero. It does not converge for a loop that slips: the error
-in lock is defined to about the probability of a slip, :math:`e^{-2/\sigma^2}` for a scalar loop
-with error variance :math:`\sigma^2`. In the paper's example that is the ninth digit.
+`docs/source/methods.md` derives it. All terms are odd: odd moments are zero, read-outs stay odd.
+The error in lock is defined to about the probability of a slip.
 """
 
 import math

@@ -7,24 +7,15 @@ With :math:`z = [x; \hat x_p]` and the channels of uncertainties, nonlinearities
     dz &= [Fz + G\tilde\xi]\,dt + B\,dW, \qquad \tilde\zeta = Lz - Rz, \qquad
     \tilde\xi = \Delta\tilde\zeta + \rho(t, \tilde\zeta),
 
-where F, G, B and L are :math:`\mathbf A, B_\xi, \mathbf B` and :math:`C_\zeta` of
-`robsmooth.estimators.loop`, without the delay model's states, and R z are the references.
-
-:math:`\Delta` has the constant uncertainties and the statistically equivalent slopes of the
-nonlinearities and copies (`robsmooth._numerics.linearisation`). The remainders, and uncertainties
-that are functions, are in :math:`\rho`. Any slopes describe the same loop; these make the start
-better and the error of a step smaller.
-
-With :math:`\rho_0 = \rho(t, Lz)`, a step is exact except for the change of :math:`\rho` in it:
+where R z are the references, :math:`\Delta` has constant uncertainties and the statistically
+equivalent slopes of the nonlinearities, and :math:`\rho` the rest. With
+:math:`\rho_0 = \rho(t, Lz)` and :math:`F_\Delta = F + G\Delta L`, a step is Heun's in exponential
+form (`docs/source/methods.md`):
 
 .. math::
 
     z^* = e^{F_\Delta h}z + K_1\rho_0 + \eta,\qquad
-    z \leftarrow z^* + K_2\,[\rho(t + h, Lz^*) - \rho_0],\qquad F_\Delta = F + G\Delta L .
-
-That is Heun's scheme for additive noise (P. E. Kloeden and E. Platen, "Numerical Solution of
-Stochastic Differential Equations", Springer, 1992, Section 15.1) in the exponential form of
-`robsmooth.estimators.discrete`: of weak order two in `h`, and exact for a linear loop.
+    z \leftarrow z^* + K_2\,[\rho(t + h, Lz^*) - \rho_0] .
 """
 
 from collections.abc import Callable, Sequence

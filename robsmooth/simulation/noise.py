@@ -1,21 +1,11 @@
-r"""Cycle slips, sines and noise, for the kernels of both protocols.
+"""Cycle slips, sines and noise, for the kernels of both protocols.
 
-Each path has a xoshiro128+ generator (D. Blackman and S. Vigna, ACM Trans. Math. Softw. 47(4),
-2021). Its state is a splitmix64 hash of (seed, path index), so the noise depends on these two
-numbers alone. A step turns two 32-bit words, a and b, into two independent standard normal
-variables (G. E. P. Box and M. E. Muller, Ann. Math. Stat. 29(2), 1958),
-
-.. math::
-
-    g_1 = \pm R\cos\theta,\quad g_2 = R\sin\theta,\qquad
-    R = \sqrt{-2\ln U},\quad U = 2^{-31}(\lfloor a/2\rfloor + 1/2),
-
-where the top bit of :math:`b` is the sign and the next 23 bits give :math:`\theta`, uniform in
-:math:`[-\pi/2, \pi/2)`. The tails end at :math:`R = \sqrt{64\ln 2} = 6.66`.
-
-Logarithm, sine and cosine are minimax polynomials, as no library has them for vectors. With integer
-operations, explicit fused multiply-adds, products and square roots only, the results have the same
-bits on every machine that has these.
+Each path has a xoshiro128+ generator, whose state is a splitmix64 hash of (seed, path index): the
+noise depends on these two numbers alone. A step turns two words into two independent standard
+normal variables by the method of Box and Muller (`docs/source/methods.md`). Logarithm, sine and
+cosine are minimax polynomials, as no library has them for vectors. With integer operations,
+explicit fused multiply-adds, products and square roots only, the results have the same bits on
+every machine that has these.
 """
 
 import hashlib

@@ -1,24 +1,12 @@
 r"""The finite-dimensional model of the delay, (eqdelay).
 
-Its transfer function is the Pade approximation :math:`[N/N]` of :math:`e^{-s\delta}`, for
-each output of `w` separately (S. Chirarattananon and B. D. O. Anderson, "Stable fixed-lag
-smoothing of continuous time processes", IEEE Trans. Inf. Theory 20(1), 1974).
-
-The realisation uses Lambert's continued fraction, because polynomial coefficients span twelve
-decades at order 10. With :math:`z = s\delta/2`,
-
-.. math::
-
-    e^{-s\delta} = \frac{1 - \tanh z}{1 + \tanh z},\qquad
-    \tanh z = \cfrac{z}{1 + \cfrac{z^2}{3 + \cfrac{z^2}{5 + \cdots}}},
-
-and the fraction after N terms is [N/N]. A ladder of N lossless elements 1, 3, 5, ... realises it,
-all-pass by construction:
+Its transfer function is the Pade approximation :math:`[N/N]` of :math:`e^{-s\delta}`, for each
+output of `w`. A ladder of N lossless elements 1, 3, 5, ... realises it, with
 
 .. math:: F_a + F_a' = -\tfrac{1}{\delta} b b', \qquad G_a = \tfrac{1}{\delta} b,
           \qquad H_a = -J_a b', \qquad J_a = (-1)^N .
 
-Both Gramians are the identity (up to the unit of time): these are the best conditioned coordinates.
+Both Gramians are the identity (up to the unit of time). `docs/source/methods.md` derives it.
 """
 
 from typing import NamedTuple

@@ -1,31 +1,17 @@
 r"""The compiled loop of the ergodic protocol: a second-order scheme with a linear control.
 
-The statistically linearised loop is :math:`dz = Az\,dt + dn` for :math:`z = (\varphi, \hat x)`. Its
-step over a time h is exact,
+A step is :math:`L_hK_h`: the exact step of the statistically linearised loop, then the kick of the
+sines less their slopes,
 
 .. math::
 
-    L_h: z \leftarrow \Phi z + \eta,\qquad \Phi = e^{Ah},\quad
-    \operatorname{cov}\eta = \int_0^h e^{As}Qe^{A's}\,ds,
-
-and the sines less their slopes are a kick,
-
-.. math::
-
+    L_h: z \leftarrow \Phi z + \eta,\qquad
     K_h: \hat x \leftarrow \hat x + h F + \tfrac12 h^2 DF\,F,\qquad
-    F = b_s(\sin e - \rho_s e) + b_c(\sin v - \rho_c v),
+    F = b_s(\sin e - \rho_s e) + b_c(\sin v - \rho_c v) .
 
-with :math:`e = \varphi - r\hat x` and :math:`v = c\hat x`. Strang's composition
-:math:`K_{h/2}L_hK_{h/2}` is of second order in h, and exact where the loop is linear. Steps are
-taken as :math:`L_hK_h`; a sample is read after a further :math:`K_{h/2}`, which is not kept.
-
-A path that has slipped is linearised about the point where it is locked now: with T the multiple of
-:math:`2\pi` nearest to e, the kick has :math:`\rho_s(e - T)` for :math:`\rho_s e`, and the exact
-step adds :math:`-\rho_sT\int_0^h e^{As}\,ds\,b_s`.
-
-The control variate is the linear loop :math:`y \leftarrow \Phi y + \eta` with the same noise, from
-its stationary law: its moments are known. The state of a block is :math:`\varphi`, the estimator's
-part of y, and :math:`d = \hat x - y`, which starts at zero and has no noise of its own.
+`docs/source/methods.md` has the composition, slips and the control variate: the linear loop
+:math:`y \leftarrow \Phi y + \eta`. The state of a block is :math:`\varphi`, the estimator's part of
+y, and :math:`d = \hat x - y`, which starts at zero and has no noise of its own.
 """
 
 from collections import namedtuple
