@@ -1,6 +1,7 @@
 """robsmooth: robust continuous-time fixed-lag smoothing for nonlinear uncertain systems.
 
-A public name is imported when first asked for. `__init__.pyi` has them, each with its module.
+A public name is imported when first asked for. `__init__.pyi` has them, each with its module. The
+examples in docstrings come after ``import numpy as np`` and ``import robsmooth as rs``.
 """
 
 import ast

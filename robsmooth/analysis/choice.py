@@ -42,7 +42,6 @@ class Judgement:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
     >>> rs.judge(ngcf, "filtered")
     Judgement(nominal=0.084404, worst_constant=0.13881, certified=0.13881)
@@ -68,7 +67,6 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
     >>> round(rs.judge(ngcf, "filtered").certified, 4)
     0.1388
@@ -111,7 +109,6 @@ class Choice:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> choice = rs.best_smoother(plant)
     >>> choice.name, len(choice.table.rows)
@@ -201,7 +198,6 @@ def best_smoother(
     --------
     A sensor's gain is known to 5%, the decay rate of its signal to 10%:
 
-    >>> import robsmooth as rs
     >>> decay = rs.Uncertainty(B=[[1.0]], C=[[0.1]], D=[[0.0]])
     >>> gain = rs.Uncertainty(B=[[0.0]], C=[[0.05]], D=[[1.0]])
     >>> A, B1, C0, C2, D21 = [[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]]

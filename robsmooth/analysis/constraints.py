@@ -37,7 +37,6 @@ class AnalysisBound(Frozen):
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> bound = rs.analysis_bound(rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system()))
     >>> bound.gap < 1e-6  # an admissible input reaches it
     True
@@ -77,7 +76,6 @@ def analysis_bound(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
     >>> round(rs.analysis_bound(ngcf, "filtered", loop="real").mean_square, 4)
     0.1388

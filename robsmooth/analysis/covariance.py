@@ -130,7 +130,6 @@ def error_covariance(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> smoother = rs.design_smoother(plant, 1.0987e-6, [1.0, 0.4999, 1e-6, 1e-6])
     >>> rs.error_covariance(smoother, plant.structured_delta([], [-0.5]), loop="real").round(4)
@@ -205,7 +204,6 @@ def delta_sweep(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
     >>> rs.delta_sweep(kalman, [-1.0, 0.0, 1.0], "filtered")[:, 0, 0].round(4)
     array([0.4475, 0.0844, 0.3813])
@@ -236,7 +234,6 @@ class WorstCase(Frozen):
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
     >>> rs.worst_case(ngcf, "filtered").Delta
     array([[ 0.,  0.,  0.],
@@ -272,7 +269,6 @@ def worst_case(smoother: Estimator, output: str = "smoothed", loop: str = "theor
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
     >>> rs.worst_case(ngcf, "filtered")
     WorstCase(mean_square=0.2053, nominal=0.12483)

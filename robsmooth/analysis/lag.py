@@ -45,7 +45,6 @@ class LagSweep(Frozen):
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> sweep = rs.lag_sweep(rs.homodyne.PAPER.uncertain_system(), lags=[1e-6, 2e-6], orders=[2])
     >>> sweep.nominal.round(4), sweep.optimal.round(4)  # the model of the delay costs little
     (array([[0.0594, 0.0496]]), array([0.0593, 0.0495]))
@@ -100,7 +99,6 @@ def lag_sweep(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> sweep = rs.lag_sweep(rs.homodyne.PAPER.uncertain_system(), lags=[1e-6, 2e-6], orders=[1, 2])
     >>> sweep.nominal.round(4)
     array([[0.0595, 0.0504],
@@ -144,7 +142,6 @@ def best_lag(system: UncertainSystem, order: int) -> tuple[float, float]:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> lag, error = rs.best_lag(rs.homodyne.PAPER.uncertain_system(), order=2)
     >>> round(lag, 8), round(error, 4)
     (4.01e-06, 0.0453)
@@ -167,7 +164,6 @@ class LagChoice:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> choice = rs.choose_lag(rs.homodyne.PAPER.uncertain_system(), target=0.05)
     >>> round(choice.lag, 8), choice.order, choice.target
     (2.08e-06, 1, 0.05)
@@ -201,7 +197,6 @@ def choose_lag(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> choice = rs.choose_lag(rs.homodyne.PAPER.uncertain_system(), fraction=0.9)
     >>> round(choice.lag, 8), choice.order
     (2.58e-06, 2)

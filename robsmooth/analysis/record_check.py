@@ -35,8 +35,6 @@ class RecordCheck(Frozen):
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import robsmooth as rs
     >>> discrete = rs.baselines.kalman_bucy(rs.examples.random_walk()).discretize(dt=0.1)
     >>> rs.check_record(discrete, np.zeros((100, 1))).mean_square
     0.0
@@ -119,8 +117,6 @@ def check_record(
     --------
     A record with twice the noise that the model has:
 
-    >>> import numpy as np
-    >>> import robsmooth as rs
     >>> system = rs.UncertainSystem([[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]])
     >>> smoother = rs.baselines.kalman_bucy(system).discretize(dt=0.01)
     >>> y = 2.0 * np.random.default_rng(0).standard_normal((5000, 1))

@@ -42,7 +42,6 @@ def kalman_bucy(system: UncertainSystem, copies: bool = False) -> Estimator:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> estimator = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
     >>> print(f"{-estimator.poles[0]:.4g} 1/s")
     4.649e+05 1/s
@@ -69,7 +68,6 @@ def fixed_lag_smoother(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, order=2)
     Estimator(3 states, 1 measurements, 1 outputs, 1 copies, delay=3.1e-06 s, order=2)
     """
@@ -90,7 +88,6 @@ def ngcf(system: UncertainSystem) -> RobustSmoother:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> round(rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system()).mean_square_bound, 4)
     0.2434
     """
@@ -125,7 +122,6 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> rs.baselines.optimal_fixed_lag_error(rs.homodyne.PAPER.uncertain_system(), 3.1e-6).round(4)
     array([[0.0453]])
     """
@@ -164,7 +160,6 @@ def optimal_two_sided_error(system: UncertainSystem) -> Matrix:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> rs.baselines.optimal_two_sided_error(rs.homodyne.PAPER.uncertain_system()).round(4)
     array([[0.043]])
     """
@@ -188,7 +183,6 @@ def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> round(rs.baselines.worst_optimal_error(rs.homodyne.PAPER.uncertain_system(), 3.1e-6), 5)
     0.08358
     """

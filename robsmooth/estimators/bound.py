@@ -65,7 +65,6 @@ def minimize_bound(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> smoother = rs.minimize_bound(plant, cost="smoothed")
     >>> round(smoother.mean_square_bound, 4), round(smoother.bound_infimum, 5)

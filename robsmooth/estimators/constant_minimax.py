@@ -47,7 +47,6 @@ class ConstantMinimaxSmoother(Estimator):
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> rs.constant_minimax_smoother(plant)
     ConstantMinimaxSmoother(worst_constant=0.083689, cost='smoothed', delay=3.1e-06 s, order=2)
@@ -81,7 +80,6 @@ def constant_minimax_smoother(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> round(rs.constant_minimax_smoother(plant).worst_constant, 4)
     0.0837

@@ -54,8 +54,6 @@ class DiscreteSmoother(Exports):
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import robsmooth as rs
     >>> smoother = rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
     >>> discrete = smoother.discretize(dt=1e-6)
     >>> discrete.run([[0.2], [np.nan], [0.1]]).shape, discrete.times(1).round(9)  # one is missing

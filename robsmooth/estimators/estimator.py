@@ -45,7 +45,6 @@ class Estimator(Frozen):
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, 2)
     Estimator(3 states, 1 measurements, 1 outputs, 1 copies, delay=3.1e-06 s, order=2)
     """
@@ -92,7 +91,6 @@ class Estimator(Frozen):
 
         Examples
         --------
-        >>> import robsmooth as rs
         >>> smoother = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
         >>> smoother.to_statespace().input_labels
         ['y[0]', 'mu_copy[0]']
@@ -144,7 +142,6 @@ class Estimator(Frozen):
 
         Examples
         --------
-        >>> import robsmooth as rs
         >>> smoother = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
         >>> smoother.discretize(dt=1e-7).run([[0.2], [0.1]]).shape
         (2, 1)

@@ -52,7 +52,6 @@ class MinimaxSmoother(Estimator):
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> rs.minimax_smoother(plant)
     MinimaxSmoother(certified=0.088669, cost='smoothed', delay=3.1e-06 s, order=2)
@@ -93,7 +92,6 @@ def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> Minima
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> round(rs.minimax_smoother(plant).certified, 4)
     0.0887

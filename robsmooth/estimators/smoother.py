@@ -33,7 +33,6 @@ class RobustSmoother(Estimator):
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
     >>> ngcf.A_c.shape, round(ngcf.mean_square_bound, 4), round(2.0 * ngcf.bound_infimum, 4)
     ((1, 1), 0.2434, 0.2433)
@@ -85,7 +84,6 @@ def design_smoother(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> smoother = rs.design_smoother(plant, tau=1.1e-6, multipliers=[1.0, 0.49, 1e-4, 1e-4])
     >>> round(smoother.mean_square_bound, 4)
@@ -115,7 +113,6 @@ def limiting_smoother(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> limit = rs.limiting_smoother(plant, tau=1.1e-6, multipliers=[1.0, 0.5, 0.0, 0.0])
     >>> round(limit.mean_square_bound, 4)

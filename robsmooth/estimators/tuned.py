@@ -84,7 +84,6 @@ def tuned_fixed_lag_smoother(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> tuned = rs.baselines.tuned_fixed_lag_smoother(plant)
     >>> round(rs.worst_case(tuned, loop="real").mean_square, 4)

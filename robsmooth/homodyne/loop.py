@@ -221,7 +221,6 @@ def statistical_linearisation(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
     >>> found = rs.statistical_linearisation(rs.homodyne.PAPER, kalman)
     >>> round(found.slopes[0], 4), round(found.filtered, 4)

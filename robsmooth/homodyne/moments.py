@@ -57,7 +57,6 @@ class StationaryErrors:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
     >>> rs.stationary_errors(rs.homodyne.PAPER, kalman).degree
     14
@@ -126,7 +125,6 @@ def stationary_errors(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
     >>> round(rs.stationary_errors(rs.homodyne.PAPER, kalman).filtered, 6)
     0.088235

@@ -38,7 +38,6 @@ class HomodyneParameters:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> rs.homodyne.PAPER.uncertain_system().A
     array([[-9140.]])
     """

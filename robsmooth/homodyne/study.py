@@ -52,7 +52,6 @@ class Study(Frozen):
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> rs.Study((0.4,), (1.0,), (2,), (1e-6, 3e-6), {"bound": [[[[0.1, 0.1]]]]}, failures={})
     Study(1 gammas x 1 noises x 1 orders x 2 lags: 2 designs, 0 columns without)
     """
@@ -124,7 +123,6 @@ def parameter_study(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> study = rs.parameter_study(
     ...     rs.homodyne.PAPER, lags=[3.1e-6], orders=[2], gammas=[0.4], noises=[1.0], runs=64
     ... )

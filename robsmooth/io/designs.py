@@ -68,7 +68,6 @@ def save(value: "Saved", path: str | os.PathLike[str]) -> None:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> rs.save(rs.homodyne.PAPER.uncertain_system(), "system.toml")
     >>> rs.load("system.toml").A
     array([[-9140.]])
@@ -116,7 +115,6 @@ def load(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> rs.save(rs.homodyne.PAPER.uncertain_system(), "system.json")
     >>> rs.load("system.json").n
     1

@@ -98,8 +98,6 @@ def smooth_record(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import robsmooth as rs
     >>> smoother = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system()).discretize(1e-7)
     >>> rs.smooth_record(smoother, np.zeros((100, 1))).shape
     (100, 1)

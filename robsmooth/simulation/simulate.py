@@ -87,7 +87,6 @@ def simulate(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> system = rs.UncertainSystem(A=[[-1]], B1=[[1, 0]], C0=[[1]], C2=[[1]], D21=[[0, 0.1]])
     >>> smoother = rs.baselines.fixed_lag_smoother(system, delay=0.2, order=2)
     >>> result = rs.simulate(smoother, runs=64, duration=20.0)
@@ -137,7 +136,6 @@ def sample_paths(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
     >>> rs.sample_paths(kalman, runs=2, duration=1e-4)
     SamplePaths(2 paths of 223 steps of 4.492e-07 s, lag=0 s, 1 measurements, 1 outputs)

@@ -30,7 +30,6 @@ class MeanSquare:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> print(rs.MeanSquare(0.1, standard_error=0.002))
     0.1 +- 0.002
     """
@@ -70,7 +69,6 @@ class SimulationResult(Frozen):
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> system = rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.1]])
     >>> result = rs.simulate(rs.baselines.kalman_bucy(system), runs=8, duration=5.0)
     >>> result.filtered.standard_error < result.filtered.mean_square, result.runs
@@ -115,7 +113,6 @@ class SamplePaths(Frozen):
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
     >>> rs.sample_paths(kalman, runs=2, duration=1e-4).y.shape
     (2, 223, 1)

@@ -54,7 +54,6 @@ class AugmentedSystem(Frozen):
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2).A_p.shape
     (3, 3)
     """
@@ -163,7 +162,6 @@ class AugmentedSystem(Frozen):
 
         Examples
         --------
-        >>> import robsmooth as rs
         >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
         >>> plant.structured_delta(nonlinearities=[-0.5]).diagonal()
         array([ 0. , -0.5, -0.5])
@@ -196,7 +194,6 @@ def augment(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
     >>> plant.delay, plant.order, plant.n
     (3.1e-06, 2, 3)

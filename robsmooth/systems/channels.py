@@ -48,7 +48,6 @@ class Uncertainty(Channel):
     --------
     A rate of decay that is known to 10%, in a system of one state:
 
-    >>> import robsmooth as rs
     >>> rs.Uncertainty(B=[[1.0]], C=[[0.1]], D=[[0.0]])
     Uncertainty(B=[[1]], C=[[0.1]], D=[[0]])
     """
@@ -83,8 +82,6 @@ class Nonlinearity(Channel):
     --------
     A sensor that saturates, :math:`dy = \tanh(x)\,dt + \dots`:
 
-    >>> import numpy as np
-    >>> import robsmooth as rs
     >>> rs.Nonlinearity(B=[[0.0]], C=[[1.0]], D=[[1.0]], lipschitz=1.0, function=np.tanh)
     Nonlinearity(B=[[0]], C=[[1]], D=[[1]], lipschitz=1, function=tanh)
     """

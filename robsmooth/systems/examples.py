@@ -17,7 +17,6 @@ def random_walk(diffusion: float = 1.0, noise: float = 1.0) -> UncertainSystem:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> rs.baselines.optimal_fixed_lag_error(rs.examples.random_walk(), delay=0.1).round(4)
     array([[0.9094]])
     """
@@ -38,7 +37,6 @@ def clock(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> rs.baselines.kalman_bucy(rs.examples.clock()).poles.round(3)
     array([-0.336, -0.942])
     """
@@ -76,7 +74,6 @@ def resonant_phase(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> plant = rs.augment(rs.examples.resonant_phase(), delay=2e-4, order=4)
     >>> rs.judge(rs.minimax_smoother(plant)).certified < 0.25**2
     True

@@ -30,8 +30,6 @@ class Sector:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import robsmooth as rs
     >>> tanh = rs.sector(np.tanh, reach=0.6)
     >>> round(tanh.lower, 6), round(tanh.upper, 6)
     (0.711578, 1.0)
@@ -83,8 +81,6 @@ def sector(function: Function, reach: float) -> Sector:
     --------
     The noise of a sensor that saturates has the intensity 0.1:
 
-    >>> import numpy as np
-    >>> import robsmooth as rs
     >>> tanh = rs.sector(np.tanh, reach=0.6)
     >>> sensor = tanh.nonlinearity(B=[[0.0]], C=[[1.0]], D=[[1.0]], noise=0.1)
     >>> rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[0]], [[0, 0.1]], [], [sensor]).C2.round(4)

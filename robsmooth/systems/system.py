@@ -51,7 +51,6 @@ class UncertainSystem(Frozen):
     --------
     A sensor's gain is known to 5%:
 
-    >>> import robsmooth as rs
     >>> gain = rs.Uncertainty(B=[[0.0]], C=[[0.05]], D=[[1.0]])
     >>> A, B1, C0, C2, D21 = [[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]]
     >>> rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties=[gain]).k
@@ -158,7 +157,6 @@ class UncertainSystem(Frozen):
         Examples
         --------
         >>> import control
-        >>> import robsmooth as rs
         >>> plant = control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
         >>> rs.UncertainSystem.from_plant(plant, process_noise=1.0, measurement_noise=0.01).D21
         array([[0. , 0.1]])
@@ -207,7 +205,6 @@ class UncertainSystem(Frozen):
 
         Examples
         --------
-        >>> import robsmooth as rs
         >>> rs.homodyne.PAPER.uncertain_system().to_statespace().input_labels
         ['W[0]', 'W[1]', 'xi_0[0]', 'mu[0]']
         """

@@ -1,6 +1,7 @@
 """The examples in the docstrings: they run as they are printed, and every public name has some.
 
-Errors and warnings have none: what raises them has.
+They run after the two imports that the package's docstring names. Errors and warnings have none:
+what raises them has.
 """
 
 import doctest
@@ -9,6 +10,7 @@ import inspect
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import robsmooth
@@ -36,7 +38,8 @@ def has_example(member):
 @pytest.mark.parametrize("module", WITH_EXAMPLES)
 def test_examples_run_as_printed(module, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    result = doctest.testmod(importlib.import_module(module))
+    here = importlib.import_module(module)
+    result = doctest.testmod(here, extraglobs={"np": np, "rs": robsmooth})
     assert result.attempted > 0
     assert result.failed == 0
 
@@ -60,3 +63,8 @@ def test_every_public_name_has_an_example(name):
 @pytest.mark.parametrize("missing", MISSING)
 def test_a_room_that_has_all_its_examples_is_not_listed_as_missing(missing):
     assert not all(has_example(m) for m in PUBLIC.values() if room(m) == missing)
+
+
+def test_the_docstring_of_the_package_names_the_imports_of_the_examples():
+    assert "import numpy as np" in robsmooth.__doc__
+    assert "import robsmooth as rs" in robsmooth.__doc__

@@ -41,7 +41,6 @@ class MonteCarloResult:
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
     >>> result = rs.monte_carlo(rs.homodyne.PAPER, kalman, runs=64)
     >>> result.filtered.standard_error < 0.01 * result.filtered.mean_square
@@ -154,7 +153,6 @@ def monte_carlo(
 
     Examples
     --------
-    >>> import robsmooth as rs
     >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
     >>> result = rs.monte_carlo(rs.homodyne.PAPER, kalman, runs=256)
     >>> print(f"{result.filtered.mean_square:.3f} rad^2, {result.slips} slips")
