@@ -21,6 +21,7 @@ from robsmooth.workbench.runner import Request, Task, plan
 SOURCE = Path(__file__).resolve().parent / "source"
 DOCUMENTS = (
     *("README.md", "environment.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md"),
+    "SUPPORT.md",
     *("CITATION.cff", "LICENSE"),
 )
 RESULTS = (".png", ".pdf", ".svg", ".csv", ".json")
