@@ -90,7 +90,11 @@ def stage(run: Request, source: Path, executed: list[Path]) -> None:
     mathjax = Path(find_spec("sphinx-mathjax-offline").origin).parent / "static/mathjax"
     _copy([mathjax / "tex-svg-full.js"], source / "_static/mathjax")
     _copy([root / name for name in DOCUMENTS], source)
-    for name in ("README.md", "environment.md"):  # the site's own pages stand beside them
+    for name in (
+        "README.md",
+        "SUPPORT.md",
+        "environment.md",
+    ):  # the site's own pages stand beside them
         page = source / name
         page.write_text(page.read_text("utf-8").replace("](docs/source/", "]("), encoding="utf-8")
     _copy((root / "benchmarks").glob("*.*"), source / "benchmarks", (*RESULTS, ".md"))

@@ -1,7 +1,8 @@
 """Prepare README.md and pyproject.toml for a package index.
 
-`python -m docs.package_page OWNER/NAME TAG` gives them absolute links and addresses. The page of the index is not in the repository, so that relative links lead nowhere there. Only the
-release workflow runs this, in its own checkout: it alone knows the address of the project.
+`python -m docs.package_page OWNER/NAME TAG` makes their links absolute. The page of the index is not
+in the repository, so that relative links lead nowhere there. Only the release workflow runs this, in
+its own checkout: it alone knows the address of the project.
 """
 
 import argparse
@@ -47,6 +48,8 @@ def main(arguments: list[str] | None = None) -> None:
     version = re.search(r'^version = "(.+)"$', text, flags=re.MULTILINE)[1]
     if given.tag != f"v{version}":
         parser.error(f"tag must be v{version}, the version in pyproject.toml, got {given.tag!r}")
+    if "[project.urls]" in text:
+        parser.error("pyproject.toml must be that of the repository, got one with [project.urls]")
     page = absolute(readme.read_text(encoding="utf-8"), given.repository, given.tag)
     readme.write_text(page, encoding="utf-8")
     project.write_text(text + urls(given.repository, given.tag), encoding="utf-8")
