@@ -1,8 +1,8 @@
 """Prepare README.md and pyproject.toml for a package index.
 
-`python -m docs.package_page OWNER/NAME TAG` makes their links absolute. The page of the index is not
-in the repository, so that relative links lead nowhere there. Only the release workflow runs this, in
-its own checkout: it alone knows the address of the project.
+`python -m docs.package_page OWNER/NAME TAG` makes their links absolute. The page of the index is
+not in the repository, so that relative links lead nowhere there. Only the release workflow runs
+this, in its own checkout: it alone knows the address of the project.
 """
 
 import argparse
