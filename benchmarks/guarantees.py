@@ -30,7 +30,7 @@ def plants() -> Iterator[tuple[str, rs.AugmentedSystem, str, float]]:
     yield "a gain known to 20%", rs.augment(system, 0.2, 4), "smoothed", 0.0919
     known = rs.Uncertainty([[0.0]], [[0.05]], [[1.0]])
     both = replace(system, uncertainties=(decay, known))
-    yield "gain to 5%, decay to 10% (README)", rs.augment(both, 0.2, 4), "smoothed", 0.0594
+    yield "gain to 5%, decay to 10%", rs.augment(both, 0.2, 4), "smoothed", 0.0594
     drive, sensor = rs.Uncertainty([[1], [0]], [[0, 0.3]], [[0]]), np.zeros((2, 1))
     A = rs.UncertainSystem(
         [[0, -1], [1, -0.5]], [[-2, 0], [1, 0]], [[1, 0]], [[-100, 100]], [[0, 1]], [drive]
