@@ -6,28 +6,31 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import fields
 from pathlib import Path
 
 import robsmooth
 from robsmooth._support.extras import MissingExtraError
-from robsmooth.workbench.parameters import PipelineError
+from robsmooth.workbench import signals
+from robsmooth.workbench.parameters import UNREADABLE, PipelineError
 from robsmooth.workbench.runner import PROFILES, NotebookResult, Request, plan, run_notebooks
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, 1 after a failure, 2 for a wrong request."""
-    options = _parser().parse_args(arguments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signals.handle(signal.default_int_handler)
     try:
+        options = _parser().parse_args(arguments)
         return options.command(options)
-    except (PipelineError, MissingExtraError, BlockingIOError) as error:
+    except (PipelineError, MissingExtraError, OSError) as error:
         print(f"robsmooth: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
+        signals.handle(signal.SIG_IGN)
         kept = "notebooks that had finished are kept, the results of the others are as they were"
-        print(f"robsmooth: interrupted; {kept}", file=sys.stderr)
+        with suppress(OSError):  # of a terminal that is lost
+            print(f"robsmooth: interrupted; {kept}", file=sys.stderr)
         return 130  # a shell's code for it
 
 
@@ -121,10 +124,10 @@ def _command(commands, name: str, function: Callable, text: str) -> Callable:
 def _setting(text: str) -> tuple[str, object]:
     name, equals, value = text.partition("=")
     if not (name.isidentifier() and equals):
-        raise argparse.ArgumentTypeError(f"{text} is not of the form NAME=VALUE")
+        raise argparse.ArgumentTypeError(f"{text[:60]} is not of the form NAME=VALUE")
     try:
         return name, ast.literal_eval({"true": "True", "false": "False"}.get(value, value))
-    except (ValueError, SyntaxError):
+    except UNREADABLE:
         return name, value
 
 
@@ -144,7 +147,3 @@ def _summary(failed: Sequence[NotebookResult], count: int) -> str:
         parts.append(f"\n{'-' * 80}\n{result.task.name}, {result.failure}")
         parts.append(f"executed copy: {result.task.executed}")
     return "\n".join(parts)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

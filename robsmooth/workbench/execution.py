@@ -5,10 +5,12 @@ import re
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+from robsmooth._support import files
+from robsmooth.workbench import worker
 
 _ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 _LAST_ERROR = re.compile(r".*^([\w.]*(?:Error|Exception|Exit)\b.*)", re.DOTALL | re.MULTILINE)
@@ -18,28 +20,29 @@ _ADDED_BY_PAPERMILL = {"injected-parameters", "papermill-error-cell-tag"}
 class Execution:
     """A running notebook: poll `finished`, then read `failure`."""
 
-    def __init__(
-        self, notebook: Path, executed: Path, parameters: dict, scratch: Path, time_limit: float
-    ) -> None:
+    def __init__(self, notebook: Path, parameters: dict, staging: Path, time_limit: float) -> None:
         """Start; the run may take `time_limit` seconds, and one cell half as long."""
-        import yaml  # comes with papermill
-
         self.started = time.perf_counter()
-        self._executed, self._log = executed, scratch / "log.txt"
+        self.staging, self.executed = staging, staging / notebook.name
+        self._scratch = staging / "scratch"
+        self._scratch.mkdir()
+        self._log = self._scratch / "log.txt"
         self._time_limit, self._reached = time_limit, ""
-        executed.parent.mkdir(parents=True, exist_ok=True)
-        executed.unlink(missing_ok=True)
-        command = [sys.executable, "-P", "-m", "papermill", "--no-progress-bar"]
-        command += ["--kernel=python3", "--language=python", "--log-level=ERROR"]
-        command += [f"--cwd={notebook.parent}", f"--execution-timeout={max(1, time_limit / 2):.0f}"]
-        command += ["--parameters_yaml", yaml.safe_dump(parameters, sort_keys=False)]
-        for path in (notebook, executed):  # papermill reads a path as a template
-            command.append(str(path).replace("{", "{{").replace("}", "}}"))
-        options = {"stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT}
-        # in a new session, Ctrl-C reaches only this process
-        options |= {"env": _environment(scratch), "start_new_session": True}
+        paths = {"input_path": notebook, "output_path": self.executed}
+        options = {  # papermill reads these paths as templates
+            name: str(path).replace("{", "{{").replace("}", "}}") for name, path in paths.items()
+        }
+        options |= {"parameters": parameters, "cwd": str(notebook.parent), "progress_bar": False}
+        options |= {"kernel_name": "python3", "language": "python"}
+        options |= {"execution_timeout": max(1, round(time_limit / 2))}
+        files.write_json(request := self._scratch / "papermill.json", options)
         with open(self._log, "wb") as log:
-            self._process = subprocess.Popen(command, stdout=log, **options)
+            # Its end of the pipe tells it of our end. In a new session, Ctrl-C reaches only us.
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", worker.__file__, request],
+                **{"stdin": subprocess.PIPE, "stdout": log, "stderr": subprocess.STDOUT},
+                **{"env": _environment(self._scratch), "start_new_session": True},
+            )
 
     @property
     def seconds(self) -> float:
@@ -48,25 +51,18 @@ class Execution:
 
     def finished(self) -> bool:
         """Whether it has ended; past its time limit it is ended here."""
-        if self._process.poll() is None and self.seconds > self._time_limit:
+        if self._process.poll() is None:
+            if self.seconds <= self._time_limit:
+                return False
             self._reached = f"the time limit of {self._time_limit:g} s for the notebook was reached"
-            self.kill()
-        return self._process.poll() is not None
+        self.kill()
+        return True
 
     def kill(self) -> None:
         """End the process, its kernel, and all that the kernel has started."""
-        import psutil
-
-        # A signal to the process group would miss the kernel, which has its own session.
-        family = []
-        with suppress(psutil.NoSuchProcess):
-            worker = psutil.Process(self._process.pid)
-            family = [worker, *worker.children(recursive=True)]
-        for process in family:
-            with suppress(psutil.NoSuchProcess):
-                process.kill()
+        worker.end_all(self._scratch)
+        self._process.stdin.close()
         self._process.wait()
-        psutil.wait_procs(family, timeout=10)
 
     def failure(self) -> str:
         """Why the finished run failed: the cell, counted from 1, and its traceback; else ""."""
@@ -92,8 +88,9 @@ class Execution:
         import nbformat
 
         try:
-            cells = nbformat.read(self._executed, as_version=4).cells
-        except (FileNotFoundError, nbformat.reader.NotJSONError):  # killed before or while saving
+            cells = nbformat.read(self.executed, as_version=4).cells
+        except (OSError, ValueError):  # killed before or while saving
+            self.executed.unlink(missing_ok=True)
             return []
         number, found = 0, []
         for cell in cells:
@@ -109,9 +106,10 @@ def _environment(scratch: Path) -> dict[str, str]:
     environment = {name: value for name, value in os.environ.items() if name not in left_out}
     return environment | {
         "OPENBLAS_NUM_THREADS": "1",  # the matrices are small, and notebooks run side by side
+        "PYDEVD_DISABLE_FILE_VALIDATION": "1",  # a warning that concerns no one here
         "TQDM_DISABLE": "1",  # without a terminal, a bar is many lines
         "JUPYTER_PREFER_ENV_PATH": "1",  # this environment's kernel, not the user's
-        "JUPYTER_RUNTIME_DIR": str(scratch / "jupyter"),
+        worker.FOLDER: str(scratch / "jupyter"),
         "IPYTHONDIR": str(scratch / "ipython"),  # without the user's start-up files
         "MATPLOTLIBRC": str(Path(find_spec("matplotlib").origin).with_name("mpl-data")),
         "PYTHONHASHSEED": "0",

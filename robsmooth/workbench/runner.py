@@ -3,11 +3,16 @@
 import hashlib
 import json
 import platform
+import reprlib
 import shutil
+import sqlite3
+import tempfile
 import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
@@ -19,9 +24,14 @@ from robsmooth.workbench.dependencies import dependencies, modules_in
 from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import SET_BY_PIPELINE, PipelineError, unknown
 from robsmooth.workbench.provenance import sha256
+from robsmooth.workbench.signals import held_back
+from robsmooth.workbench.worker import end_all
 
 PROFILES = ("paper", "quick")
 NEEDED = ("ipykernel", "matplotlib", "nbformat", "papermill", "psutil")  # to run any notebook
+FOLDERS = ("figures", "data")  # of results
+_UNPUBLISHED = ".unpublished"  # end of the name of a file that is not in its place yet
+_put = partial(files.atomic_path, kept=_UNPUBLISHED)
 PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -43,8 +53,8 @@ class Request:
     def __post_init__(self) -> None:
         if self.jobs < 1:
             raise PipelineError(f"jobs must be 1 or more, not {self.jobs}")
-        if not self.time_limit > 0:
-            wanted = "a positive number of seconds"
+        if not 0 < self.time_limit <= 1e6:
+            wanted = "a positive number of seconds, at most 1e6"
             raise PipelineError(f"time_limit must be {wanted}, not {self.time_limit}")
 
     @property
@@ -52,6 +62,12 @@ class Request:
         """Folder that the run works in."""
         build = self.build or self.root / "build"
         return build.absolute() / ("custom" if self.parameters else self.profile)
+
+    @property
+    def locks(self) -> list[Path]:
+        """Files whose locks keep other runs off the folders that this one writes to."""
+        of_paper = [self.root / "build/paper/lock"] if self.results == self.root else []
+        return sorted({path.resolve() for path in [self.work / "lock", *of_paper]})
 
     @property
     def results(self) -> Path:
@@ -68,9 +84,9 @@ class Task:
     parameters: Mapping[str, cell.Parameter]
     values: Mapping[str, object]  # given for its parameters, checked
     key: str  # hash of all that its results depend on
+    inputs: Mapping[str, str]  # digests of those of all notebooks
     notebook: Path
     executed: Path  # its executed copy
-    staging: Path  # folder that it writes to
     stamp: Path  # file of the key and the files of its last run
     checkpoints: Path  # folder that it resumes from, one for each key
 
@@ -89,25 +105,70 @@ class NotebookResult:
 def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResult]:
     """Run each task in its own process; yield results as they come. Closing it ends them all."""
     waiting, running = [], []
-    with files.exclusive_lock(run.work / "lock"):
+    with held_back() as signals, ExitStack() as stack:
+        for lock in run.locks:
+            stack.enter_context(_locked(lock))
+        _clean(run)
+        stack.callback(_clean, run)
         for task in tasks:
             if run.force or (produced := _fresh(task)) is None:
                 waiting.append(task)
             else:
                 yield NotebookResult(task, "fresh", produced)
+        taken = _taken(run, waiting)
         try:
-            while waiting or running:
+            while (waiting or running) and not signals:
                 while waiting and len(running) < run.jobs:
-                    running.append((waiting[0], _start(waiting.pop(0))))
+                    task = waiting.pop(0)
+                    try:
+                        running.append((task, _start(task)))
+                    except (OSError, ValueError) as error:
+                        failure = f"it could not be started: {error}"
+                        yield NotebookResult(task, "failed", failure=failure)
                 for task, execution in list(running):
                     if execution.finished():
                         running.remove((task, execution))
-                        yield _finish(task, execution)
+                        result = _finish(task, execution, taken)
+                        taken |= dict.fromkeys(result.files, f"a file of {task.name}")
+                        yield result
                 time.sleep(0.05)
         finally:
             for _, execution in running:
                 execution.kill()
-            shutil.rmtree(run.work / "staging", ignore_errors=True)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    try:
+        with files.exclusive_lock(path):
+            yield
+    except sqlite3.Error as error:
+        raise PipelineError(f"{path} cannot be locked: {error}") from error
+
+
+def _clean(run: Request) -> None:
+    """End what this run or an earlier one left running, and remove what it left unpublished."""
+    end_all(run.work / "staging")
+    shutil.rmtree(run.work / "staging", ignore_errors=True)
+    _discard(run)
+
+
+def _discard(run: Request) -> None:
+    written = [run.work / "stamps", run.work / "notebooks"]
+    for folder in written + [run.results / name for name in FOLDERS]:
+        for path in folder.rglob(f"*{_UNPUBLISHED}"):
+            path.unlink()
+
+
+def _taken(run: Request, waiting: Sequence[Task]) -> dict[str, str]:
+    """Return the files that the notebooks of a run must not write, and whose they are."""
+    taken = dict.fromkeys(provenance.INPUTS, "an input of the notebooks")
+    for notebook in sorted((run.root / "notebooks").glob("*.ipynb")):
+        if notebook.stem not in {task.name for task in waiting}:
+            there = _stored(run, run.work / "stamps" / f"{notebook.stem}.json")[1]
+            taken |= dict.fromkeys(there, f"a file of {notebook.stem}")
+        taken[f"figures/{notebook.stem}.provenance.json"] = f"the provenance of {notebook.stem}"
+    return taken
 
 
 def plan(run: Request) -> list[Task]:
@@ -140,11 +201,11 @@ def _task(
     values = cell.check(parameters, profile.get(name, {}), where)
     values |= cell.check(parameters, own, f"--set for {name}")
     notebook = run.root / "notebooks" / f"{name}.ipynb"
-    key = _key(run, notebook, values)
+    inputs = _inputs(run)
+    key = _key(run, notebook, values, inputs)
     return Task(
-        *(run, name, parameters, values, key, notebook),
+        *(run, name, parameters, values, key, inputs, notebook),
         executed=run.work / "notebooks" / notebook.name,
-        staging=run.work / "staging" / name,
         stamp=run.work / "stamps" / f"{name}.json",
         checkpoints=run.work / "checkpoints" / name / key[:16],
     )
@@ -161,89 +222,163 @@ def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
 def _profiles(folder: Path) -> dict:
     """Return `profiles.toml`, checked against the notebooks in the folder."""
     try:
-        profiles = tomllib.loads((folder / "profiles.toml").read_text())
-    except (OSError, tomllib.TOMLDecodeError) as error:
+        profiles = tomllib.loads((folder / "profiles.toml").read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
         raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
-    listed = profiles.get("notebooks", [])
+    listed = profiles.get("notebooks")
+    # two names that differ in case alone are one file on some systems
+    if type(listed) is not list or len({_stem(name) for name in listed} - {""}) < len(listed):
+        rule = "notebooks must be a list of different names of files, without .ipynb"
+        raise PipelineError(f"profiles.toml: {rule}, got {reprlib.repr(listed)}")
     for path in sorted(folder.glob("[0-9][0-9]_*.ipynb")):  # other names may be a user's
         if path.stem not in listed:
             raise PipelineError(f"notebooks/{path.name} is not listed in profiles.toml")
     for profile in PROFILES:
-        for name in profiles.setdefault(profile, {}):
+        tables = profiles.setdefault(profile, {})
+        for name, table in tables.items() if type(tables) is dict else [("", tables)]:
+            if type(table) is not dict:
+                given = f"[{profile}.{name}] must be a table, got {reprlib.repr(table)}"
+                raise PipelineError(f"profiles.toml: {given}".replace(".]", "]"))
             if name not in listed:
                 raise unknown(f"profiles.toml, [{profile}]: notebook", name, listed)
-    return profiles | {"notebooks": listed}
+    return profiles
 
 
-def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
+def _stem(name: object) -> str:
+    """Return what tells a notebook's file from the others; nothing for what cannot be a name."""
+    is_name = isinstance(name, str) and name.isprintable() and "/" not in name
+    return name.casefold() if is_name else ""
+
+
+def _key(run: Request, notebook: Path, values: Mapping[str, object], inputs: Mapping) -> str:
     modules = modules_in(PACKAGE)
     code = "\n".join(each.source for each in cell.code_cells(notebook))
     used = dependencies(f"import {__name__}\n{code}", modules)
     sources = [path for path in PACKAGE.rglob("*") if path.suffix in {".pyi", ".mplstyle"}]
     sources += [modules[name] for name in used]
-    inputs = [*(run.root / name for name in provenance.INPUTS), notebook]
     named = {str(path.relative_to(PACKAGE.parent)): path for path in sources}
-    named |= {path.name: path for path in inputs if path.is_file()}
-    digests = {name: sha256(path) for name, path in named.items()}
+    digests = {name: sha256(path) for name, path in named.items()} | {"": sha256(notebook)}
     environment = [platform.python_version(), platform.system(), platform.machine()]
-    text = json.dumps([digests, environment, run.profile, values], sort_keys=True)
+    text = json.dumps([digests, inputs, environment, run.profile, values], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _stored(path: Path) -> tuple[str, dict[str, str]]:
+def _inputs(run: Request) -> dict[str, str]:
+    """Return the digests of the inputs of all notebooks."""
+    there = {name: run.root / name for name in provenance.INPUTS}
+    return {name: sha256(path) for name, path in there.items() if path.is_file()}
+
+
+def _stored(run: Request, stamp: Path) -> tuple[str, dict[str, str]]:
     """Return the key and the files' digests of a stamp; nothing from a damaged one."""
     try:
-        stored = json.loads(path.read_text())
-        return stored.get("key", ""), {**stored["files"]}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return "", {}
+        stored = json.loads(stamp.read_text(encoding="utf-8"))
+        key, digests = stored["key"], stored["files"]
+        texts = {key, *digests, *digests.values()}
+        if all(isinstance(text, str) for text in texts) and all(_is_own(run, f) for f in digests):
+            return key, digests
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        pass
+    return "", {}
+
+
+def _is_own(run: Request, file: str) -> bool:
+    """Whether a path is of results, also behind symbolic links, and not of an input."""
+    path = run.results / file
+    path = path.parent.resolve() / path.name
+    inputs = [(run.root / name).resolve() for name in provenance.INPUTS]
+    folders = [(run.results / name).resolve() for name in FOLDERS]
+    return path not in inputs and any(folder in path.parents for folder in folders)
 
 
 def _fresh(task: Task) -> tuple[str, ...] | None:
     """Return the files of the last run if it need not be repeated, else None."""
-    key, digests = _stored(task.stamp)
-    there = {task.run.results / file: digest for file, digest in digests.items()}
-    same = all(path.is_file() and sha256(path) == digest for path, digest in there.items())
+    key, digests = _stored(task.run, task.stamp)
+    same = all(_has(task.run.results / file, digest) for file, digest in digests.items())
     return tuple(digests) if key == task.key and same else None
 
 
+def _has(path: Path, digest: str) -> bool:
+    return path.is_file() and sha256(path) == digest
+
+
 def _start(task: Task) -> Execution:
-    shutil.rmtree(task.staging, ignore_errors=True)
-    for folder in ("figures", "data", "scratch"):
-        (task.staging / folder).mkdir(parents=True)
+    place = task.run.work / "staging"
+    place.mkdir(parents=True, exist_ok=True)
+    staging = Path(tempfile.mkdtemp(prefix=f"{task.name}.", dir=place))
+    for folder in FOLDERS:
+        (staging / folder).mkdir()
     if not task.checkpoints.exists():  # those beside it are of other inputs
         shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
     if "checkpoint_dir" in task.parameters:
         task.checkpoints.mkdir(parents=True, exist_ok=True)
     ours = {"scheduler": task.run.dask, "checkpoint_dir": str(task.checkpoints)}
     ours["allow_insecure"] = task.run.allow_insecure
-    ours |= {"output_dir": str(task.staging / "figures"), "data_dir": str(task.staging / "data")}
+    ours |= {"output_dir": str(staging / "figures"), "data_dir": str(staging / "data")}
     values = {**task.values, **{name: ours[name] for name in ours if name in task.parameters}}
-    scratch = task.staging / "scratch"
-    return Execution(task.notebook, task.executed, values, scratch, task.run.time_limit)
+    return Execution(task.notebook, values, staging, task.run.time_limit)
 
 
-def _finish(task: Task, execution: Execution) -> NotebookResult:
-    """Move the files that the notebook produced to their places; add provenance and stamp."""
+def _finish(task: Task, execution: Execution, taken: Mapping[str, str]) -> NotebookResult:
+    """Publish what the notebook produced, or say why not."""
     seconds, failure = execution.seconds, execution.failure()
-    if failure:
-        return NotebookResult(task, "failed", (), seconds, failure)
-    places = [task.staging / folder for folder in ("figures", "data")]
-    paths = [path for place in places for path in sorted(place.rglob("*")) if path.is_file()]
-    produced = {path.relative_to(task.staging).as_posix(): sha256(path) for path in paths}
-    before = _stored(task.stamp)[1]
-    task.stamp.unlink(missing_ok=True)
-    for file in produced:
-        with files.atomic_path(task.run.results / file) as temporary:
-            shutil.move(task.staging / file, temporary)
+    try:
+        if not failure:
+            produced = _publish(task, execution, taken)
+            return NotebookResult(task, "done", produced, seconds)
+    except (OSError, ValueError) as error:
+        failure = f"its files were not published: {error}"
+        _discard(task.run)
+    with suppress(OSError), _put(task.executed) as temporary:
+        shutil.move(execution.executed, temporary)
+    return NotebookResult(task, "failed", (), seconds, failure)
+
+
+def _publish(task: Task, execution: Execution, taken: Mapping[str, str]) -> tuple[str, ...]:
+    """Move what a notebook produced to its places; return the files, with the provenance.
+
+    All is written beside its place first. Then there is no provenance until all is in its place:
+    contexts are left in the order opposite to that in which they were entered.
+    """
+    run, produced = task.run, _produced(task, execution.staging, taken)
+    if _inputs(run) != task.inputs:
+        raise ValueError("an input of the notebooks changed while it ran")
     defaults = {name: each.default for name, each in task.parameters.items()}
-    about = {"notebook": task.notebook.name, "profile": task.run.profile}
+    about = {"notebook": task.notebook.name, "profile": run.profile}
     about |= {"parameters": task.values, "files": produced}
     about |= {"seed": (defaults | task.values).get("seed"), "started": execution.started}
-    written = provenance.write(task.run.results / "figures" / task.name, **about)
-    produced[f"figures/{written.name}"] = sha256(written)
-    for file in before.keys() - produced.keys():
-        (task.run.results / file).unlink(missing_ok=True)
-    files.write_json(task.stamp, {"key": task.key, "files": produced})
+    before = _stored(run, task.stamp)[1]
+    with _put(task.stamp) as unfinished:  # without a key: what a kill leaves is ours, and not fresh
+        files.write_json(unfinished, {"key": "", "files": before | produced})
+    with ExitStack() as stack:
+        stamp = stack.enter_context(_put(task.stamp))
+        file = f"figures/{task.name}.provenance.json"
+        written = stack.enter_context(_put(run.results / file))
+        files.write_json(written, provenance.collect(**about))
+        files.write_json(stamp, {"key": task.key, "files": produced | {file: sha256(written)}})
+        for each in produced:
+            shutil.move(execution.staging / each, stack.enter_context(_put(run.results / each)))
+        shutil.move(execution.executed, stack.enter_context(_put(task.executed)))
+        (run.results / file).unlink(missing_ok=True)
+        for each in before.keys() - {*produced, file, *taken}:
+            if _has(run.results / each, before[each]):  # else someone has changed it
+                (run.results / each).unlink()
     shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
-    return NotebookResult(task, "done", tuple(produced), seconds)
+    return (*produced, file)
+
+
+def _produced(task: Task, staging: Path, taken: Mapping[str, str]) -> dict[str, str]:
+    """Return the digests of the files that a notebook produced; a ValueError where one may not."""
+    digests = {}
+    for path in [path for name in FOLDERS for path in sorted((staging / name).rglob("*"))]:
+        file = path.relative_to(staging).as_posix()
+        if path.is_dir() and not path.is_symlink():
+            continue
+        if not path.is_file() or path.is_symlink() or not _is_own(task.run, file):
+            raise ValueError(f"{file!r} is not a regular file in a folder of results")
+        if not file.isprintable() or file.endswith(_UNPUBLISHED):
+            raise ValueError(f"{file!r} is not a name of printable Unicode")
+        if file in taken:
+            raise ValueError(f"{file} is {taken[file]}")
+        digests[file] = sha256(path)
+    return digests
