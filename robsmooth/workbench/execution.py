@@ -24,24 +24,23 @@ class Execution:
         """Start; the run may take `time_limit` seconds, and one cell half as long."""
         self.started = time.perf_counter()
         self.staging, self.executed = staging, staging / notebook.name
-        self._scratch = staging / "scratch"
-        self._scratch.mkdir()
-        self._log = self._scratch / "log.txt"
+        self._log = staging / "log.txt"
         self._time_limit, self._reached = time_limit, ""
-        paths = {"input_path": notebook, "output_path": self.executed}
-        options = {  # papermill reads these paths as templates
-            name: str(path).replace("{", "{{").replace("}", "}}") for name, path in paths.items()
+        template = str.maketrans({"{": "{{", "}": "}}"})  # as which papermill reads these paths
+        options = {
+            "input_path": str(notebook).translate(template),
+            "output_path": str(self.executed).translate(template),
+            **{"parameters": parameters, "cwd": str(notebook.parent), "progress_bar": False},
+            **{"kernel_name": "python3", "language": "python"},
+            "execution_timeout": max(1, round(time_limit / 2)),
         }
-        options |= {"parameters": parameters, "cwd": str(notebook.parent), "progress_bar": False}
-        options |= {"kernel_name": "python3", "language": "python"}
-        options |= {"execution_timeout": max(1, round(time_limit / 2))}
-        files.write_json(request := self._scratch / "papermill.json", options)
+        files.write_json(request := staging / "papermill.json", options)
         with open(self._log, "wb") as log:
             # Its end of the pipe tells it of our end. In a new session, Ctrl-C reaches only us.
             self._process = subprocess.Popen(
                 [sys.executable, "-P", worker.__file__, request],
                 **{"stdin": subprocess.PIPE, "stdout": log, "stderr": subprocess.STDOUT},
-                **{"env": _environment(self._scratch), "start_new_session": True},
+                **{"env": _environment(staging), "start_new_session": True},
             )
 
     @property
@@ -60,7 +59,7 @@ class Execution:
 
     def kill(self) -> None:
         """End the process, its kernel, and all that the kernel has started."""
-        worker.end_all(self._scratch)
+        worker.end_all(self.staging)
         self._process.stdin.close()
         self._process.wait()
 
@@ -100,7 +99,7 @@ class Execution:
         return found
 
 
-def _environment(scratch: Path) -> dict[str, str]:
+def _environment(staging: Path) -> dict[str, str]:
     """Environment of this process, without what would make a figure depend on its user."""
     left_out = {"MPLBACKEND", "PYTHONPATH", "PYTHONDONTWRITEBYTECODE"}
     environment = {name: value for name, value in os.environ.items() if name not in left_out}
@@ -109,8 +108,8 @@ def _environment(scratch: Path) -> dict[str, str]:
         "PYDEVD_DISABLE_FILE_VALIDATION": "1",  # a warning that concerns no one here
         "TQDM_DISABLE": "1",  # without a terminal, a bar is many lines
         "JUPYTER_PREFER_ENV_PATH": "1",  # this environment's kernel, not the user's
-        worker.FOLDER: str(scratch / "jupyter"),
-        "IPYTHONDIR": str(scratch / "ipython"),  # without the user's start-up files
+        worker.FOLDER: str(staging / "jupyter"),
+        "IPYTHONDIR": str(staging / "ipython"),  # without the user's start-up files
         "MATPLOTLIBRC": str(Path(find_spec("matplotlib").origin).with_name("mpl-data")),
         "PYTHONHASHSEED": "0",
     }

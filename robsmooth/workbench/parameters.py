@@ -62,7 +62,7 @@ def code_cells(notebook: Path) -> list[Any]:
         nbformat.validate(json.loads(text))
         cells = nbformat.reads(text, as_version=4).cells
     except Exception as error:  # nbformat has no error of its own for what a file may hold
-        why = (str(error) or type(error).__name__).splitlines()[0]
+        why = (str(error) or type(error).__name__).splitlines()[0][:200]
         raise PipelineError(f"{notebook.name}: not a readable notebook ({why})") from error
     return [cell for cell in cells if cell.cell_type == "code"]
 

@@ -3,14 +3,13 @@
 import hashlib
 import json
 import platform
-import reprlib
 import shutil
 import sqlite3
 import tempfile
 import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import metadata
@@ -30,6 +29,14 @@ from robsmooth.workbench.worker import end_all
 PROFILES = ("paper", "quick")
 NEEDED = ("ipykernel", "matplotlib", "nbformat", "papermill", "psutil")  # to run any notebook
 FOLDERS = ("figures", "data")  # of results
+# of profiles.toml, as a JSON schema
+_TABLES = {"type": "object", "additionalProperties": {"type": "object"}}
+_NAME = {"type": "string", "pattern": r"^[^/\x00-\x1f]+$"}
+_NAMES = {"type": "array", "items": _NAME, "uniqueItems": True}
+_PROFILES = {
+    "required": ["notebooks"],
+    "properties": {"notebooks": _NAMES, **dict.fromkeys(PROFILES, _TABLES)},
+}
 _UNPUBLISHED = ".unpublished"  # end of the name of a file that is not in its place yet
 _put = partial(files.atomic_path, kept=_UNPUBLISHED)
 PACKAGE = Path(__file__).resolve().parent.parent
@@ -84,7 +91,6 @@ class Task:
     parameters: Mapping[str, cell.Parameter]
     values: Mapping[str, object]  # given for its parameters, checked
     key: str  # hash of all that its results depend on
-    inputs: Mapping[str, str]  # digests of those of all notebooks
     notebook: Path
     executed: Path  # its executed copy
     stamp: Path  # file of the key and the files of its last run
@@ -107,7 +113,10 @@ def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResul
     waiting, running = [], []
     with held_back() as signals, ExitStack() as stack:
         for lock in run.locks:
-            stack.enter_context(_locked(lock))
+            try:
+                stack.enter_context(files.exclusive_lock(lock))
+            except sqlite3.Error as error:
+                raise PipelineError(f"{lock} cannot be locked: {error}") from error
         _clean(run)
         stack.callback(_clean, run)
         for task in tasks:
@@ -137,25 +146,12 @@ def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResul
                 execution.kill()
 
 
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    try:
-        with files.exclusive_lock(path):
-            yield
-    except sqlite3.Error as error:
-        raise PipelineError(f"{path} cannot be locked: {error}") from error
-
-
 def _clean(run: Request) -> None:
     """End what this run or an earlier one left running, and remove what it left unpublished."""
     end_all(run.work / "staging")
     shutil.rmtree(run.work / "staging", ignore_errors=True)
-    _discard(run)
-
-
-def _discard(run: Request) -> None:
-    written = [run.work / "stamps", run.work / "notebooks"]
-    for folder in written + [run.results / name for name in FOLDERS]:
+    folders = [run.work / "stamps", run.work / "notebooks"]
+    for folder in [*folders, *(run.results / name for name in FOLDERS)]:
         for path in folder.rglob(f"*{_UNPUBLISHED}"):
             path.unlink()
 
@@ -201,10 +197,9 @@ def _task(
     values = cell.check(parameters, profile.get(name, {}), where)
     values |= cell.check(parameters, own, f"--set for {name}")
     notebook = run.root / "notebooks" / f"{name}.ipynb"
-    inputs = _inputs(run)
-    key = _key(run, notebook, values, inputs)
+    key = _key(run, notebook, values)
     return Task(
-        *(run, name, parameters, values, key, inputs, notebook),
+        *(run, name, parameters, values, key, notebook),
         executed=run.work / "notebooks" / notebook.name,
         stamp=run.work / "stamps" / f"{name}.json",
         checkpoints=run.work / "checkpoints" / name / key[:16],
@@ -221,52 +216,39 @@ def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
 
 def _profiles(folder: Path) -> dict:
     """Return `profiles.toml`, checked against the notebooks in the folder."""
+    import jsonschema  # comes with nbformat
+
     try:
         profiles = tomllib.loads((folder / "profiles.toml").read_text(encoding="utf-8"))
+        jsonschema.validate(profiles, _PROFILES)
+    except jsonschema.ValidationError as error:
+        raise PipelineError(f"profiles.toml, {error.json_path}: {error.message:.200}") from error
     except (OSError, ValueError, RecursionError) as error:
         raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
-    listed = profiles.get("notebooks")
-    # two names that differ in case alone are one file on some systems
-    if type(listed) is not list or len({_stem(name) for name in listed} - {""}) < len(listed):
-        rule = "notebooks must be a list of different names of files, without .ipynb"
-        raise PipelineError(f"profiles.toml: {rule}, got {reprlib.repr(listed)}")
+    listed = profiles["notebooks"]
     for path in sorted(folder.glob("[0-9][0-9]_*.ipynb")):  # other names may be a user's
         if path.stem not in listed:
             raise PipelineError(f"notebooks/{path.name} is not listed in profiles.toml")
     for profile in PROFILES:
-        tables = profiles.setdefault(profile, {})
-        for name, table in tables.items() if type(tables) is dict else [("", tables)]:
-            if type(table) is not dict:
-                given = f"[{profile}.{name}] must be a table, got {reprlib.repr(table)}"
-                raise PipelineError(f"profiles.toml: {given}".replace(".]", "]"))
+        for name in profiles.setdefault(profile, {}):
             if name not in listed:
                 raise unknown(f"profiles.toml, [{profile}]: notebook", name, listed)
     return profiles
 
 
-def _stem(name: object) -> str:
-    """Return what tells a notebook's file from the others; nothing for what cannot be a name."""
-    is_name = isinstance(name, str) and name.isprintable() and "/" not in name
-    return name.casefold() if is_name else ""
-
-
-def _key(run: Request, notebook: Path, values: Mapping[str, object], inputs: Mapping) -> str:
+def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
     modules = modules_in(PACKAGE)
     code = "\n".join(each.source for each in cell.code_cells(notebook))
     used = dependencies(f"import {__name__}\n{code}", modules)
     sources = [path for path in PACKAGE.rglob("*") if path.suffix in {".pyi", ".mplstyle"}]
     sources += [modules[name] for name in used]
+    inputs = [*(run.root / name for name in provenance.INPUTS), notebook]
     named = {str(path.relative_to(PACKAGE.parent)): path for path in sources}
-    digests = {name: sha256(path) for name, path in named.items()} | {"": sha256(notebook)}
+    named |= {path.name: path for path in inputs if path.is_file()}
+    digests = {name: sha256(path) for name, path in named.items()}
     environment = [platform.python_version(), platform.system(), platform.machine()]
-    text = json.dumps([digests, inputs, environment, run.profile, values], sort_keys=True)
+    text = json.dumps([digests, environment, run.profile, values], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _inputs(run: Request) -> dict[str, str]:
-    """Return the digests of the inputs of all notebooks."""
-    there = {name: run.root / name for name in provenance.INPUTS}
-    return {name: sha256(path) for name, path in there.items() if path.is_file()}
 
 
 def _stored(run: Request, stamp: Path) -> tuple[str, dict[str, str]]:
@@ -328,7 +310,6 @@ def _finish(task: Task, execution: Execution, taken: Mapping[str, str]) -> Noteb
             return NotebookResult(task, "done", produced, seconds)
     except (OSError, ValueError) as error:
         failure = f"its files were not published: {error}"
-        _discard(task.run)
     with suppress(OSError), _put(task.executed) as temporary:
         shutil.move(execution.executed, temporary)
     return NotebookResult(task, "failed", (), seconds, failure)
@@ -341,8 +322,8 @@ def _publish(task: Task, execution: Execution, taken: Mapping[str, str]) -> tupl
     contexts are left in the order opposite to that in which they were entered.
     """
     run, produced = task.run, _produced(task, execution.staging, taken)
-    if _inputs(run) != task.inputs:
-        raise ValueError("an input of the notebooks changed while it ran")
+    if _key(run, task.notebook, task.values) != task.key:
+        raise ValueError("what they depend on changed in the meantime: run it again")
     defaults = {name: each.default for name, each in task.parameters.items()}
     about = {"notebook": task.notebook.name, "profile": run.profile}
     about |= {"parameters": task.values, "files": produced}
@@ -374,11 +355,10 @@ def _produced(task: Task, staging: Path, taken: Mapping[str, str]) -> dict[str, 
         file = path.relative_to(staging).as_posix()
         if path.is_dir() and not path.is_symlink():
             continue
-        if not path.is_file() or path.is_symlink() or not _is_own(task.run, file):
-            raise ValueError(f"{file!r} is not a regular file in a folder of results")
-        if not file.isprintable() or file.endswith(_UNPUBLISHED):
-            raise ValueError(f"{file!r} is not a name of printable Unicode")
         if file in taken:
             raise ValueError(f"{file} is {taken[file]}")
+        is_regular = path.is_file() and not path.is_symlink() and path.suffix != _UNPUBLISHED
+        if not (is_regular and file.isprintable() and _is_own(task.run, file)):
+            raise ValueError(f"{file!r} is not a regular file with a name of printable signs")
         digests[file] = sha256(path)
     return digests

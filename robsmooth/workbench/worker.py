@@ -17,26 +17,22 @@ FOLDER = "JUPYTER_RUNTIME_DIR"
 
 def end_all(folder: Path) -> None:
     """Kill the processes whose `FOLDER` is in a folder, and theirs; wait until there are none."""
-    import psutil
+    import psutil  # comes with the notebooks
 
     deadline = time.monotonic() + 10.0
-    while (found := _working_in(folder)) and time.monotonic() < deadline:
+    while time.monotonic() < deadline:
+        found = set()
+        for process in psutil.process_iter(["environ"]):  # None of other users' and of zombies
+            place = (process.info["environ"] or {}).get(FOLDER)
+            if place and Path(place).is_relative_to(folder) and process.pid != os.getpid():
+                with suppress(psutil.NoSuchProcess):
+                    found |= {process, *process.children(recursive=True)}
         for process in found:
             with suppress(psutil.NoSuchProcess):
                 process.kill()
+        if not found:
+            return
         time.sleep(0.01)
-
-
-def _working_in(folder: Path) -> set:
-    import psutil  # comes with the notebooks
-
-    found = set()
-    for process in psutil.process_iter(["environ"]):  # None of other users' and of zombies
-        runtime = (process.info["environ"] or {}).get(FOLDER)
-        if runtime and Path(runtime).is_relative_to(folder) and process.pid != os.getpid():
-            with suppress(psutil.NoSuchProcess):
-                found |= {process, *process.children(recursive=True)}
-    return found
 
 
 def _end_with_parent() -> None:
