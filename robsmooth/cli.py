@@ -5,21 +5,20 @@ import ast
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 
 import robsmooth
 from robsmooth._support.extras import MissingExtraError
-from robsmooth.workbench import signals
 from robsmooth.workbench.parameters import UNREADABLE, PipelineError
 from robsmooth.workbench.runner import PROFILES, NotebookResult, Request, plan, run_notebooks
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, 1 after a failure, 2 for a wrong request."""
-    signals.handle(signal.default_int_handler)
+    _handle(signal.default_int_handler)
     try:
         options = _parser().parse_args(arguments)
         return options.command(options)
@@ -27,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"robsmooth: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        signals.handle(signal.SIG_IGN)
+        _handle(signal.SIG_IGN)
         kept = "notebooks that had finished are kept, the results of the others are as they were"
         with suppress(OSError):  # of a terminal that is lost
             print(f"robsmooth: interrupted; {kept}", file=sys.stderr)
@@ -40,7 +39,7 @@ def figures(options: argparse.Namespace) -> int:
     given["only"] = [name for name in options.only.split(",") if name]
     run = Request(**{each.name: given[each.name] for each in fields(Request)})
     tasks, results = plan(run), []
-    with closing(run_notebooks(run, tasks)) as running:
+    with held_back() as signals, closing(run_notebooks(run, tasks, signals)) as running:
         for result in running:
             results.append(result)
             text = {"failed": f"FAILED after {result.seconds:.1f} s", "fresh": "fresh"}
@@ -54,6 +53,28 @@ def figures(options: argparse.Namespace) -> int:
     if not failed:
         print(f"figures and tables are in {run.results / 'figures'}")
     return 1 if failed else 0
+
+
+@contextmanager
+def held_back() -> Iterator[list[int]]:
+    """Yield the signals that have come; the first takes effect when the block has ended."""
+    came: list[int] = []
+    before = _handle(lambda number, _: came.append(number))
+    try:
+        yield came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])
+
+
+def _handle(handler: Callable | signal.Handlers) -> dict:
+    """Let a handler have what ends the command and is not ignored; return the handlers before."""
+    names = {"SIGINT", "SIGTERM", "SIGHUP"} & vars(signal).keys()  # Windows has not the last
+    before = {number: signal.getsignal(number) for number in map(signal.Signals.__getitem__, names)}
+    heeded = [number for number, old in before.items() if old not in (None, signal.SIG_IGN)]
+    return {number: signal.signal(number, handler) for number in heeded}
 
 
 def _write_report(run: Request) -> None:

@@ -1,6 +1,5 @@
 """Files that are written whole or not at all, and locks."""
 
-import errno
 import json
 import os
 import secrets
@@ -15,22 +14,20 @@ from pathlib import Path
 def atomic_path(path: str | os.PathLike[str], kept: str = "") -> Iterator[Path]:
     """Yield a path beside `path` to write to; on success the file there replaces `path`.
 
-    The file is on the disk before it replaces `path`, so a power cut leaves one or the other. After
-    a failure `path` is as it was, and the temporary file is removed, unless it is `kept` under the
-    path with this suffix. Symbolic links and permissions are preserved.
+    It is on the disk before. After a failure, also of the power, `path` is as it was, and the
+    temporary file is removed, unless it is `kept` under the path with this suffix. Symbolic links
+    and permissions are preserved.
     """
     path = Path(os.path.realpath(path))
-    if path.is_dir():
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     name = path.name + kept if kept else f".{path.stem}.{secrets.token_hex(4)}{path.suffix}"
     temporary = path.with_name(name)
     try:
         yield temporary
+        with open(temporary, "r+b") as file:
+            os.fsync(file.fileno())
         if path.exists():
             shutil.copymode(path, temporary)
-        with open(temporary, "r+b" if os.name == "nt" else "rb") as file:
-            os.fsync(file.fileno())
         os.replace(temporary, path)
     except BaseException:
         if not kept:

@@ -1,5 +1,6 @@
 """One notebook in its own process (several in one hang), judged by its executed copy."""
 
+import json
 import os
 import re
 import subprocess
@@ -9,7 +10,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from robsmooth._support import files
 from robsmooth.workbench import worker
 
 _ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
@@ -27,21 +27,18 @@ class Execution:
         self._log = staging / "log.txt"
         self._time_limit, self._reached = time_limit, ""
         template = str.maketrans({"{": "{{", "}": "}}"})  # as which papermill reads these paths
-        options = {
-            "input_path": str(notebook).translate(template),
-            "output_path": str(self.executed).translate(template),
-            **{"parameters": parameters, "cwd": str(notebook.parent), "progress_bar": False},
-            **{"kernel_name": "python3", "language": "python"},
-            "execution_timeout": max(1, round(time_limit / 2)),
-        }
-        files.write_json(request := staging / "papermill.json", options)
+        paths = [str(path).translate(template) for path in (notebook, self.executed)]
         with open(self._log, "wb") as log:
-            # Its end of the pipe tells it of our end. In a new session, Ctrl-C reaches only us.
             self._process = subprocess.Popen(
-                [sys.executable, "-P", worker.__file__, request],
+                [sys.executable, "-P", worker.__file__],
                 **{"stdin": subprocess.PIPE, "stdout": log, "stderr": subprocess.STDOUT},
-                **{"env": _environment(staging), "start_new_session": True},
+                **{"env": _environment(staging), "cwd": notebook.parent},
+                start_new_session=True,  # so that Ctrl-C reaches only us
             )
+        # Its end of the pipe, which stays open, tells it of our end.
+        request = json.dumps([*paths, parameters, max(1, round(time_limit / 2))])
+        self._process.stdin.write(f"{request}\n".encode())
+        self._process.stdin.flush()
 
     @property
     def seconds(self) -> float:
@@ -105,7 +102,6 @@ def _environment(staging: Path) -> dict[str, str]:
     environment = {name: value for name, value in os.environ.items() if name not in left_out}
     return environment | {
         "OPENBLAS_NUM_THREADS": "1",  # the matrices are small, and notebooks run side by side
-        "PYDEVD_DISABLE_FILE_VALIDATION": "1",  # a warning that concerns no one here
         "TQDM_DISABLE": "1",  # without a terminal, a bar is many lines
         "JUPYTER_PREFER_ENV_PATH": "1",  # this environment's kernel, not the user's
         worker.FOLDER: str(staging / "jupyter"),

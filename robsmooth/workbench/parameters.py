@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from robsmooth._support import validation
 
-TYPES = {"bool": bool, "int": int, "float": float, "str": str}
+TYPES = {"bool": (bool,), "int": (int,), "float": (float, int), "str": (str,)}
 # The pipeline sets these for each run; no result depends on them.
 OPTIONAL = {"scheduler": "str", "allow_insecure": "bool", "checkpoint_dir": "str"}
 SET_BY_PIPELINE = {"output_dir": "str", "data_dir": "str", **OPTIONAL}
@@ -39,18 +39,16 @@ class Parameter(NamedTuple):
 
     def check(self, value: object, where: str) -> object:
         """Return `value` in this parameter's type; a `PipelineError` says why it cannot be."""
-        kinds = (int, float) if self.type == "float" else (TYPES[self.type],)
         try:
-            if type(value) not in kinds:
+            if type(value) not in TYPES[self.type]:
                 given = f"{reprlib.repr(value)} ({type(value).__name__})"
                 raise ValueError(f"{self.name} must be of type {self.type}, got {given}")
             if self.type in ("int", "float"):
-                number = validation.real(self.name, value, **self.interval)
-                return number if self.type == "float" else value
+                validation.real(self.name, value, **self.interval)
             str(value).encode()  # a text that is not Unicode cannot be written to the notebook
         except ValueError as error:
             raise PipelineError(f"{where}: {error}") from None
-        return value
+        return TYPES[self.type][0](value)
 
 
 def code_cells(notebook: Path) -> list[Any]:
@@ -58,9 +56,8 @@ def code_cells(notebook: Path) -> list[Any]:
     import nbformat
 
     try:
-        text = notebook.read_text(encoding="utf-8")
-        nbformat.validate(json.loads(text))
-        cells = nbformat.reads(text, as_version=4).cells
+        nbformat.validate(json.loads(notebook.read_bytes()))
+        cells = nbformat.read(notebook, as_version=4).cells
     except Exception as error:  # nbformat has no error of its own for what a file may hold
         why = (str(error) or type(error).__name__).splitlines()[0][:200]
         raise PipelineError(f"{notebook.name}: not a readable notebook ({why})") from error

@@ -3,13 +3,13 @@
 import hashlib
 import json
 import platform
+import secrets
 import shutil
 import sqlite3
-import tempfile
 import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import metadata
@@ -23,20 +23,11 @@ from robsmooth.workbench.dependencies import dependencies, modules_in
 from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import SET_BY_PIPELINE, PipelineError, unknown
 from robsmooth.workbench.provenance import sha256
-from robsmooth.workbench.signals import held_back
 from robsmooth.workbench.worker import end_all
 
 PROFILES = ("paper", "quick")
 NEEDED = ("ipykernel", "matplotlib", "nbformat", "papermill", "psutil")  # to run any notebook
 FOLDERS = ("figures", "data")  # of results
-# of profiles.toml, as a JSON schema
-_TABLES = {"type": "object", "additionalProperties": {"type": "object"}}
-_NAME = {"type": "string", "pattern": r"^[^/\x00-\x1f]+$"}
-_NAMES = {"type": "array", "items": _NAME, "uniqueItems": True}
-_PROFILES = {
-    "required": ["notebooks"],
-    "properties": {"notebooks": _NAMES, **dict.fromkeys(PROFILES, _TABLES)},
-}
 _UNPUBLISHED = ".unpublished"  # end of the name of a file that is not in its place yet
 _put = partial(files.atomic_path, kept=_UNPUBLISHED)
 PACKAGE = Path(__file__).resolve().parent.parent
@@ -71,10 +62,9 @@ class Request:
         return build.absolute() / ("custom" if self.parameters else self.profile)
 
     @property
-    def locks(self) -> list[Path]:
-        """Files whose locks keep other runs off the folders that this one writes to."""
-        of_paper = [self.root / "build/paper/lock"] if self.results == self.root else []
-        return sorted({path.resolve() for path in [self.work / "lock", *of_paper]})
+    def lock(self) -> Path:
+        """File whose lock keeps other runs off the folders that this one writes to."""
+        return (self.root / "build/paper" if self.results == self.root else self.work) / "lock"
 
     @property
     def results(self) -> Path:
@@ -92,6 +82,7 @@ class Task:
     values: Mapping[str, object]  # given for its parameters, checked
     key: str  # hash of all that its results depend on
     notebook: Path
+    staging: Path  # folder that it writes to, of this run alone
     executed: Path  # its executed copy
     stamp: Path  # file of the key and the files of its last run
     checkpoints: Path  # folder that it resumes from, one for each key
@@ -108,62 +99,60 @@ class NotebookResult:
     failure: str = ""
 
 
-def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResult]:
-    """Run each task in its own process; yield results as they come. Closing it ends them all."""
-    waiting, running = [], []
-    with held_back() as signals, ExitStack() as stack:
-        for lock in run.locks:
-            try:
-                stack.enter_context(files.exclusive_lock(lock))
-            except sqlite3.Error as error:
-                raise PipelineError(f"{lock} cannot be locked: {error}") from error
+def run_notebooks(
+    run: Request, tasks: Sequence[Task], stop: Sequence = ()
+) -> Iterator[NotebookResult]:
+    """Run each task in its own process; yield results as they come.
+
+    Closing it, or an item in `stop`, ends all that it started.
+    """
+    waiting, running = {}, {}
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(files.exclusive_lock(run.lock))
+        except sqlite3.Error as error:
+            raise PipelineError(f"{run.lock} cannot be locked: {error}") from error
         _clean(run)
         stack.callback(_clean, run)
         for task in tasks:
             if run.force or (produced := _fresh(task)) is None:
-                waiting.append(task)
+                waiting[task.name] = task
             else:
                 yield NotebookResult(task, "fresh", produced)
-        taken = _taken(run, waiting)
-        try:
-            while (waiting or running) and not signals:
-                while waiting and len(running) < run.jobs:
-                    task = waiting.pop(0)
-                    try:
-                        running.append((task, _start(task)))
-                    except (OSError, ValueError) as error:
-                        failure = f"it could not be started: {error}"
-                        yield NotebookResult(task, "failed", failure=failure)
-                for task, execution in list(running):
-                    if execution.finished():
-                        running.remove((task, execution))
-                        result = _finish(task, execution, taken)
-                        taken |= dict.fromkeys(result.files, f"a file of {task.name}")
-                        yield result
-                time.sleep(0.05)
-        finally:
-            for _, execution in running:
-                execution.kill()
+        while (waiting or running) and not stop:
+            while waiting and len(running) < run.jobs:
+                task = waiting.pop(next(iter(waiting)))
+                try:
+                    execution = _start(task)
+                except OSError as error:
+                    failure = f"it could not be started: {error}"
+                    yield NotebookResult(task, "failed", failure=failure)
+                else:
+                    running[task.name] = task, execution
+                    stack.callback(execution.kill)
+            for task, execution in list(running.values()):
+                if execution.finished():
+                    yield _finish(task, execution, _taken(run, waiting.keys() | running.keys()))
+                    del running[task.name]
+            time.sleep(0.05)
 
 
 def _clean(run: Request) -> None:
     """End what this run or an earlier one left running, and remove what it left unpublished."""
     end_all(run.work / "staging")
     shutil.rmtree(run.work / "staging", ignore_errors=True)
-    folders = [run.work / "stamps", run.work / "notebooks"]
-    for folder in [*folders, *(run.results / name for name in FOLDERS)]:
+    for folder in (run.work, *(run.results / name for name in FOLDERS)):
         for path in folder.rglob(f"*{_UNPUBLISHED}"):
             path.unlink()
 
 
-def _taken(run: Request, waiting: Sequence[Task]) -> dict[str, str]:
-    """Return the files that the notebooks of a run must not write, and whose they are."""
+def _taken(run: Request, unfinished: set[str]) -> dict[str, str]:
+    """Return the files that no unfinished notebook may write, and whose they are."""
     taken = dict.fromkeys(provenance.INPUTS, "an input of the notebooks")
-    for notebook in sorted((run.root / "notebooks").glob("*.ipynb")):
-        if notebook.stem not in {task.name for task in waiting}:
-            there = _stored(run, run.work / "stamps" / f"{notebook.stem}.json")[1]
-            taken |= dict.fromkeys(there, f"a file of {notebook.stem}")
-        taken[f"figures/{notebook.stem}.provenance.json"] = f"the provenance of {notebook.stem}"
+    for name in {path.stem for path in (run.root / "notebooks").glob("*.ipynb")}:
+        there = {} if name in unfinished else _stored(run.work / f"stamps/{name}.json")[1]
+        taken |= dict.fromkeys(there, f"a file of {name}")
+        taken[f"figures/{name}.provenance.json"] = f"the provenance of {name}"
     return taken
 
 
@@ -180,30 +169,28 @@ def plan(run: Request) -> list[Task]:
     for name in run.parameters:
         if name not in everywhere:
             raise unknown("--set: parameter", name, everywhere - {*SET_BY_PIPELINE})
-    tasks = [_task(run, name, each, profiles[run.profile]) for name, each in known.items()]
+    tasks = []
+    for name, each in known.items():
+        own = {key: value for key, value in run.parameters.items() if key in each}
+        given = profiles.get(run.profile, {}).get(name, {})
+        values = cell.check(each, given, f"profiles.toml, [{run.profile}.{name}]")
+        values |= cell.check(each, own, f"--set for {name}")
+        notebook = folder / f"{name}.ipynb"
+        key = _key(run, notebook, values)
+        task = Task(
+            *(run, name, each, values, key, notebook),
+            staging=run.work / "staging" / f"{name}.{secrets.token_hex(4)}",
+            executed=run.work / "notebooks" / notebook.name,
+            stamp=run.work / "stamps" / f"{name}.json",
+            checkpoints=run.work / "checkpoints" / name / key[:16],
+        )
+        tasks.append(task)
     try:
         with cluster.connect(run.dask, allow_insecure=run.allow_insecure):
             pass
     except (ConnectionError, ImportError) as error:
         raise PipelineError(f"--dask: {error}") from error
     return tasks
-
-
-def _task(
-    run: Request, name: str, parameters: Mapping[str, cell.Parameter], profile: Mapping[str, dict]
-) -> Task:
-    own = {key: value for key, value in run.parameters.items() if key in parameters}
-    where = f"profiles.toml, [{run.profile}.{name}]"
-    values = cell.check(parameters, profile.get(name, {}), where)
-    values |= cell.check(parameters, own, f"--set for {name}")
-    notebook = run.root / "notebooks" / f"{name}.ipynb"
-    key = _key(run, notebook, values)
-    return Task(
-        *(run, name, parameters, values, key, notebook),
-        executed=run.work / "notebooks" / notebook.name,
-        stamp=run.work / "stamps" / f"{name}.json",
-        checkpoints=run.work / "checkpoints" / name / key[:16],
-    )
 
 
 def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
@@ -218,21 +205,20 @@ def _profiles(folder: Path) -> dict:
     """Return `profiles.toml`, checked against the notebooks in the folder."""
     import jsonschema  # comes with nbformat
 
+    name = {"enum": sorted(path.stem for path in folder.glob("*.ipynb"))}
+    table = {"type": "object", "additionalProperties": {"type": "object"}, "propertyNames": name}
+    names = {"type": "array", "items": name, "uniqueItems": True}
+    tables = {"notebooks": names, **dict.fromkeys(PROFILES, table)}
     try:
         profiles = tomllib.loads((folder / "profiles.toml").read_text(encoding="utf-8"))
-        jsonschema.validate(profiles, _PROFILES)
+        jsonschema.validate(profiles, {"properties": tables, "required": ["notebooks"]})
     except jsonschema.ValidationError as error:
         raise PipelineError(f"profiles.toml, {error.json_path}: {error.message:.200}") from error
     except (OSError, ValueError, RecursionError) as error:
         raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
-    listed = profiles["notebooks"]
     for path in sorted(folder.glob("[0-9][0-9]_*.ipynb")):  # other names may be a user's
-        if path.stem not in listed:
+        if path.stem not in profiles["notebooks"]:
             raise PipelineError(f"notebooks/{path.name} is not listed in profiles.toml")
-    for profile in PROFILES:
-        for name in profiles.setdefault(profile, {}):
-            if name not in listed:
-                raise unknown(f"profiles.toml, [{profile}]: notebook", name, listed)
     return profiles
 
 
@@ -251,84 +237,71 @@ def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _stored(run: Request, stamp: Path) -> tuple[str, dict[str, str]]:
+def _stored(stamp: Path) -> tuple[str, dict[str, str]]:
     """Return the key and the files' digests of a stamp; nothing from a damaged one."""
     try:
         stored = json.loads(stamp.read_text(encoding="utf-8"))
-        key, digests = stored["key"], stored["files"]
-        texts = {key, *digests, *digests.values()}
-        if all(isinstance(text, str) for text in texts) and all(_is_own(run, f) for f in digests):
-            return key, digests
+        return stored.get("key", ""), {**stored["files"]}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        pass
-    return "", {}
+        return "", {}
 
 
-def _is_own(run: Request, file: str) -> bool:
-    """Whether a path is of results, also behind symbolic links, and not of an input."""
-    path = run.results / file
-    path = path.parent.resolve() / path.name
-    inputs = [(run.root / name).resolve() for name in provenance.INPUTS]
-    folders = [(run.results / name).resolve() for name in FOLDERS]
-    return path not in inputs and any(folder in path.parents for folder in folders)
+def _results(run: Request) -> dict[str, str]:
+    """Return the digests of the files that a stamp may name: results, neither inputs nor links."""
+    paths = [path for name in FOLDERS for path in (run.results / name).rglob("*")]
+    found = {path.relative_to(run.results).as_posix(): path for path in paths if path.is_file()}
+    return {file: sha256(path) for file, path in found.items() if file not in provenance.INPUTS}
 
 
 def _fresh(task: Task) -> tuple[str, ...] | None:
     """Return the files of the last run if it need not be repeated, else None."""
-    key, digests = _stored(task.run, task.stamp)
-    same = all(_has(task.run.results / file, digest) for file, digest in digests.items())
-    return tuple(digests) if key == task.key and same else None
-
-
-def _has(path: Path, digest: str) -> bool:
-    return path.is_file() and sha256(path) == digest
+    key, digests = _stored(task.stamp)
+    same = key == task.key and digests.items() <= _results(task.run).items()
+    return tuple(digests) if same else None
 
 
 def _start(task: Task) -> Execution:
-    place = task.run.work / "staging"
-    place.mkdir(parents=True, exist_ok=True)
-    staging = Path(tempfile.mkdtemp(prefix=f"{task.name}.", dir=place))
     for folder in FOLDERS:
-        (staging / folder).mkdir()
+        (task.staging / folder).mkdir(parents=True)
     if not task.checkpoints.exists():  # those beside it are of other inputs
         shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
     if "checkpoint_dir" in task.parameters:
         task.checkpoints.mkdir(parents=True, exist_ok=True)
     ours = {"scheduler": task.run.dask, "checkpoint_dir": str(task.checkpoints)}
     ours["allow_insecure"] = task.run.allow_insecure
-    ours |= {"output_dir": str(staging / "figures"), "data_dir": str(staging / "data")}
+    ours |= {"output_dir": str(task.staging / "figures"), "data_dir": str(task.staging / "data")}
     values = {**task.values, **{name: ours[name] for name in ours if name in task.parameters}}
-    return Execution(task.notebook, values, staging, task.run.time_limit)
+    return Execution(task.notebook, values, task.staging, task.run.time_limit)
 
 
 def _finish(task: Task, execution: Execution, taken: Mapping[str, str]) -> NotebookResult:
-    """Publish what the notebook produced, or say why not."""
-    seconds, failure = execution.seconds, execution.failure()
+    """Keep the executed copy, and publish what the notebook produced, or say why not."""
+    produced, seconds, failure = (), execution.seconds, execution.failure()
     try:
+        if execution.executed.exists():
+            with _put(task.executed) as temporary:
+                shutil.move(execution.executed, temporary)
         if not failure:
-            produced = _publish(task, execution, taken)
-            return NotebookResult(task, "done", produced, seconds)
+            produced = _publish(task, execution.started, taken)
     except (OSError, ValueError) as error:
-        failure = f"its files were not published: {error}"
-    with suppress(OSError), _put(task.executed) as temporary:
-        shutil.move(execution.executed, temporary)
-    return NotebookResult(task, "failed", (), seconds, failure)
+        failure = failure or f"its files were not published: {error}"
+    return NotebookResult(task, "failed" if failure else "done", produced, seconds, failure)
 
 
-def _publish(task: Task, execution: Execution, taken: Mapping[str, str]) -> tuple[str, ...]:
+def _publish(task: Task, started: float, taken: Mapping[str, str]) -> tuple[str, ...]:
     """Move what a notebook produced to its places; return the files, with the provenance.
 
     All is written beside its place first. Then there is no provenance until all is in its place:
     contexts are left in the order opposite to that in which they were entered.
     """
-    run, produced = task.run, _produced(task, execution.staging, taken)
+    run, produced = task.run, _produced(task, taken)
     if _key(run, task.notebook, task.values) != task.key:
         raise ValueError("what they depend on changed in the meantime: run it again")
     defaults = {name: each.default for name, each in task.parameters.items()}
     about = {"notebook": task.notebook.name, "profile": run.profile}
     about |= {"parameters": task.values, "files": produced}
-    about |= {"seed": (defaults | task.values).get("seed"), "started": execution.started}
-    before = _stored(run, task.stamp)[1]
+    about |= {"seed": (defaults | task.values).get("seed"), "started": started}
+    before = _stored(task.stamp)[1]
     with _put(task.stamp) as unfinished:  # without a key: what a kill leaves is ours, and not fresh
         files.write_json(unfinished, {"key": "", "files": before | produced})
     with ExitStack() as stack:
@@ -338,27 +311,27 @@ def _publish(task: Task, execution: Execution, taken: Mapping[str, str]) -> tupl
         files.write_json(written, provenance.collect(**about))
         files.write_json(stamp, {"key": task.key, "files": produced | {file: sha256(written)}})
         for each in produced:
-            shutil.move(execution.staging / each, stack.enter_context(_put(run.results / each)))
-        shutil.move(execution.executed, stack.enter_context(_put(task.executed)))
+            shutil.move(task.staging / each, stack.enter_context(_put(run.results / each)))
         (run.results / file).unlink(missing_ok=True)
+        there = _results(run)
         for each in before.keys() - {*produced, file, *taken}:
-            if _has(run.results / each, before[each]):  # else someone has changed it
+            if there.get(each) == before[each]:  # else someone has changed it
                 (run.results / each).unlink()
     shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
     return (*produced, file)
 
 
-def _produced(task: Task, staging: Path, taken: Mapping[str, str]) -> dict[str, str]:
+def _produced(task: Task, taken: Mapping[str, str]) -> dict[str, str]:
     """Return the digests of the files that a notebook produced; a ValueError where one may not."""
     digests = {}
-    for path in [path for name in FOLDERS for path in sorted((staging / name).rglob("*"))]:
-        file = path.relative_to(staging).as_posix()
-        if path.is_dir() and not path.is_symlink():
-            continue
-        if file in taken:
-            raise ValueError(f"{file} is {taken[file]}")
-        is_regular = path.is_file() and not path.is_symlink() and path.suffix != _UNPUBLISHED
-        if not (is_regular and file.isprintable() and _is_own(task.run, file)):
+    for path in [path for name in FOLDERS for path in sorted((task.staging / name).rglob("*"))]:
+        file, is_folder = path.relative_to(task.staging).as_posix(), path.is_dir()
+        whose = "a folder" if (task.run.results / file).is_dir() else taken.get(file)
+        if whose and not is_folder:
+            raise ValueError(f"{file} is {whose}")
+        is_plain = (is_folder or path.is_file()) and not path.is_symlink()
+        if not (is_plain and file.isprintable()) or file.endswith(_UNPUBLISHED):
             raise ValueError(f"{file!r} is not a regular file with a name of printable signs")
-        digests[file] = sha256(path)
+        if not is_folder:
+            digests[file] = sha256(path)
     return digests

@@ -36,6 +36,9 @@ def write(project, monkeypatch):
         def failure(self):
             return ""
 
+        def kill(self):
+            pass
+
     def write(name, *doings):
         written[name] = doings
         notebook = project.path(name).read_text()
@@ -86,7 +89,7 @@ BAD = {
     "an input": (file("data/published.toml"), "published.toml is an input of the notebooks"),
     "its own provenance": (file("figures/02_good.provenance.json"), "is the provenance of 02_good"),
     "a file of another": (file("figures/1.txt"), "figures/1.txt is a file of 01_good"),
-    "a folder that is there": (file("figures/folder"), "Is a directory: "),
+    "a folder that is there": (file("figures/folder"), "figures/folder is a folder"),
     "a file that is there": (file("figures/2.txt/inside"), "(File exists|Not a directory): "),
     "a long name": (file(f"figures/{'a' * 250}"), "File name too long: "),
 }
@@ -290,9 +293,8 @@ def test_a_run_ends_and_removes_what_an_earlier_one_left(project, write):
 
 @pytest.mark.parametrize("build", ["/dev/null", "/proc/nowhere", "figures"])
 def test_a_folder_that_is_of_no_use_is_one_sentence(project, write, build, monkeypatch, capsys):
-    lock = project.root / "figures/paper/lock"
-    lock.mkdir(parents=True)  # which makes the third of them one
+    (project.root / "figures/quick/lock").mkdir(parents=True)  # which makes the third of them one
     monkeypatch.chdir(project.root)
-    assert cli.main(["figures", "--build", build]) == 2
+    assert cli.main(["figures", "--profile", "quick", "--build", build]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert re.search(f"{build}|lock cannot be locked: ", line)

@@ -14,7 +14,7 @@ import pytest
 
 from robsmooth import cli
 from robsmooth._support import files
-from robsmooth.workbench import parameters, runner, signals
+from robsmooth.workbench import parameters, runner
 from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import PipelineError
 from tests.helpers.clusters import cluster_of_threads
@@ -417,12 +417,12 @@ def test_an_interrupt_during_the_import_is_no_traceback(project, module):
 
 def test_signals_that_come_in_a_block_wait_for_its_end():
     done = []
-    with pytest.raises(KeyboardInterrupt), signals.held_back() as came:
+    with pytest.raises(KeyboardInterrupt), cli.held_back() as came:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.raise_signal(number)
         done += came
     assert done == [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-    with signals.held_back():
+    with cli.held_back():
         pass
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
@@ -430,7 +430,7 @@ def test_signals_that_come_in_a_block_wait_for_its_end():
 def test_a_signal_that_is_ignored_stays_so(monkeypatch):
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
     try:
-        with signals.held_back() as came:
+        with cli.held_back() as came:
             signal.raise_signal(signal.SIGHUP)
         assert came == []
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
