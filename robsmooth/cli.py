@@ -12,8 +12,8 @@ from pathlib import Path
 
 import robsmooth
 from robsmooth._support.extras import MissingExtraError
-from robsmooth.workbench.parameters import UNREADABLE, PipelineError
-from robsmooth.workbench.runner import PROFILES, NotebookResult, Request, plan, run_notebooks
+from robsmooth.workbench.parameters import PipelineError
+from robsmooth.workbench.runner import PROFILES, Request, plan, run_notebooks
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -46,35 +46,37 @@ def figures(options: argparse.Namespace) -> int:
             text["done"] = f"done in {result.seconds:.1f} s, {len(result.files)} files"
             print(f"{result.task.name}: {text[result.status]}", flush=True)
     failed = [result for result in results if result.failure]
-    if failed:
-        print(_summary(failed, len(results)), file=sys.stderr)
+    for result in sorted(failed, key=lambda result: result.task.name):
+        print(f"\n{'-' * 80}\n{result.task.name}, {result.failure}", file=sys.stderr)
+        print(f"executed copy: {result.task.executed}", file=sys.stderr)
     if not run.parameters and len(failed) < len(results):
         _write_report(run)
-    if not failed:
-        print(f"figures and tables are in {run.results / 'figures'}")
-    return 1 if failed else 0
+    if failed:
+        count = f"{len(failed)} of {len(results)} notebooks failed"
+        print(f"\n{count}; their earlier results are untouched.", file=sys.stderr)
+        return 1
+    print(f"figures and tables are in {run.results / 'figures'}")
+    return 0
 
 
 @contextmanager
 def held_back() -> Iterator[list[int]]:
-    """Yield the signals that have come; the first takes effect when the block has ended."""
+    """Yield the signals that have come; they take effect when the block has ended."""
     came: list[int] = []
-    before = _handle(lambda number, _: came.append(number))
+    _handle(lambda number, _: came.append(number))
     try:
         yield came
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        _handle(signal.default_int_handler)
         if came:
-            signal.raise_signal(came[0])
+            raise KeyboardInterrupt
 
 
-def _handle(handler: Callable | signal.Handlers) -> dict:
-    """Let a handler have what ends the command and is not ignored; return the handlers before."""
-    names = {"SIGINT", "SIGTERM", "SIGHUP"} & vars(signal).keys()  # Windows has not the last
-    before = {number: signal.getsignal(number) for number in map(signal.Signals.__getitem__, names)}
-    heeded = [number for number, old in before.items() if old not in (None, signal.SIG_IGN)]
-    return {number: signal.signal(number, handler) for number in heeded}
+def _handle(handler: Callable | signal.Handlers) -> None:
+    """Let a handler have the signals that end the command, unless they are ignored."""
+    for name in {"SIGINT", "SIGTERM", "SIGHUP"} & vars(signal).keys():  # Windows has not the last
+        if signal.getsignal(getattr(signal, name)) != signal.SIG_IGN:
+            signal.signal(getattr(signal, name), handler)
 
 
 def _write_report(run: Request) -> None:
@@ -148,7 +150,7 @@ def _setting(text: str) -> tuple[str, object]:
         raise argparse.ArgumentTypeError(f"{text[:60]} is not of the form NAME=VALUE")
     try:
         return name, ast.literal_eval({"true": "True", "false": "False"}.get(value, value))
-    except UNREADABLE:
+    except Exception:  # not Python, or too deep
         return name, value
 
 
@@ -160,11 +162,3 @@ def _project() -> Path:
         "there is no notebooks/profiles.toml here or above: run this command in a checkout of the "
         "project; the installed package has no notebooks"
     )
-
-
-def _summary(failed: Sequence[NotebookResult], count: int) -> str:
-    parts = [f"\n{len(failed)} of {count} notebooks failed; their earlier results are untouched."]
-    for result in sorted(failed, key=lambda result: result.task.name):
-        parts.append(f"\n{'-' * 80}\n{result.task.name}, {result.failure}")
-        parts.append(f"executed copy: {result.task.executed}")
-    return "\n".join(parts)

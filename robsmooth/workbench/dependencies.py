@@ -9,7 +9,6 @@ from functools import cache
 from pathlib import Path
 
 from robsmooth import _HOMES
-from robsmooth.workbench.parameters import UNREADABLE
 
 _ROOT = "robsmooth"
 _ANY = ""  # stands for an import that may be of any module
@@ -42,7 +41,7 @@ def _imports(code: str, modules: frozenset[str]) -> set[str]:
     """Return the modules of the package that code itself imports."""
     try:
         nodes = list(ast.walk(ast.parse(code)))
-    except UNREADABLE:  # such as a command of IPython
+    except Exception:  # not Python, such as a command of IPython
         return {_ANY}
     attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
     words = [node.id for node in nodes if isinstance(node, ast.Name)]

@@ -1,17 +1,20 @@
-"""One notebook in its own process (several in one hang), judged by its executed copy."""
+"""One notebook in its own process (several in one hang), judged by its executed copy.
 
-import json
+All that it starts inherits `FOLDER`, by which it is found even where its own parent has ended. As a
+program, this module waits for the end of a run, which may be killed, and ends what that started.
+"""
+
 import os
 import re
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from robsmooth.workbench import worker
-
+FOLDER = "JUPYTER_RUNTIME_DIR"
 _ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 _LAST_ERROR = re.compile(r".*^([\w.]*(?:Error|Exception|Exit)\b.*)", re.DOTALL | re.MULTILINE)
 _ADDED_BY_PAPERMILL = {"injected-parameters", "papermill-error-cell-tag"}
@@ -22,23 +25,22 @@ class Execution:
 
     def __init__(self, notebook: Path, parameters: dict, staging: Path, time_limit: float) -> None:
         """Start; the run may take `time_limit` seconds, and one cell half as long."""
+        import yaml  # comes with papermill
+
         self.started = time.perf_counter()
-        self.staging, self.executed = staging, staging / notebook.name
-        self._log = staging / "log.txt"
+        self.executed, self._log = staging / notebook.name, staging / "log.txt"
         self._time_limit, self._reached = time_limit, ""
-        template = str.maketrans({"{": "{{", "}": "}}"})  # as which papermill reads these paths
-        paths = [str(path).translate(template) for path in (notebook, self.executed)]
+        command = [sys.executable, "-P", "-m", "papermill", "--no-progress-bar"]
+        command += ["--kernel=python3", "--language=python", "--log-level=ERROR"]
+        command += [f"--cwd={notebook.parent}", f"--execution-timeout={max(1, time_limit / 2):.0f}"]
+        command += ["--parameters_yaml", yaml.safe_dump(parameters, sort_keys=False)]
+        for path in (notebook, self.executed):  # papermill reads a path as a template
+            command.append(str(path).replace("{", "{{").replace("}", "}}"))
+        options = {"stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT}
+        # in a new session, Ctrl-C reaches only this process
+        options |= {"env": _environment(staging), "start_new_session": True}
         with open(self._log, "wb") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", worker.__file__],
-                **{"stdin": subprocess.PIPE, "stdout": log, "stderr": subprocess.STDOUT},
-                **{"env": _environment(staging), "cwd": notebook.parent},
-                start_new_session=True,  # so that Ctrl-C reaches only us
-            )
-        # Its end of the pipe, which stays open, tells it of our end.
-        request = json.dumps([*paths, parameters, max(1, round(time_limit / 2))])
-        self._process.stdin.write(f"{request}\n".encode())
-        self._process.stdin.flush()
+            self._process = subprocess.Popen(command, stdout=log, **options)
 
     @property
     def seconds(self) -> float:
@@ -56,8 +58,7 @@ class Execution:
 
     def kill(self) -> None:
         """End the process, its kernel, and all that the kernel has started."""
-        worker.end_all(self.staging)
-        self._process.stdin.close()
+        end_all(self._log.parent)
         self._process.wait()
 
     def failure(self) -> str:
@@ -104,8 +105,31 @@ def _environment(staging: Path) -> dict[str, str]:
         "OPENBLAS_NUM_THREADS": "1",  # the matrices are small, and notebooks run side by side
         "TQDM_DISABLE": "1",  # without a terminal, a bar is many lines
         "JUPYTER_PREFER_ENV_PATH": "1",  # this environment's kernel, not the user's
-        worker.FOLDER: str(staging / "jupyter"),
+        FOLDER: str(staging / "jupyter"),
         "IPYTHONDIR": str(staging / "ipython"),  # without the user's start-up files
         "MATPLOTLIBRC": str(Path(find_spec("matplotlib").origin).with_name("mpl-data")),
         "PYTHONHASHSEED": "0",
     }
+
+
+def end_all(folder: Path) -> None:
+    """Kill the processes whose `FOLDER` is in a folder, and theirs; wait until there are none."""
+    import psutil  # comes with the notebooks
+
+    for _ in range(500):
+        found = False
+        for process in psutil.process_iter(["environ"]):  # None of other users' and of zombies
+            place = (process.info["environ"] or {}).get(FOLDER, "")
+            if Path(place).is_relative_to(folder):
+                found = True
+                with suppress(psutil.NoSuchProcess):
+                    for each in (*process.children(recursive=True), process):
+                        each.kill()
+        if not found:
+            break
+        time.sleep(0.01)
+
+
+if __name__ == "__main__":
+    sys.stdin.read()  # until the other end is closed
+    end_all(Path(sys.argv[1]))

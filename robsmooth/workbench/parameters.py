@@ -8,7 +8,6 @@ own reader skips a comment with an equals sign.
 import ast
 import json
 import re
-import reprlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,8 +18,6 @@ TYPES = {"bool": (bool,), "int": (int,), "float": (float, int), "str": (str,)}
 # The pipeline sets these for each run; no result depends on them.
 OPTIONAL = {"scheduler": "str", "allow_insecure": "bool", "checkpoint_dir": "str"}
 SET_BY_PIPELINE = {"output_dir": "str", "data_dir": "str", **OPTIONAL}
-# What the readers of Python's texts raise, also for one that is nested too deep.
-UNREADABLE = (SyntaxError, ValueError, TypeError, RecursionError, MemoryError)
 
 _INTERVAL = re.compile(r"([\[(])\s*([^\s,]+)\s*,\s*([^\s,]+?)\s*([\])])\s*")
 
@@ -41,7 +38,7 @@ class Parameter(NamedTuple):
         """Return `value` in this parameter's type; a `PipelineError` says why it cannot be."""
         try:
             if type(value) not in TYPES[self.type]:
-                given = f"{reprlib.repr(value)} ({type(value).__name__})"
+                given = f"{value!r:.60} ({type(value).__name__})"
                 raise ValueError(f"{self.name} must be of type {self.type}, got {given}")
             if self.type in ("int", "float"):
                 validation.real(self.name, value, **self.interval)
@@ -102,7 +99,7 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
     where = f"{notebook.name}, parameters cell"
     try:
         statements = ast.parse(source).body
-    except UNREADABLE as error:
+    except Exception as error:  # not only a SyntaxError: of too deep a text, too
         line = getattr(error, "lineno", None) or 1
         raise PipelineError(f"{where}: line {line} is not Python") from error
     for statement in statements:
@@ -112,7 +109,7 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
                 comment = line[statement.end_col_offset :].decode().strip().lstrip("# ")
                 try:
                     yield Parameter(name, kind, ast.literal_eval(value), _interval(comment))
-                except UNREADABLE as error:
+                except Exception as error:
                     raise PipelineError(f"{where}: {name}: {error}") from error
             case _:
                 form = f"name: type = value  # comment, with type one of {', '.join(TYPES)}"

@@ -6,6 +6,8 @@ import platform
 import secrets
 import shutil
 import sqlite3
+import subprocess
+import sys
 import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,13 +19,13 @@ from pathlib import Path
 
 from robsmooth._support import cluster, files
 from robsmooth._support.extras import extra
+from robsmooth.workbench import execution as processes
 from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
 from robsmooth.workbench.dependencies import dependencies, modules_in
 from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import SET_BY_PIPELINE, PipelineError, unknown
 from robsmooth.workbench.provenance import sha256
-from robsmooth.workbench.worker import end_all
 
 PROFILES = ("paper", "quick")
 NEEDED = ("ipykernel", "matplotlib", "nbformat", "papermill", "psutil")  # to run any notebook
@@ -112,6 +114,9 @@ def run_notebooks(
             stack.enter_context(files.exclusive_lock(run.lock))
         except sqlite3.Error as error:
             raise PipelineError(f"{run.lock} cannot be locked: {error}") from error
+        command = [sys.executable, "-P", processes.__file__, run.work / "staging"]
+        pipe = {"stdin": subprocess.PIPE, "start_new_session": True}
+        stack.enter_context(subprocess.Popen(command, **pipe))  # it ends what a kill would leave
         _clean(run)
         stack.callback(_clean, run)
         for task in tasks:
@@ -123,13 +128,10 @@ def run_notebooks(
             while waiting and len(running) < run.jobs:
                 task = waiting.pop(next(iter(waiting)))
                 try:
-                    execution = _start(task)
+                    running[task.name] = task, _start(task)
                 except OSError as error:
                     failure = f"it could not be started: {error}"
                     yield NotebookResult(task, "failed", failure=failure)
-                else:
-                    running[task.name] = task, execution
-                    stack.callback(execution.kill)
             for task, execution in list(running.values()):
                 if execution.finished():
                     yield _finish(task, execution, _taken(run, waiting.keys() | running.keys()))
@@ -139,7 +141,7 @@ def run_notebooks(
 
 def _clean(run: Request) -> None:
     """End what this run or an earlier one left running, and remove what it left unpublished."""
-    end_all(run.work / "staging")
+    processes.end_all(run.work / "staging")
     shutil.rmtree(run.work / "staging", ignore_errors=True)
     for folder in (run.work, *(run.results / name for name in FOLDERS)):
         for path in folder.rglob(f"*{_UNPUBLISHED}"):
@@ -241,13 +243,13 @@ def _stored(stamp: Path) -> tuple[str, dict[str, str]]:
     """Return the key and the files' digests of a stamp; nothing from a damaged one."""
     try:
         stored = json.loads(stamp.read_text(encoding="utf-8"))
-        return stored.get("key", ""), {**stored["files"]}
+        return stored.get("key", ""), {file: str(text) for file, text in stored["files"].items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return "", {}
 
 
 def _results(run: Request) -> dict[str, str]:
-    """Return the digests of the files that a stamp may name: results, neither inputs nor links."""
+    """Return the digests of the files that a stamp may name: no input, nothing behind a link."""
     paths = [path for name in FOLDERS for path in (run.results / name).rglob("*")]
     found = {path.relative_to(run.results).as_posix(): path for path in paths if path.is_file()}
     return {file: sha256(path) for file, path in found.items() if file not in provenance.INPUTS}
@@ -301,7 +303,7 @@ def _publish(task: Task, started: float, taken: Mapping[str, str]) -> tuple[str,
     about = {"notebook": task.notebook.name, "profile": run.profile}
     about |= {"parameters": task.values, "files": produced}
     about |= {"seed": (defaults | task.values).get("seed"), "started": started}
-    before = _stored(task.stamp)[1]
+    before = dict(_stored(task.stamp)[1].items() & _results(run).items())  # not changed by hand
     with _put(task.stamp) as unfinished:  # without a key: what a kill leaves is ours, and not fresh
         files.write_json(unfinished, {"key": "", "files": before | produced})
     with ExitStack() as stack:
@@ -313,10 +315,8 @@ def _publish(task: Task, started: float, taken: Mapping[str, str]) -> tuple[str,
         for each in produced:
             shutil.move(task.staging / each, stack.enter_context(_put(run.results / each)))
         (run.results / file).unlink(missing_ok=True)
-        there = _results(run)
         for each in before.keys() - {*produced, file, *taken}:
-            if there.get(each) == before[each]:  # else someone has changed it
-                (run.results / each).unlink()
+            (run.results / each).unlink()
     shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
     return (*produced, file)
 

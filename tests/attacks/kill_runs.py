@@ -128,7 +128,7 @@ def victim(whom: str, project: Project, command: subprocess.Popen, mark: str) ->
         with suppress(psutil.NoSuchProcess):
             line = process.cmdline()
             is_kernel = any("ipykernel" in word for word in line)
-            is_worker = any("worker.py" in word or word == "papermill" for word in line)
+            is_worker = any(word == "papermill" for word in line)
             if is_kernel if whom == "kernel" else is_worker:
                 return process.pid
     return None

@@ -13,7 +13,7 @@ import pytest
 from robsmooth import cli
 from robsmooth._support import files
 from robsmooth.workbench import runner
-from robsmooth.workbench.worker import FOLDER
+from robsmooth.workbench.execution import FOLDER
 from tests.helpers.checkpoints import largest_file
 
 
@@ -25,7 +25,7 @@ def write(project, monkeypatch):
     class Executed:
         def __init__(self, notebook, values, staging, time_limit):
             self.started = self.seconds = 0.0
-            self.staging, self.executed = staging, staging / notebook.name
+            self.executed = staging / notebook.name
             self.executed.write_text("as executed")
             for each in written[notebook.stem]:
                 each(staging)
@@ -35,9 +35,6 @@ def write(project, monkeypatch):
 
         def failure(self):
             return ""
-
-        def kill(self):
-            pass
 
     def write(name, *doings):
         written[name] = doings

@@ -34,7 +34,9 @@ def test_a_notebook_needs_exactly_one_parameters_cell(project, fixture, count):
 def test_a_renamed_notebook_is_an_error(project):
     project.add("good")
     project.path("01_good").rename(project.path("better"))
-    with pytest.raises(PipelineError, match=r"01_good.ipynb: not a readable .*No such file"):
+    with pytest.raises(
+        PipelineError, match=r"notebooks\[0\]: '01_good' is not one of \['better'\]"
+    ):
         project.plan()
 
 
@@ -85,9 +87,9 @@ def test_a_notebook_with_a_cell_that_is_none_is_an_error(project, name, value):
         (b"x = " + b"[" * 5000, "cannot be read: maximum recursion depth"),
         (b"", r"\$: 'notebooks' is a required property"),
         (b"notebooks = 5", r"\$.notebooks: 5 is not of type 'array'"),
-        (b"notebooks = [1]", r"\$.notebooks\[0\]: 1 is not of type 'string'"),
-        (b'notebooks = ["../notebooks/01_good"]', r"\$.notebooks\[0\]: .* does not match"),
-        (b'notebooks = ["a\\u0000b"]', r"\$.notebooks\[0\]: .* does not match"),
+        (b"notebooks = [1]", r"\$.notebooks\[0\]: 1 is not one of \['01_good'\]"),
+        (b'notebooks = ["../notebooks/01_good"]', r"\$.notebooks\[0\]: .* is not one of"),
+        (b'notebooks = ["a\\u0000b"]', r"\$.notebooks\[0\]: .* is not one of"),
         (b'notebooks = ["01_good", "01_good"]', r"\$.notebooks: .* has non-unique elements"),
         (b"notebooks = []\nquick = 5", r"\$.quick: 5 is not of type 'object'"),
         (b"notebooks = []\nquick.01_good = 5", r"\$.quick.*: 5 is not of type 'object'"),
@@ -120,7 +122,7 @@ def test_damaged_profiles_are_an_error(project, content, message):
         ({"lag": math.inf}, "lag must be finite .*, got inf"),
         ({"lag": 10**400}, "lag must be finite .*, got inf"),
         ({"runs": 10**5000}, "runs must be finite .*, got inf"),
-        ({"runs": "9" * 200_000}, r"runs must be of type int, got '9+\.\.\.9+' \(str\)$"),
+        ({"runs": "9" * 200_000}, r"runs must be of type int, got '9{59} \(str\)$"),
         ({"scale": "\udcff"}, "--set for 01_good: .* can't encode"),
     ],
 )
@@ -161,7 +163,7 @@ def test_profile_values_are_used_and_overridden(project):
     [
         ("[quick.01_good]\nrums = 3\n", r"profiles.toml, \[quick.01_good\]: parameter rums is unk"),
         ("[quick.01_good]\nruns = -3\n", r"\[quick.01_good\]: runs must be finite and in"),
-        ("[quick.01_god]\nruns = 3\n", r"\[quick\]: notebook 01_god is unknown; known: 01_good"),
+        ("[quick.01_god]\nruns = 3\n", r"\$.quick: '01_god' is not one of \['01_good'\]"),
     ],
 )
 def test_a_wrong_profile_is_an_error(project, table, message):
