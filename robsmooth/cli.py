@@ -5,8 +5,8 @@ import ast
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from dataclasses import fields
 from pathlib import Path
 
@@ -39,12 +39,17 @@ def figures(options: argparse.Namespace) -> int:
     given["only"] = [name for name in options.only.split(",") if name]
     run = Request(**{each.name: given[each.name] for each in fields(Request)})
     tasks, results = plan(run), []
-    with held_back() as signals, closing(run_notebooks(run, tasks, signals)) as running:
+    signals: list[int] = []
+    _handle(lambda number, _: signals.append(number))  # for the run to end undisturbed
+    with closing(run_notebooks(run, tasks, signals)) as running:
         for result in running:
             results.append(result)
             text = {"failed": f"FAILED after {result.seconds:.1f} s", "fresh": "fresh"}
             text["done"] = f"done in {result.seconds:.1f} s, {len(result.files)} files"
             print(f"{result.task.name}: {text[result.status]}", flush=True)
+    _handle(signal.default_int_handler)
+    if signals:
+        raise KeyboardInterrupt
     failed = [result for result in results if result.failure]
     for result in sorted(failed, key=lambda result: result.task.name):
         print(f"\n{'-' * 80}\n{result.task.name}, {result.failure}", file=sys.stderr)
@@ -57,19 +62,6 @@ def figures(options: argparse.Namespace) -> int:
         return 1
     print(f"figures and tables are in {run.results / 'figures'}")
     return 0
-
-
-@contextmanager
-def held_back() -> Iterator[list[int]]:
-    """Yield the signals that have come; they take effect when the block has ended."""
-    came: list[int] = []
-    _handle(lambda number, _: came.append(number))
-    try:
-        yield came
-    finally:
-        _handle(signal.default_int_handler)
-        if came:
-            raise KeyboardInterrupt
 
 
 def _handle(handler: Callable | signal.Handlers) -> None:

@@ -12,11 +12,10 @@ from pathlib import Path
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], kept: str = "") -> Iterator[Path]:
-    """Yield a path beside `path` to write to; on success the file there replaces `path`.
+    """Yield a path beside `path` to write to; on success the file there, on disk, replaces `path`.
 
-    It is on the disk before. After a failure, also of the power, `path` is as it was, and the
-    temporary file is removed, unless it is `kept` under the path with this suffix. Symbolic links
-    and permissions are preserved.
+    After a failure `path` is as it was, and the temporary file is removed, unless it is `kept`
+    under the path with this suffix. Symbolic links and permissions are preserved.
     """
     path = Path(os.path.realpath(path))
     path.parent.mkdir(parents=True, exist_ok=True)

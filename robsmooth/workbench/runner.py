@@ -54,7 +54,7 @@ class Request:
         if self.jobs < 1:
             raise PipelineError(f"jobs must be 1 or more, not {self.jobs}")
         if not 0 < self.time_limit <= 1e6:
-            wanted = "a positive number of seconds, at most 1e6"
+            wanted = "positive and at most 1e6 s"
             raise PipelineError(f"time_limit must be {wanted}, not {self.time_limit}")
 
     @property
@@ -101,13 +101,8 @@ class NotebookResult:
     failure: str = ""
 
 
-def run_notebooks(
-    run: Request, tasks: Sequence[Task], stop: Sequence = ()
-) -> Iterator[NotebookResult]:
-    """Run each task in its own process; yield results as they come.
-
-    Closing it, or an item in `stop`, ends all that it started.
-    """
+def run_notebooks(run: Request, tasks: list[Task], stop: Sequence = ()) -> Iterator[NotebookResult]:
+    """Run each task in its own process; yield the results. Ends early once `stop` has an item."""
     waiting, running = {}, {}
     with ExitStack() as stack:
         try:
@@ -168,10 +163,9 @@ def plan(run: Request) -> list[Task]:
     names = select(profiles["notebooks"], run.only)
     known = {name: cell.read(folder / f"{name}.ipynb") for name in names}
     everywhere = {parameter for each in known.values() for parameter in each}
-    for name in run.parameters:
-        if name not in everywhere:
-            raise unknown("--set: parameter", name, everywhere - {*SET_BY_PIPELINE})
-    tasks = []
+    for name in run.parameters.keys() - everywhere:
+        raise unknown("--set: parameter", name, everywhere - {*SET_BY_PIPELINE})
+    tasks = {}
     for name, each in known.items():
         own = {key: value for key, value in run.parameters.items() if key in each}
         given = profiles.get(run.profile, {}).get(name, {})
@@ -179,20 +173,19 @@ def plan(run: Request) -> list[Task]:
         values |= cell.check(each, own, f"--set for {name}")
         notebook = folder / f"{name}.ipynb"
         key = _key(run, notebook, values)
-        task = Task(
+        tasks[name] = Task(
             *(run, name, each, values, key, notebook),
             staging=run.work / "staging" / f"{name}.{secrets.token_hex(4)}",
             executed=run.work / "notebooks" / notebook.name,
             stamp=run.work / "stamps" / f"{name}.json",
             checkpoints=run.work / "checkpoints" / name / key[:16],
         )
-        tasks.append(task)
     try:
         with cluster.connect(run.dask, allow_insecure=run.allow_insecure):
             pass
     except (ConnectionError, ImportError) as error:
         raise PipelineError(f"--dask: {error}") from error
-    return tasks
+    return [*tasks.values()]
 
 
 def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
@@ -218,9 +211,9 @@ def _profiles(folder: Path) -> dict:
         raise PipelineError(f"profiles.toml, {error.json_path}: {error.message:.200}") from error
     except (OSError, ValueError, RecursionError) as error:
         raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
-    for path in sorted(folder.glob("[0-9][0-9]_*.ipynb")):  # other names may be a user's
-        if path.stem not in profiles["notebooks"]:
-            raise PipelineError(f"notebooks/{path.name} is not listed in profiles.toml")
+    numbered = {path.name for path in folder.glob("[0-9][0-9]_*.ipynb")}  # others may be a user's
+    for file in numbered - {f"{name}.ipynb" for name in profiles["notebooks"]}:
+        raise PipelineError(f"notebooks/{file} is not listed in profiles.toml")
     return profiles
 
 
@@ -291,21 +284,18 @@ def _finish(task: Task, execution: Execution, taken: Mapping[str, str]) -> Noteb
 
 
 def _publish(task: Task, started: float, taken: Mapping[str, str]) -> tuple[str, ...]:
-    """Move what a notebook produced to its places; return the files, with the provenance.
-
-    All is written beside its place first. Then there is no provenance until all is in its place:
-    contexts are left in the order opposite to that in which they were entered.
-    """
+    """Move what a notebook produced to its places; return the files, with the provenance."""
     run, produced = task.run, _produced(task, taken)
     if _key(run, task.notebook, task.values) != task.key:
         raise ValueError("what they depend on changed in the meantime: run it again")
     defaults = {name: each.default for name, each in task.parameters.items()}
-    about = {"notebook": task.notebook.name, "profile": run.profile}
-    about |= {"parameters": task.values, "files": produced}
-    about |= {"seed": (defaults | task.values).get("seed"), "started": started}
+    about = {"notebook": task.notebook.name, "profile": run.profile, "parameters": task.values}
+    about |= {"files": produced, "seed": (defaults | task.values).get("seed"), "started": started}
     before = dict(_stored(task.stamp)[1].items() & _results(run).items())  # not changed by hand
     with _put(task.stamp) as unfinished:  # without a key: what a kill leaves is ours, and not fresh
         files.write_json(unfinished, {"key": "", "files": before | produced})
+    # All is written beside its place; then the provenance is away until the rest is in its place:
+    # contexts are left in the order opposite to that in which they were entered.
     with ExitStack() as stack:
         stamp = stack.enter_context(_put(task.stamp))
         file = f"figures/{task.name}.provenance.json"
