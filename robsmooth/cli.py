@@ -38,8 +38,7 @@ def figures(options: argparse.Namespace) -> int:
     given = vars(options) | {"root": _project(), "parameters": dict(options.set)}
     given["only"] = [name for name in options.only.split(",") if name]
     run = Request(**{each.name: given[each.name] for each in fields(Request)})
-    tasks, results = plan(run), []
-    signals: list[int] = []
+    tasks, results, signals = plan(run), [], []
     _handle(lambda number, _: signals.append(number))  # for the run to end undisturbed
     with closing(run_notebooks(run, tasks, signals)) as running:
         for result in running:

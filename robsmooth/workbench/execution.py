@@ -132,4 +132,5 @@ def end_all(folder: Path) -> None:
 
 if __name__ == "__main__":
     sys.stdin.read()  # until the other end is closed
-    end_all(Path(sys.argv[1]))
+    for folder in sys.argv[1:]:
+        end_all(Path(folder))

@@ -23,7 +23,6 @@ from robsmooth.workbench import execution as processes
 from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
 from robsmooth.workbench.dependencies import dependencies, modules_in
-from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import SET_BY_PIPELINE, PipelineError, unknown
 from robsmooth.workbench.provenance import sha256
 
@@ -54,8 +53,7 @@ class Request:
         if self.jobs < 1:
             raise PipelineError(f"jobs must be 1 or more, not {self.jobs}")
         if not 0 < self.time_limit <= 1e6:
-            wanted = "positive and at most 1e6 s"
-            raise PipelineError(f"time_limit must be {wanted}, not {self.time_limit}")
+            raise PipelineError(f"time_limit must be in (0, 1e6] s, not {self.time_limit}")
 
     @property
     def work(self) -> Path:
@@ -109,9 +107,8 @@ def run_notebooks(run: Request, tasks: list[Task], stop: Sequence = ()) -> Itera
             stack.enter_context(files.exclusive_lock(run.lock))
         except sqlite3.Error as error:
             raise PipelineError(f"{run.lock} cannot be locked: {error}") from error
-        command = [sys.executable, "-P", processes.__file__, run.work / "staging"]
-        pipe = {"stdin": subprocess.PIPE, "start_new_session": True}
-        stack.enter_context(subprocess.Popen(command, **pipe))  # it ends what a kill would leave
+        watch = [sys.executable, "-P", processes.__file__, *(task.staging for task in tasks)]
+        stack.enter_context(subprocess.Popen(watch, stdin=subprocess.PIPE, start_new_session=True))
         _clean(run)
         stack.callback(_clean, run)
         for task in tasks:
@@ -255,7 +252,7 @@ def _fresh(task: Task) -> tuple[str, ...] | None:
     return tuple(digests) if same else None
 
 
-def _start(task: Task) -> Execution:
+def _start(task: Task) -> processes.Execution:
     for folder in FOLDERS:
         (task.staging / folder).mkdir(parents=True)
     if not task.checkpoints.exists():  # those beside it are of other inputs
@@ -266,10 +263,10 @@ def _start(task: Task) -> Execution:
     ours["allow_insecure"] = task.run.allow_insecure
     ours |= {"output_dir": str(task.staging / "figures"), "data_dir": str(task.staging / "data")}
     values = {**task.values, **{name: ours[name] for name in ours if name in task.parameters}}
-    return Execution(task.notebook, values, task.staging, task.run.time_limit)
+    return processes.Execution(task.notebook, values, task.staging, task.run.time_limit)
 
 
-def _finish(task: Task, execution: Execution, taken: Mapping[str, str]) -> NotebookResult:
+def _finish(task: Task, execution: processes.Execution, taken: Mapping[str, str]) -> NotebookResult:
     """Keep the executed copy, and publish what the notebook produced, or say why not."""
     produced, seconds, failure = (), execution.seconds, execution.failure()
     try:

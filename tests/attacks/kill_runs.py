@@ -226,8 +226,9 @@ def attack(tries: int, seed: int, module: str = "-m robsmooth", names: str = "")
                 if found:
                     break  # what is wrong there may stay so
     for way in ways:
-        what = [f"{count} x {fault}" for (each, fault), count in counts.items() if each == way]
-        print(f"{way}: {tries} tries, {', '.join(what) or '0 failures'}", flush=True)
+        what = [f"    {count} x {fault}" for (each, fault), count in counts.items() if each == way]
+        failed = sum(count for (each, _), count in counts.items() if each == way)
+        print("\n".join([f"{way}: {tries} tries, {failed} failures", *what]), flush=True)
     return failures
 
 

@@ -41,7 +41,7 @@ def write(project, monkeypatch):
         notebook = project.path(name).read_text()
         project.path(name).write_text(notebook.replace("does all", "does all now"))
 
-    monkeypatch.setattr(runner, "Execution", Executed)
+    monkeypatch.setattr(runner.processes, "Execution", Executed)
     # without what git says, and the time, a run is the same each time
     monkeypatch.setattr(runner.provenance, "collect", lambda **about: {"files": about["files"]})
     project.add("good", "good")
