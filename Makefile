@@ -5,6 +5,7 @@ PROFILE = paper
 ONLY    =
 DASK    =
 LAB     =
+TRIES   =
 RESOLUTION = highest
 
 UV      = .uv/bin/uv
@@ -24,15 +25,17 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 unexport PYTHONDONTWRITEBYTECODE
 
 .NOTPARALLEL:
-.PHONY: help setup figures lab test test-library test-browser report bench format lock upgrade clean distclean
+.PHONY: help setup figures lab test test-library test-browser attack report bench format lock upgrade audit clean distclean
 
 help:  ## list the targets and variables
 	@echo 'Targets:'
 	@sed -n 's/^\([a-z-]*\):.*## /  \1	/p' Makefile | expand -t 16
 	@echo 'Variables:'
 	@echo '  PROFILE     paper (default) or quick: the scale of the Monte Carlo and of the sweeps'
-	@echo '  ONLY        notebooks to run, for example ONLY=03 or ONLY=02,sweep (default: all)'
+	@echo '  ONLY        notebooks to run, for example ONLY=03 or ONLY=02,sweep (default: all);'
+	@echo '              of make attack: a part of the names of scripts, for example ONLY=kill'
 	@echo '  DASK        a Dask scheduler to compute on, for example DASK=tls://10.0.0.1:8786'
+	@echo '  TRIES       how often make attack makes each attack (default: as each script says)'
 	@echo '  PYTHON      the Python, 3.11 or newer, to make .venv with (default: python3)'
 	@echo '  RESOLUTION  what test-library installs: highest (default) or lowest-direct'
 	@echo '  LAB         more options of JupyterLab, for example LAB=--no-browser'
@@ -71,6 +74,9 @@ test-library: .uv/stamp  ## the library's tests, without the lock: see RESOLUTIO
 test-browser: $(DEVELOPMENT)  ## the notebooks and the report in chromium, which apt installs if need be
 	@$(BIN)/python -m tests.interface.browser.chromium
 	$(BIN)/python -m pytest tests/interface/browser
+
+attack: $(DEVELOPMENT)  ## kills, damaged files and the like, at random, for up to hours: see TRIES and ONLY
+	@$(BIN)/python -m tests.attacks $(if $(TRIES),--tries '$(TRIES)') $(if $(ONLY),--only '$(ONLY)')
 
 report: $(DEVELOPMENT)  ## all of it to read, as one offline site in build/PROFILE/site
 	@$(BIN)/robsmooth figures --profile '$(PROFILE)'
@@ -147,6 +153,16 @@ lock: .uv/stamp  ## write the locks anew after pyproject.toml changed; versions 
 	$(COMPILE) pyproject.toml --extra all --group build --group dev --group bench \
 	  --constraint requirements-dev.lock --output-file requirements-bench.lock
 	echo uv | $(COMPILE) --no-annotate - --output-file requirements-uv.lock
+	echo pip-audit | $(COMPILE) --no-annotate - --output-file requirements-audit.lock
+
+# In an environment of its own: what it needs is no part of the project's.
+audit:  ## look up the locked versions among the known vulnerabilities
+	@$(PYTHON) -m venv --clear build/audit
+	@build/audit/bin/python -m pip install --quiet --require-hashes --requirement requirements-audit.lock
+	@failed=0; for lock in requirements*.lock; do \
+	  echo "$$lock"; build/audit/bin/pip-audit --strict --disable-pip --require-hashes \
+	    --progress-spinner off --requirement "$$lock" || failed=1; \
+	done; exit $$failed
 
 upgrade: LOCK_OPTIONS = --upgrade
 upgrade: lock  ## write the locks anew with the newest versions

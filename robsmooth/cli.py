@@ -6,28 +6,30 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import fields
 from pathlib import Path
 
 import robsmooth
 from robsmooth._support.extras import MissingExtraError
 from robsmooth.workbench.parameters import PipelineError
-from robsmooth.workbench.runner import PROFILES, NotebookResult, Request, plan, run_notebooks
+from robsmooth.workbench.runner import PROFILES, Request, plan, run_notebooks
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, 1 after a failure, 2 for a wrong request."""
-    options = _parser().parse_args(arguments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    _handle(signal.default_int_handler)
     try:
+        options = _parser().parse_args(arguments)
         return options.command(options)
-    except (PipelineError, MissingExtraError, BlockingIOError) as error:
+    except (PipelineError, MissingExtraError, OSError) as error:
         print(f"robsmooth: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
+        _handle(signal.SIG_IGN)
         kept = "notebooks that had finished are kept, the results of the others are as they were"
-        print(f"robsmooth: interrupted; {kept}", file=sys.stderr)
+        with suppress(OSError):  # of a terminal that is lost
+            print(f"robsmooth: interrupted; {kept}", file=sys.stderr)
         return 130  # a shell's code for it
 
 
@@ -36,21 +38,36 @@ def figures(options: argparse.Namespace) -> int:
     given = vars(options) | {"root": _project(), "parameters": dict(options.set)}
     given["only"] = [name for name in options.only.split(",") if name]
     run = Request(**{each.name: given[each.name] for each in fields(Request)})
-    tasks, results = plan(run), []
-    with closing(run_notebooks(run, tasks)) as running:
+    tasks, results, signals = plan(run), [], []
+    _handle(lambda number, _: signals.append(number))  # for the run to end undisturbed
+    with closing(run_notebooks(run, tasks, signals)) as running:
         for result in running:
             results.append(result)
             text = {"failed": f"FAILED after {result.seconds:.1f} s", "fresh": "fresh"}
             text["done"] = f"done in {result.seconds:.1f} s, {len(result.files)} files"
             print(f"{result.task.name}: {text[result.status]}", flush=True)
+    _handle(signal.default_int_handler)
+    if signals:
+        raise KeyboardInterrupt
     failed = [result for result in results if result.failure]
-    if failed:
-        print(_summary(failed, len(results)), file=sys.stderr)
+    for result in sorted(failed, key=lambda result: result.task.name):
+        print(f"\n{'-' * 80}\n{result.task.name}, {result.failure}", file=sys.stderr)
+        print(f"executed copy: {result.task.executed}", file=sys.stderr)
     if not run.parameters and len(failed) < len(results):
         _write_report(run)
-    if not failed:
-        print(f"figures and tables are in {run.results / 'figures'}")
-    return 1 if failed else 0
+    if failed:
+        count = f"{len(failed)} of {len(results)} notebooks failed"
+        print(f"\n{count}; their earlier results are untouched.", file=sys.stderr)
+        return 1
+    print(f"figures and tables are in {run.results / 'figures'}")
+    return 0
+
+
+def _handle(handler: Callable | signal.Handlers) -> None:
+    """Let a handler have the signals that end the command, unless they are ignored."""
+    for name in {"SIGINT", "SIGTERM", "SIGHUP"} & vars(signal).keys():  # Windows has not the last
+        if signal.getsignal(getattr(signal, name)) != signal.SIG_IGN:
+            signal.signal(getattr(signal, name), handler)
 
 
 def _write_report(run: Request) -> None:
@@ -121,10 +138,10 @@ def _command(commands, name: str, function: Callable, text: str) -> Callable:
 def _setting(text: str) -> tuple[str, object]:
     name, equals, value = text.partition("=")
     if not (name.isidentifier() and equals):
-        raise argparse.ArgumentTypeError(f"{text} is not of the form NAME=VALUE")
+        raise argparse.ArgumentTypeError(f"{text[:60]} is not of the form NAME=VALUE")
     try:
         return name, ast.literal_eval({"true": "True", "false": "False"}.get(value, value))
-    except (ValueError, SyntaxError):
+    except Exception:  # not Python, or too deep
         return name, value
 
 
@@ -136,15 +153,3 @@ def _project() -> Path:
         "there is no notebooks/profiles.toml here or above: run this command in a checkout of the "
         "project; the installed package has no notebooks"
     )
-
-
-def _summary(failed: Sequence[NotebookResult], count: int) -> str:
-    parts = [f"\n{len(failed)} of {count} notebooks failed; their earlier results are untouched."]
-    for result in sorted(failed, key=lambda result: result.task.name):
-        parts.append(f"\n{'-' * 80}\n{result.task.name}, {result.failure}")
-        parts.append(f"executed copy: {result.task.executed}")
-    return "\n".join(parts)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -63,7 +63,7 @@ def first_run(tmp_path_factory):
     """Results of all notebooks with the quick profile."""
 
     def run_notebooks(build):
-        run = quick("robsmooth.cli", "figures", build=build)
+        run = quick("robsmooth", "figures", build=build)
         assert run.returncode == 0, run.stderr
 
     return once(tmp_path_factory.getbasetemp(), "first", run_notebooks) / "quick"

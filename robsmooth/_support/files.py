@@ -12,7 +12,7 @@ from pathlib import Path
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], kept: str = "") -> Iterator[Path]:
-    """Yield a path beside `path` to write to; on success the file there replaces `path`.
+    """Yield a path beside `path` to write to; on success the file there, on disk, replaces `path`.
 
     After a failure `path` is as it was, and the temporary file is removed, unless it is `kept`
     under the path with this suffix. Symbolic links and permissions are preserved.
@@ -23,6 +23,8 @@ def atomic_path(path: str | os.PathLike[str], kept: str = "") -> Iterator[Path]:
     temporary = path.with_name(name)
     try:
         yield temporary
+        with open(temporary, "r+b") as file:
+            os.fsync(file.fileno())
         if path.exists():
             shutil.copymode(path, temporary)
         os.replace(temporary, path)

@@ -41,7 +41,7 @@ def _imports(code: str, modules: frozenset[str]) -> set[str]:
     """Return the modules of the package that code itself imports."""
     try:
         nodes = list(ast.walk(ast.parse(code)))
-    except SyntaxError:  # such as a command of IPython
+    except Exception:  # not Python, such as a command of IPython
         return {_ANY}
     attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
     words = [node.id for node in nodes if isinstance(node, ast.Name)]

@@ -1,4 +1,8 @@
-"""One notebook in its own process (several in one hang), judged by its executed copy."""
+"""One notebook in its own process (several in one hang), judged by its executed copy.
+
+All that it starts inherits `FOLDER`, by which it is found even where its own parent has ended. As a
+program, this module waits for the end of a run, which may be killed, and ends what that started.
+"""
 
 import os
 import re
@@ -10,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+FOLDER = "JUPYTER_RUNTIME_DIR"
 _ANSI = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")
 _LAST_ERROR = re.compile(r".*^([\w.]*(?:Error|Exception|Exit)\b.*)", re.DOTALL | re.MULTILINE)
 _ADDED_BY_PAPERMILL = {"injected-parameters", "papermill-error-cell-tag"}
@@ -18,26 +23,22 @@ _ADDED_BY_PAPERMILL = {"injected-parameters", "papermill-error-cell-tag"}
 class Execution:
     """A running notebook: poll `finished`, then read `failure`."""
 
-    def __init__(
-        self, notebook: Path, executed: Path, parameters: dict, scratch: Path, time_limit: float
-    ) -> None:
+    def __init__(self, notebook: Path, parameters: dict, staging: Path, time_limit: float) -> None:
         """Start; the run may take `time_limit` seconds, and one cell half as long."""
         import yaml  # comes with papermill
 
         self.started = time.perf_counter()
-        self._executed, self._log = executed, scratch / "log.txt"
+        self.executed, self._log = staging / notebook.name, staging / "log.txt"
         self._time_limit, self._reached = time_limit, ""
-        executed.parent.mkdir(parents=True, exist_ok=True)
-        executed.unlink(missing_ok=True)
         command = [sys.executable, "-P", "-m", "papermill", "--no-progress-bar"]
         command += ["--kernel=python3", "--language=python", "--log-level=ERROR"]
         command += [f"--cwd={notebook.parent}", f"--execution-timeout={max(1, time_limit / 2):.0f}"]
         command += ["--parameters_yaml", yaml.safe_dump(parameters, sort_keys=False)]
-        for path in (notebook, executed):  # papermill reads a path as a template
+        for path in (notebook, self.executed):  # papermill reads a path as a template
             command.append(str(path).replace("{", "{{").replace("}", "}}"))
         options = {"stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT}
         # in a new session, Ctrl-C reaches only this process
-        options |= {"env": _environment(scratch), "start_new_session": True}
+        options |= {"env": _environment(staging), "start_new_session": True}
         with open(self._log, "wb") as log:
             self._process = subprocess.Popen(command, stdout=log, **options)
 
@@ -48,25 +49,17 @@ class Execution:
 
     def finished(self) -> bool:
         """Whether it has ended; past its time limit it is ended here."""
-        if self._process.poll() is None and self.seconds > self._time_limit:
+        if self._process.poll() is None:
+            if self.seconds <= self._time_limit:
+                return False
             self._reached = f"the time limit of {self._time_limit:g} s for the notebook was reached"
-            self.kill()
-        return self._process.poll() is not None
+        self.kill()
+        return True
 
     def kill(self) -> None:
         """End the process, its kernel, and all that the kernel has started."""
-        import psutil
-
-        # A signal to the process group would miss the kernel, which has its own session.
-        family = []
-        with suppress(psutil.NoSuchProcess):
-            worker = psutil.Process(self._process.pid)
-            family = [worker, *worker.children(recursive=True)]
-        for process in family:
-            with suppress(psutil.NoSuchProcess):
-                process.kill()
+        end_all(self._log.parent)
         self._process.wait()
-        psutil.wait_procs(family, timeout=10)
 
     def failure(self) -> str:
         """Why the finished run failed: the cell, counted from 1, and its traceback; else ""."""
@@ -92,8 +85,9 @@ class Execution:
         import nbformat
 
         try:
-            cells = nbformat.read(self._executed, as_version=4).cells
-        except (FileNotFoundError, nbformat.reader.NotJSONError):  # killed before or while saving
+            cells = nbformat.read(self.executed, as_version=4).cells
+        except (OSError, ValueError):  # killed before or while saving
+            self.executed.unlink(missing_ok=True)
             return []
         number, found = 0, []
         for cell in cells:
@@ -103,7 +97,7 @@ class Execution:
         return found
 
 
-def _environment(scratch: Path) -> dict[str, str]:
+def _environment(staging: Path) -> dict[str, str]:
     """Environment of this process, without what would make a figure depend on its user."""
     left_out = {"MPLBACKEND", "PYTHONPATH", "PYTHONDONTWRITEBYTECODE"}
     environment = {name: value for name, value in os.environ.items() if name not in left_out}
@@ -111,8 +105,32 @@ def _environment(scratch: Path) -> dict[str, str]:
         "OPENBLAS_NUM_THREADS": "1",  # the matrices are small, and notebooks run side by side
         "TQDM_DISABLE": "1",  # without a terminal, a bar is many lines
         "JUPYTER_PREFER_ENV_PATH": "1",  # this environment's kernel, not the user's
-        "JUPYTER_RUNTIME_DIR": str(scratch / "jupyter"),
-        "IPYTHONDIR": str(scratch / "ipython"),  # without the user's start-up files
+        FOLDER: str(staging / "jupyter"),
+        "IPYTHONDIR": str(staging / "ipython"),  # without the user's start-up files
         "MATPLOTLIBRC": str(Path(find_spec("matplotlib").origin).with_name("mpl-data")),
         "PYTHONHASHSEED": "0",
     }
+
+
+def end_all(folder: Path) -> None:
+    """Kill the processes whose `FOLDER` is in a folder, and theirs; wait until there are none."""
+    import psutil  # comes with the notebooks
+
+    for _ in range(500):
+        found = False
+        for process in psutil.process_iter(["environ"]):  # None of other users' and of zombies
+            place = (process.info["environ"] or {}).get(FOLDER, "")
+            if Path(place).is_relative_to(folder):
+                found = True
+                with suppress(psutil.NoSuchProcess):
+                    for each in (*process.children(recursive=True), process):
+                        each.kill()
+        if not found:
+            break
+        time.sleep(0.01)
+
+
+if __name__ == "__main__":
+    sys.stdin.read()  # until the other end is closed
+    for folder in sys.argv[1:]:
+        end_all(Path(folder))

@@ -6,6 +6,7 @@ own reader skips a comment with an equals sign.
 """
 
 import ast
+import json
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any, NamedTuple
 
 from robsmooth._support import validation
 
-TYPES = {"bool": bool, "int": int, "float": float, "str": str}
+TYPES = {"bool": (bool,), "int": (int,), "float": (float, int), "str": (str,)}
 # The pipeline sets these for each run; no result depends on them.
 OPTIONAL = {"scheduler": "str", "allow_insecure": "bool", "checkpoint_dir": "str"}
 SET_BY_PIPELINE = {"output_dir": "str", "data_dir": "str", **OPTIONAL}
@@ -35,17 +36,16 @@ class Parameter(NamedTuple):
 
     def check(self, value: object, where: str) -> object:
         """Return `value` in this parameter's type; a `PipelineError` says why it cannot be."""
-        if self.type == "float" and type(value) is int:
-            value = float(value)
         try:
-            if type(value) is not TYPES[self.type]:
-                given = f"{value!r} ({type(value).__name__})"
+            if type(value) not in TYPES[self.type]:
+                given = f"{value!r:.60} ({type(value).__name__})"
                 raise ValueError(f"{self.name} must be of type {self.type}, got {given}")
             if self.type in ("int", "float"):
                 validation.real(self.name, value, **self.interval)
+            str(value).encode()  # a text that is not Unicode cannot be written to the notebook
         except ValueError as error:
             raise PipelineError(f"{where}: {error}") from None
-        return value
+        return TYPES[self.type][0](value)
 
 
 def code_cells(notebook: Path) -> list[Any]:
@@ -53,9 +53,11 @@ def code_cells(notebook: Path) -> list[Any]:
     import nbformat
 
     try:
+        nbformat.validate(json.loads(notebook.read_bytes()))
         cells = nbformat.read(notebook, as_version=4).cells
-    except (OSError, ValueError, AttributeError, nbformat.ValidationError) as error:
-        raise PipelineError(f"{notebook.name}: not a readable notebook ({error})") from error
+    except Exception as error:  # nbformat has no error of its own for what a file may hold
+        why = (str(error) or type(error).__name__).splitlines()[0][:200]
+        raise PipelineError(f"{notebook.name}: not a readable notebook ({why})") from error
     return [cell for cell in cells if cell.cell_type == "code"]
 
 
@@ -97,8 +99,9 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
     where = f"{notebook.name}, parameters cell"
     try:
         statements = ast.parse(source).body
-    except SyntaxError as error:
-        raise PipelineError(f"{where}: line {error.lineno} is not Python") from error
+    except Exception as error:  # not only a SyntaxError: of too deep a text, too
+        line = getattr(error, "lineno", None) or 1
+        raise PipelineError(f"{where}: line {line} is not Python") from error
     for statement in statements:
         match statement:
             case ast.AnnAssign(ast.Name(name), ast.Name(kind), value) if value and kind in TYPES:
@@ -106,7 +109,7 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
                 comment = line[statement.end_col_offset :].decode().strip().lstrip("# ")
                 try:
                     yield Parameter(name, kind, ast.literal_eval(value), _interval(comment))
-                except ValueError as error:
+                except Exception as error:
                     raise PipelineError(f"{where}: {name}: {error}") from error
             case _:
                 form = f"name: type = value  # comment, with type one of {', '.join(TYPES)}"

@@ -3,25 +3,34 @@
 import hashlib
 import json
 import platform
+import secrets
 import shutil
+import sqlite3
+import subprocess
+import sys
 import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
 from robsmooth._support import cluster, files
 from robsmooth._support.extras import extra
+from robsmooth.workbench import execution as processes
 from robsmooth.workbench import parameters as cell
 from robsmooth.workbench import provenance
 from robsmooth.workbench.dependencies import dependencies, modules_in
-from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import SET_BY_PIPELINE, PipelineError, unknown
 from robsmooth.workbench.provenance import sha256
 
 PROFILES = ("paper", "quick")
 NEEDED = ("ipykernel", "matplotlib", "nbformat", "papermill", "psutil")  # to run any notebook
+FOLDERS = ("figures", "data")  # of results
+_UNPUBLISHED = ".unpublished"  # end of the name of a file that is not in its place yet
+_put = partial(files.atomic_path, kept=_UNPUBLISHED)
 PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -43,15 +52,19 @@ class Request:
     def __post_init__(self) -> None:
         if self.jobs < 1:
             raise PipelineError(f"jobs must be 1 or more, not {self.jobs}")
-        if not self.time_limit > 0:
-            wanted = "a positive number of seconds"
-            raise PipelineError(f"time_limit must be {wanted}, not {self.time_limit}")
+        if not 0 < self.time_limit <= 1e6:
+            raise PipelineError(f"time_limit must be in (0, 1e6] s, not {self.time_limit}")
 
     @property
     def work(self) -> Path:
         """Folder that the run works in."""
         build = self.build or self.root / "build"
         return build.absolute() / ("custom" if self.parameters else self.profile)
+
+    @property
+    def lock(self) -> Path:
+        """File whose lock keeps other runs off the folders that this one writes to."""
+        return (self.root / "build/paper" if self.results == self.root else self.work) / "lock"
 
     @property
     def results(self) -> Path:
@@ -69,8 +82,8 @@ class Task:
     values: Mapping[str, object]  # given for its parameters, checked
     key: str  # hash of all that its results depend on
     notebook: Path
+    staging: Path  # folder that it writes to, of this run alone
     executed: Path  # its executed copy
-    staging: Path  # folder that it writes to
     stamp: Path  # file of the key and the files of its last run
     checkpoints: Path  # folder that it resumes from, one for each key
 
@@ -86,28 +99,55 @@ class NotebookResult:
     failure: str = ""
 
 
-def run_notebooks(run: Request, tasks: Sequence[Task]) -> Iterator[NotebookResult]:
-    """Run each task in its own process; yield results as they come. Closing it ends them all."""
-    waiting, running = [], []
-    with files.exclusive_lock(run.work / "lock"):
+def run_notebooks(run: Request, tasks: list[Task], stop: Sequence = ()) -> Iterator[NotebookResult]:
+    """Run each task in its own process; yield the results. Ends early once `stop` has an item."""
+    waiting, running = {}, {}
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(files.exclusive_lock(run.lock))
+        except sqlite3.Error as error:
+            raise PipelineError(f"{run.lock} cannot be locked: {error}") from error
+        watch = [sys.executable, "-P", processes.__file__, *(task.staging for task in tasks)]
+        stack.enter_context(subprocess.Popen(watch, stdin=subprocess.PIPE, start_new_session=True))
+        _clean(run)
+        stack.callback(_clean, run)
         for task in tasks:
             if run.force or (produced := _fresh(task)) is None:
-                waiting.append(task)
+                waiting[task.name] = task
             else:
                 yield NotebookResult(task, "fresh", produced)
-        try:
-            while waiting or running:
-                while waiting and len(running) < run.jobs:
-                    running.append((waiting[0], _start(waiting.pop(0))))
-                for task, execution in list(running):
-                    if execution.finished():
-                        running.remove((task, execution))
-                        yield _finish(task, execution)
-                time.sleep(0.05)
-        finally:
-            for _, execution in running:
-                execution.kill()
-            shutil.rmtree(run.work / "staging", ignore_errors=True)
+        while (waiting or running) and not stop:
+            while waiting and len(running) < run.jobs:
+                task = waiting.pop(next(iter(waiting)))
+                try:
+                    running[task.name] = task, _start(task)
+                except OSError as error:
+                    failure = f"it could not be started: {error}"
+                    yield NotebookResult(task, "failed", failure=failure)
+            for task, execution in list(running.values()):
+                if execution.finished():
+                    yield _finish(task, execution, _taken(run, waiting.keys() | running.keys()))
+                    del running[task.name]
+            time.sleep(0.05)
+
+
+def _clean(run: Request) -> None:
+    """End what this run or an earlier one left running, and remove what it left unpublished."""
+    processes.end_all(run.work / "staging")
+    shutil.rmtree(run.work / "staging", ignore_errors=True)
+    for folder in (run.work, *(run.results / name for name in FOLDERS)):
+        for path in folder.rglob(f"*{_UNPUBLISHED}"):
+            path.unlink()
+
+
+def _taken(run: Request, unfinished: set[str]) -> dict[str, str]:
+    """Return the files that no unfinished notebook may write, and whose they are."""
+    taken = dict.fromkeys(provenance.INPUTS, "an input of the notebooks")
+    for name in {path.stem for path in (run.root / "notebooks").glob("*.ipynb")}:
+        there = {} if name in unfinished else _stored(run.work / f"stamps/{name}.json")[1]
+        taken |= dict.fromkeys(there, f"a file of {name}")
+        taken[f"figures/{name}.provenance.json"] = f"the provenance of {name}"
+    return taken
 
 
 def plan(run: Request) -> list[Task]:
@@ -120,34 +160,29 @@ def plan(run: Request) -> list[Task]:
     names = select(profiles["notebooks"], run.only)
     known = {name: cell.read(folder / f"{name}.ipynb") for name in names}
     everywhere = {parameter for each in known.values() for parameter in each}
-    for name in run.parameters:
-        if name not in everywhere:
-            raise unknown("--set: parameter", name, everywhere - {*SET_BY_PIPELINE})
-    tasks = [_task(run, name, each, profiles[run.profile]) for name, each in known.items()]
+    for name in run.parameters.keys() - everywhere:
+        raise unknown("--set: parameter", name, everywhere - {*SET_BY_PIPELINE})
+    tasks = {}
+    for name, each in known.items():
+        own = {key: value for key, value in run.parameters.items() if key in each}
+        given = profiles.get(run.profile, {}).get(name, {})
+        values = cell.check(each, given, f"profiles.toml, [{run.profile}.{name}]")
+        values |= cell.check(each, own, f"--set for {name}")
+        notebook = folder / f"{name}.ipynb"
+        key = _key(run, notebook, values)
+        tasks[name] = Task(
+            *(run, name, each, values, key, notebook),
+            staging=run.work / "staging" / f"{name}.{secrets.token_hex(4)}",
+            executed=run.work / "notebooks" / notebook.name,
+            stamp=run.work / "stamps" / f"{name}.json",
+            checkpoints=run.work / "checkpoints" / name / key[:16],
+        )
     try:
         with cluster.connect(run.dask, allow_insecure=run.allow_insecure):
             pass
     except (ConnectionError, ImportError) as error:
         raise PipelineError(f"--dask: {error}") from error
-    return tasks
-
-
-def _task(
-    run: Request, name: str, parameters: Mapping[str, cell.Parameter], profile: Mapping[str, dict]
-) -> Task:
-    own = {key: value for key, value in run.parameters.items() if key in parameters}
-    where = f"profiles.toml, [{run.profile}.{name}]"
-    values = cell.check(parameters, profile.get(name, {}), where)
-    values |= cell.check(parameters, own, f"--set for {name}")
-    notebook = run.root / "notebooks" / f"{name}.ipynb"
-    key = _key(run, notebook, values)
-    return Task(
-        *(run, name, parameters, values, key, notebook),
-        executed=run.work / "notebooks" / notebook.name,
-        staging=run.work / "staging" / name,
-        stamp=run.work / "stamps" / f"{name}.json",
-        checkpoints=run.work / "checkpoints" / name / key[:16],
-    )
+    return [*tasks.values()]
 
 
 def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
@@ -160,19 +195,23 @@ def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
 
 def _profiles(folder: Path) -> dict:
     """Return `profiles.toml`, checked against the notebooks in the folder."""
+    import jsonschema  # comes with nbformat
+
+    name = {"enum": sorted(path.stem for path in folder.glob("*.ipynb"))}
+    table = {"type": "object", "additionalProperties": {"type": "object"}, "propertyNames": name}
+    names = {"type": "array", "items": name, "uniqueItems": True}
+    tables = {"notebooks": names, **dict.fromkeys(PROFILES, table)}
     try:
-        profiles = tomllib.loads((folder / "profiles.toml").read_text())
-    except (OSError, tomllib.TOMLDecodeError) as error:
+        profiles = tomllib.loads((folder / "profiles.toml").read_text(encoding="utf-8"))
+        jsonschema.validate(profiles, {"properties": tables, "required": ["notebooks"]})
+    except jsonschema.ValidationError as error:
+        raise PipelineError(f"profiles.toml, {error.json_path}: {error.message:.200}") from error
+    except (OSError, ValueError, RecursionError) as error:
         raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
-    listed = profiles.get("notebooks", [])
-    for path in sorted(folder.glob("[0-9][0-9]_*.ipynb")):  # other names may be a user's
-        if path.stem not in listed:
-            raise PipelineError(f"notebooks/{path.name} is not listed in profiles.toml")
-    for profile in PROFILES:
-        for name in profiles.setdefault(profile, {}):
-            if name not in listed:
-                raise unknown(f"profiles.toml, [{profile}]: notebook", name, listed)
-    return profiles | {"notebooks": listed}
+    numbered = {path.name for path in folder.glob("[0-9][0-9]_*.ipynb")}  # others may be a user's
+    for file in numbered - {f"{name}.ipynb" for name in profiles["notebooks"]}:
+        raise PipelineError(f"notebooks/{file} is not listed in profiles.toml")
+    return profiles
 
 
 def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
@@ -190,26 +229,31 @@ def _key(run: Request, notebook: Path, values: Mapping[str, object]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _stored(path: Path) -> tuple[str, dict[str, str]]:
+def _stored(stamp: Path) -> tuple[str, dict[str, str]]:
     """Return the key and the files' digests of a stamp; nothing from a damaged one."""
     try:
-        stored = json.loads(path.read_text())
-        return stored.get("key", ""), {**stored["files"]}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        stored = json.loads(stamp.read_text(encoding="utf-8"))
+        return stored.get("key", ""), {file: str(text) for file, text in stored["files"].items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return "", {}
+
+
+def _results(run: Request) -> dict[str, str]:
+    """Return the digests of the files that a stamp may name: no input, nothing behind a link."""
+    paths = [path for name in FOLDERS for path in (run.results / name).rglob("*")]
+    found = {path.relative_to(run.results).as_posix(): path for path in paths if path.is_file()}
+    return {file: sha256(path) for file, path in found.items() if file not in provenance.INPUTS}
 
 
 def _fresh(task: Task) -> tuple[str, ...] | None:
     """Return the files of the last run if it need not be repeated, else None."""
     key, digests = _stored(task.stamp)
-    there = {task.run.results / file: digest for file, digest in digests.items()}
-    same = all(path.is_file() and sha256(path) == digest for path, digest in there.items())
-    return tuple(digests) if key == task.key and same else None
+    same = key == task.key and digests.items() <= _results(task.run).items()
+    return tuple(digests) if same else None
 
 
-def _start(task: Task) -> Execution:
-    shutil.rmtree(task.staging, ignore_errors=True)
-    for folder in ("figures", "data", "scratch"):
+def _start(task: Task) -> processes.Execution:
+    for folder in FOLDERS:
         (task.staging / folder).mkdir(parents=True)
     if not task.checkpoints.exists():  # those beside it are of other inputs
         shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
@@ -219,31 +263,62 @@ def _start(task: Task) -> Execution:
     ours["allow_insecure"] = task.run.allow_insecure
     ours |= {"output_dir": str(task.staging / "figures"), "data_dir": str(task.staging / "data")}
     values = {**task.values, **{name: ours[name] for name in ours if name in task.parameters}}
-    scratch = task.staging / "scratch"
-    return Execution(task.notebook, task.executed, values, scratch, task.run.time_limit)
+    return processes.Execution(task.notebook, values, task.staging, task.run.time_limit)
 
 
-def _finish(task: Task, execution: Execution) -> NotebookResult:
-    """Move the files that the notebook produced to their places; add provenance and stamp."""
-    seconds, failure = execution.seconds, execution.failure()
-    if failure:
-        return NotebookResult(task, "failed", (), seconds, failure)
-    places = [task.staging / folder for folder in ("figures", "data")]
-    paths = [path for place in places for path in sorted(place.rglob("*")) if path.is_file()]
-    produced = {path.relative_to(task.staging).as_posix(): sha256(path) for path in paths}
-    before = _stored(task.stamp)[1]
-    task.stamp.unlink(missing_ok=True)
-    for file in produced:
-        with files.atomic_path(task.run.results / file) as temporary:
-            shutil.move(task.staging / file, temporary)
+def _finish(task: Task, execution: processes.Execution, taken: Mapping[str, str]) -> NotebookResult:
+    """Keep the executed copy, and publish what the notebook produced, or say why not."""
+    produced, seconds, failure = (), execution.seconds, execution.failure()
+    try:
+        if execution.executed.exists():
+            with _put(task.executed) as temporary:
+                shutil.move(execution.executed, temporary)
+        if not failure:
+            produced = _publish(task, execution.started, taken)
+    except (OSError, ValueError) as error:
+        failure = failure or f"its files were not published: {error}"
+    return NotebookResult(task, "failed" if failure else "done", produced, seconds, failure)
+
+
+def _publish(task: Task, started: float, taken: Mapping[str, str]) -> tuple[str, ...]:
+    """Move what a notebook produced to its places; return the files, with the provenance."""
+    run, produced = task.run, _produced(task, taken)
+    if _key(run, task.notebook, task.values) != task.key:
+        raise ValueError("what they depend on changed in the meantime: run it again")
     defaults = {name: each.default for name, each in task.parameters.items()}
-    about = {"notebook": task.notebook.name, "profile": task.run.profile}
-    about |= {"parameters": task.values, "files": produced}
-    about |= {"seed": (defaults | task.values).get("seed"), "started": execution.started}
-    written = provenance.write(task.run.results / "figures" / task.name, **about)
-    produced[f"figures/{written.name}"] = sha256(written)
-    for file in before.keys() - produced.keys():
-        (task.run.results / file).unlink(missing_ok=True)
-    files.write_json(task.stamp, {"key": task.key, "files": produced})
+    about = {"notebook": task.notebook.name, "profile": run.profile, "parameters": task.values}
+    about |= {"files": produced, "seed": (defaults | task.values).get("seed"), "started": started}
+    before = dict(_stored(task.stamp)[1].items() & _results(run).items())  # not changed by hand
+    with _put(task.stamp) as unfinished:  # without a key: what a kill leaves is ours, and not fresh
+        files.write_json(unfinished, {"key": "", "files": before | produced})
+    # All is written beside its place; then the provenance is away until the rest is in its place:
+    # contexts are left in the order opposite to that in which they were entered.
+    with ExitStack() as stack:
+        stamp = stack.enter_context(_put(task.stamp))
+        file = f"figures/{task.name}.provenance.json"
+        written = stack.enter_context(_put(run.results / file))
+        files.write_json(written, provenance.collect(**about))
+        files.write_json(stamp, {"key": task.key, "files": produced | {file: sha256(written)}})
+        for each in produced:
+            shutil.move(task.staging / each, stack.enter_context(_put(run.results / each)))
+        (run.results / file).unlink(missing_ok=True)
+        for each in before.keys() - {*produced, file, *taken}:
+            (run.results / each).unlink()
     shutil.rmtree(task.checkpoints.parent, ignore_errors=True)
-    return NotebookResult(task, "done", tuple(produced), seconds)
+    return (*produced, file)
+
+
+def _produced(task: Task, taken: Mapping[str, str]) -> dict[str, str]:
+    """Return the digests of the files that a notebook produced; a ValueError where one may not."""
+    digests = {}
+    for path in [path for name in FOLDERS for path in sorted((task.staging / name).rglob("*"))]:
+        file, is_folder = path.relative_to(task.staging).as_posix(), path.is_dir()
+        whose = "a folder" if (task.run.results / file).is_dir() else taken.get(file)
+        if whose and not is_folder:
+            raise ValueError(f"{file} is {whose}")
+        is_plain = (is_folder or path.is_file()) and not path.is_symlink()
+        if not (is_plain and file.isprintable()) or file.endswith(_UNPUBLISHED):
+            raise ValueError(f"{file!r} is not a regular file with a name of printable signs")
+        if not is_folder:
+            digests[file] = sha256(path)
+    return digests

@@ -13,7 +13,7 @@ import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[2]
-LOCKS = ("requirements.lock", "requirements-dev.lock", "requirements-uv.lock")
+LOCKS = tuple(path.name for path in sorted(ROOT.glob("requirements*.lock")))
 
 
 def pinned(lock):
@@ -112,6 +112,21 @@ def test_ci_runs_actions_by_their_commits_and_once_for_a_push():
         assert re.fullmatch(r"actions/[\w-]+@[0-9a-f]{40}", action)
     assert "push:\n    branches: [main]\n  pull_request:\n" in workflow
     assert "cancel-in-progress: true" in workflow
+
+
+def test_every_lock_is_audited_with_what_is_locked_itself():
+    assert "run: make audit" in (ROOT / ".github/workflows/ci.yml").read_text()
+    assert "pip-audit" in pinned("requirements-audit.lock")
+    commands = make("-n", "audit")
+    assert "--require-hashes --requirement requirements-audit.lock" in commands
+    assert "for lock in requirements*.lock; do" in commands
+    assert "--strict" in commands and commands.rstrip().endswith("done; exit $failed")
+
+
+def test_make_attack_hands_on_its_variables():
+    assert make("-n", "attack").rstrip().endswith("python -m tests.attacks")
+    chosen = make("-n", "attack", "TRIES=3", "ONLY=kill").rstrip()
+    assert chosen.endswith("python -m tests.attacks --tries '3' --only 'kill'")
 
 
 def test_ci_tests_the_lowest_and_the_newest_versions_of_every_python():

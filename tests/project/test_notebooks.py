@@ -97,7 +97,7 @@ def test_all_notebooks_run_with_the_quick_profile(first_run):
         assert about["profile"] == "quick"
         for file in about["files"]:
             assert owners.setdefault(file, path.stem) == path.stem, f"two notebooks write {file}"
-    run = quick("robsmooth.cli", "figures", build=first_run.parent)
+    run = quick("robsmooth", "figures", build=first_run.parent)
     assert run.stdout.count(": fresh\n") == len(NOTEBOOKS)
 
 
@@ -121,7 +121,7 @@ def test_the_explorer_is_an_image_where_nobody_could_move_its_sliders(first_run)
 
 
 def test_results_are_byte_identical_when_regenerated(first_run, tmp_path):
-    run = quick("robsmooth.cli", "figures", build=tmp_path)
+    run = quick("robsmooth", "figures", build=tmp_path)
     assert run.returncode == 0, run.stderr
     results = [
         path.relative_to(first_run)

@@ -6,10 +6,9 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from functools import partial
-from pathlib import Path
 
-import nbformat
 import psutil
 import pytest
 
@@ -18,84 +17,8 @@ from robsmooth._support import files
 from robsmooth.workbench import parameters, runner
 from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import PipelineError
-from robsmooth.workbench.runner import Request
 from tests.helpers.clusters import cluster_of_threads
 from tests.helpers.waiting import PATIENCE, wait_until
-
-FIXTURES = Path(__file__).parent / "notebooks"
-
-
-class Project:
-    """A project folder with some of the fixture notebooks, listed in its profiles.toml."""
-
-    def __init__(self, root):
-        self.root = root
-        self.profiles = ""
-        (root / "notebooks").mkdir()
-
-    def add(self, *fixtures):
-        for fixture in fixtures:
-            number = 1 + len(list(self.root.glob("notebooks/*.ipynb")))
-            shutil.copy(FIXTURES / f"{fixture}.ipynb", self.path(f"{number:02}_{fixture}"))
-        self.write_profiles()
-        return self
-
-    def write_profiles(self, text=""):
-        names = sorted(path.stem for path in self.root.glob("notebooks/*.ipynb"))
-        listed = f"notebooks = {json.dumps(names)}\n"
-        (self.root / "notebooks" / "profiles.toml").write_text(listed + text)
-
-    def path(self, name):
-        return self.root / "notebooks" / f"{name}.ipynb"
-
-    def edit(self, name, old, new):
-        source = self.path(name).read_text()
-        assert old in source
-        self.path(name).write_text(source.replace(old, new))
-
-    def edit_code(self, name, old, new):
-        """Replace in the code of a notebook, written as it stands in a cell."""
-        notebook = nbformat.read(self.path(name), as_version=4)
-        cells = [cell for cell in notebook.cells if old in cell.source]
-        assert len(cells) == 1
-        cells[0].source = cells[0].source.replace(old, new)
-        nbformat.write(notebook, self.path(name))
-
-    def add_optional(self, name):
-        """Give a notebook the parameters that the pipeline sets where they are there."""
-        defaults = {"str": '""', "bool": "False"}
-        lines = [
-            f"{each}: {kind} = {defaults[kind]}  # may be there"
-            for each, kind in parameters.OPTIONAL.items()
-        ]
-        self.edit_code(name, "scale: str", "\n".join([*lines, "scale: str"]))
-
-    def run(self, **options):
-        request = Request(self.root, **options)
-        results = runner.run_notebooks(request, runner.plan(request))
-        return sorted(results, key=lambda result: result.task.name)
-
-    def key(self, **options):
-        return self.plan(**options)[0].key
-
-    def plan(self, **options):
-        return runner.plan(Request(self.root, **options))
-
-    def results(self):
-        """Every file in the places of the paper's results, with its content."""
-        folders = [self.root / "figures", self.root / "data"]
-        files = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
-        return {path.relative_to(self.root).as_posix(): path.read_bytes() for path in files}
-
-
-@pytest.fixture
-def project(tmp_path, monkeypatch):
-    package = tmp_path / "package" / "robsmooth"
-    package.mkdir(parents=True)
-    (package / "model.py").touch()
-    monkeypatch.setattr(runner, "PACKAGE", package)
-    return Project(tmp_path)
-
 
 # --- what is refused before anything runs --------------------------------------------------------
 
@@ -111,7 +34,7 @@ def test_a_notebook_needs_exactly_one_parameters_cell(project, fixture, count):
 def test_a_renamed_notebook_is_an_error(project):
     project.add("good")
     project.path("01_good").rename(project.path("better"))
-    with pytest.raises(PipelineError, match=r"01_good.ipynb: not a readable .*No such file"):
+    with pytest.raises(PipelineError, match=r"'01_good' is not one of \['better'\]"):
         project.plan()
 
 
@@ -122,18 +45,60 @@ def test_an_unlisted_notebook_is_an_error(project):
         project.plan()
 
 
-@pytest.mark.parametrize("content", ["", '{"cells": [', "[]", "{}", "5"])
+@pytest.mark.parametrize(
+    "content", ["", '{"cells": [', "[]", "{}", "5", "[" * 100_000, '{"nbformat": 3}', "\x00"]
+)
 def test_a_damaged_notebook_is_an_error(project, content):
     project.add("good")
     project.path("01_good").write_text(content)
-    with pytest.raises(PipelineError, match=r"01_good.ipynb: not a readable notebook"):
-        project.plan()
+    assert_unreadable(project)
 
 
-def test_damaged_profiles_are_an_error(project):
-    project.add("good").write_profiles("[quick.01_good\n")
-    with pytest.raises(PipelineError, match=r"profiles.toml cannot be read"):
+def assert_unreadable(project):
+    with pytest.raises(PipelineError, match=r"^01_good.ipynb: not a readable notebook") as refused:
         project.plan()
+    assert len(str(refused.value).splitlines()) == 1
+    assert len(str(refused.value)) < 300
+
+
+@pytest.mark.parametrize("name", ["cell_type", "source", "metadata"])
+@pytest.mark.parametrize("value", [None, 5, "parameters", ["parameters"]])
+def test_a_notebook_with_a_cell_that_is_none_is_an_error(project, name, value):
+    notebook = json.loads(project.add("good").path("01_good").read_text())
+    if value is None:
+        del notebook["cells"][1][name]
+    elif (name, value) == ("source", "parameters"):
+        notebook["cells"][1] = value
+    elif (name, value) == ("source", ["parameters"]):
+        notebook["cells"] = value
+    else:
+        notebook["cells"][1][name] = value
+    project.path("01_good").write_text(json.dumps(notebook))
+    assert_unreadable(project)
+
+
+@pytest.mark.parametrize(
+    "content, message",
+    [
+        (b"[quick.01_good\n", "cannot be read: "),
+        (b"notebooks = []  # \xff", "cannot be read: 'utf-8' codec"),
+        (b"x = " + b"[" * 5000, "cannot be read: maximum recursion depth"),
+        (b"", r"\$: 'notebooks' is a required property"),
+        (b"notebooks = 5", r"\$.notebooks: 5 is not of type 'array'"),
+        (b"notebooks = [1]", r"\$.notebooks\[0\]: 1 is not one of \['01_good'\]"),
+        (b'notebooks = ["../notebooks/01_good"]', r"\$.notebooks\[0\]: .* is not one of"),
+        (b'notebooks = ["a\\u0000b"]', r"\$.notebooks\[0\]: .* is not one of"),
+        (b'notebooks = ["01_good", "01_good"]', r"\$.notebooks: .* has non-unique elements"),
+        (b"notebooks = []\nquick = 5", r"\$.quick: 5 is not of type 'object'"),
+        (b"notebooks = []\nquick.01_good = 5", r"\$.quick.*: 5 is not of type 'object'"),
+    ],
+)
+def test_damaged_profiles_are_an_error(project, content, message):
+    project.add("good")
+    (project.root / "notebooks" / "profiles.toml").write_bytes(content)
+    with pytest.raises(PipelineError, match=f"profiles.toml.*{message}") as refused:
+        project.plan(profile="quick")
+    assert len(str(refused.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -153,6 +118,10 @@ def test_damaged_profiles_are_an_error(project):
         ({"lag": 0.0011}, r"lag must be finite and in \(0, 0.001\], got 0.0011"),
         ({"lag": math.nan}, "lag must be finite .*, got nan"),
         ({"lag": math.inf}, "lag must be finite .*, got inf"),
+        ({"lag": 10**400}, "lag must be finite .*, got inf"),
+        ({"runs": 10**5000}, "runs must be finite .*, got inf"),
+        ({"runs": "9" * 200_000}, r"runs must be of type int, got '9{59} \(str\)$"),
+        ({"scale": "\udcff"}, "--set for 01_good: .* can't encode"),
     ],
 )
 def test_a_wrong_value_is_refused_before_anything_runs(project, values, message):
@@ -192,7 +161,7 @@ def test_profile_values_are_used_and_overridden(project):
     [
         ("[quick.01_good]\nrums = 3\n", r"profiles.toml, \[quick.01_good\]: parameter rums is unk"),
         ("[quick.01_good]\nruns = -3\n", r"\[quick.01_good\]: runs must be finite and in"),
-        ("[quick.01_god]\nruns = 3\n", r"\[quick\]: notebook 01_god is unknown; known: 01_good"),
+        ("[quick.01_god]\nruns = 3\n", r"\$.quick: '01_god' is not one of \['01_good'\]"),
     ],
 )
 def test_a_wrong_profile_is_an_error(project, table, message):
@@ -215,6 +184,8 @@ def test_a_wrong_profile_is_an_error(project, table, message):
         ("runs: int = 5  # [1; 9] runs", r"runs: the comment must open with \[low, high\]"),
         ("runs: int = 5  # [one, 9] runs", r"runs: could not convert string to float: 'one'"),
         ("runs: int =", r"line 4 is not Python"),
+        ("runs: int = " + "-" * 200_000 + "1", r"parameters cell: (runs|line 1 is not Python)"),
+        ("runs: int = " + "(" * 200_000, r"line \d+ is not Python"),
     ],
 )
 def test_a_parameters_cell_that_cannot_be_checked_is_an_error(project, line, message):
@@ -259,7 +230,10 @@ def test_notebooks_are_selected_by_parts_of_their_names():
     "options, message",
     [
         ({"jobs": 0}, "jobs must be 1 or more, not 0"),
-        ({"time_limit": math.nan}, "time_limit must be a positive number of seconds, not nan"),
+        *(
+            ({"time_limit": value}, r"time_limit must be in \(0, 1e6\] s, not")
+            for value in (math.nan, math.inf, -1.0, 0.0, 1e300)
+        ),
     ],
 )
 def test_a_wrong_option_is_an_error(project, options, message):
@@ -393,20 +367,89 @@ def test_the_time_limit_ends_the_kernel_and_what_it_started(project, monkeypatch
     assert_ended(project)
 
 
-def test_an_interrupt_ends_everything_and_says_what_is_kept(project):
+@pytest.mark.parametrize(
+    "numbers", [[signal.SIGINT] * 5, [signal.SIGHUP], [signal.SIGKILL]], ids=["INT", "HUP", "KILL"]
+)
+def test_whatever_ends_a_run_ends_all_that_it_started(project, numbers):
     project.add("hanging_cell")
-    command = [sys.executable, "-m", "robsmooth.cli", "figures"]
-    # what a shell runs in the background ignores the signal, and so would what these tests start
-    heeded = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    streams = {"stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen(command, cwd=project.root, preexec_fn=heeded, **streams)
-    wait_until(lambda: len(pids(project)) == 2)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130
-    assert "interrupted; notebooks that had finished are kept" in said
+    with command(project, "figures") as process:
+        wait_until(lambda: len(pids(project)) == 2)
+        for number in numbers:
+            process.send_signal(number)
+            time.sleep(0.02)
+        _, said = process.communicate(timeout=PATIENCE)
+    if numbers == [signal.SIGKILL]:
+        assert process.returncode == -signal.SIGKILL
+    else:
+        assert process.returncode == 130
+        (line,) = said.splitlines()
+        assert "interrupted; notebooks that had finished are kept" in line
+        assert not (project.root / "build/paper/staging").exists()
     assert_ended(project)
     assert project.results() == {}
+
+
+def command(project, *arguments, code=""):
+    """The command in a process that heeds an interrupt, after some code."""
+    # what a shell runs in the background ignores it, and so would what these tests start
+    heeded = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
+    code = f"import signal, sys\n{code}\nfrom robsmooth.__main__ import main\nsys.exit(main())"
+    streams = {"stderr": subprocess.PIPE, "text": True, "preexec_fn": heeded}
+    return subprocess.Popen([sys.executable, "-c", code, *arguments], cwd=project.root, **streams)
+
+
+INTERRUPTED = """
+class Finder:
+    def find_spec(name, path, target=None):
+        if name == "{0}":
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Finder)
+"""
+
+
+@pytest.mark.parametrize("module", ["robsmooth.cli", "argparse", "numpy", "robsmooth.workbench"])
+def test_an_interrupt_during_the_import_is_no_traceback(project, module):
+    project.add("good")
+    with command(project, "figures", code=INTERRUPTED.format(module)) as process:
+        assert process.communicate(timeout=PATIENCE)[1] == ""
+    assert process.returncode == -signal.SIGINT
+
+
+def test_signals_wait_until_a_run_has_ended_all(project, monkeypatch, capsys):
+    came = []
+
+    def run_notebooks(run, tasks, stop):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.raise_signal(number)
+        came.extend(stop)
+        yield from ()
+
+    monkeypatch.setattr(cli, "run_notebooks", run_notebooks)
+    monkeypatch.chdir(project.add("good").root)
+    assert cli.main(["figures"]) == 130
+    assert came == [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+    assert "interrupted; notebooks that had finished are kept" in capsys.readouterr().err
+
+
+def test_an_interrupt_while_nothing_runs_is_heeded_at_once(project, monkeypatch, capsys):
+    monkeypatch.setattr(cli, "plan", lambda _: signal.raise_signal(signal.SIGTERM))
+    monkeypatch.chdir(project.add("good").root)
+    assert cli.main(["figures"]) == 130
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_a_signal_that_is_ignored_stays_so(project, monkeypatch):
+    def run_notebooks(run, tasks, stop):
+        signal.raise_signal(signal.SIGHUP)
+        assert list(stop) == []
+        yield from ()
+
+    monkeypatch.setattr(cli, "run_notebooks", run_notebooks)
+    monkeypatch.chdir(project.add("good").root)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
+    assert cli.main(["figures"]) == 0
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler
 
 
 def test_the_users_own_settings_stay_out_of_a_run(project, monkeypatch):
@@ -540,6 +583,18 @@ def test_outside_the_project_the_command_says_so(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["figures"]) == 2
     assert "no notebooks/profiles.toml here or above" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("sign", "-([{9")
+def test_a_long_value_of_set_is_one_short_sentence(project, monkeypatch, capsys, sign):
+    monkeypatch.chdir(project.add("good").root)
+    assert cli.main(["figures", "--set", f"runs={200_000 * sign}"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("robsmooth: --set for 01_good: runs must be ")
+    assert len(line) < 200
+    with pytest.raises(SystemExit):
+        cli.main(["figures", "--set", 200_000 * sign])
+    assert len(capsys.readouterr().err) < 1000
 
 
 @pytest.mark.parametrize(
