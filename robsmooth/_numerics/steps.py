@@ -42,6 +42,15 @@ def dividing_step(delay: float, longest: float, duration: float) -> float:
     return delay / math.ceil(delay / step - 1e-9) if delay > 0 else step
 
 
+def check_steps(time: float, step: float, most: int, of: str = "a path") -> None:
+    """Refuse steps (s) so short, or a time (s) so long, that there are too many."""
+    if not time / step <= most:
+        raise ValueError(
+            f"step must be at least {time / most:.3g} s, of which {most} make {of} of {time:.3g} s "
+            f"with its warm-up, got {step:.3g} s; more runs average as well as longer ones"
+        )
+
+
 def steps_in(duration: float, step: float) -> int:
     """Return the number of steps of a duration, rounded; a ValueError says that there is none."""
     steps = round(duration / step)

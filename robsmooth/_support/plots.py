@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robsmooth._support import validation
 from robsmooth._support.extras import extra
 
 if TYPE_CHECKING:
@@ -54,6 +55,8 @@ def draw_curves(
 ) -> "Axes":
     """Draw curves by name or order, over one x or each over its own; new axes have a legend."""
     drawn = new_axes() if axes is None else axes
+    if not hasattr(drawn, "plot"):
+        raise TypeError(f"ax must be axes of matplotlib, got {validation.shown(axes)}")
     x = np.broadcast_to(x, (len(curves), np.shape(x)[-1]))
     for each, (name, y), look in zip(x, curves.items(), styles(curves), strict=True):
         label, order = name if isinstance(name, str) else f"order {name}", np.argsort(each)

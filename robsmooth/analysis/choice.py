@@ -11,6 +11,7 @@ from robsmooth._support import tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import CoarseDelayWarning, InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
+from robsmooth._support.validation import Frozen
 from robsmooth.analysis.constraints import analysis_bound
 from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
@@ -98,7 +99,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class Choice(Frozen):
     """The best smoother of a plant, and all candidates: see `best_smoother`.
 
     Attributes

@@ -167,7 +167,7 @@ class DeltaSweep(Frozen, NDArrayOperatorsMixin):
     def plot(self, ax: "plots.Axes | None" = None, label: str | None = None) -> "plots.Axes":
         """Draw the mean square errors over the slopes; matplotlib is needed."""
         labels = {"xlabel": r"slope $\Delta_2$", "ylabel": plots.MEAN_SQUARE}
-        curve = {str(label or self.output): self.mean_square}
+        curve = {self.output if label is None else validation.line(label): self.mean_square}
         return plots.draw_curves(ax, self.nonlinearities, curve, **labels)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[np.float64]:

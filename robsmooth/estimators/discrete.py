@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
 from robsmooth.estimators.copies import Functions, running_copies, running_functions
+from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.exact import ExactFilter
 from robsmooth.estimators.exports import Exports
 from robsmooth.estimators.held import HeldEstimator
@@ -20,7 +21,8 @@ Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
 _FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of the samples of `step`'s short way
 SHORTEST = 1e-6  # interval, times dt
-_ROWS = 4096  # of samples with their own intervals, whose matrices are in memory at a time
+_ROWS = 1 << 20  # of samples between two looks at an interrupt
+_OWN_ROWS = 4096  # the same with intervals of their own, whose matrices are in memory at a time
 
 
 class Beside(TypedDict, total=False):
@@ -64,7 +66,7 @@ class DiscreteSmoother(Exports):
 
     def __init__(
         self,
-        estimator: Any,  # an Estimator, which imports this module
+        estimator: Estimator,
         dt: float,
         functions: Iterable[Callable[[Any], Any] | None] | None = None,
         delay: str | None = None,
@@ -72,6 +74,7 @@ class DiscreteSmoother(Exports):
         offset: ArrayLike | None = None,
         samples: str = "means",
     ) -> None:
+        validation.instance("estimator", estimator, Estimator)
         self.dt: float = validation.positive("dt", dt)
         self.delay: float = estimator.plant.delay
         self.lag: float = self.delay
@@ -294,13 +297,13 @@ class DiscreteSmoother(Exports):
         )
 
     def _take(self, given: Samples, output: str, spread: bool) -> Pair:
-        rows = len(given.y) if given.intervals is None else _ROWS
+        rows = _ROWS if given.intervals is None else _OWN_ROWS
         with self._lock:
             before = self._engine.memory
             try:
                 parts = (
                     Samples(*(None if each is None else each[i : i + rows] for each in given))
-                    for i in range(0, len(given.y) or 1, rows or 1)
+                    for i in range(0, len(given.y) or 1, rows)
                 )
                 found = [self._engine.take(part, output, spread) for part in parts]
             except BaseException:

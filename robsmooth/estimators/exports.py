@@ -158,7 +158,7 @@ class Exports:
         functions : sequence of g str, expressions of C in x such as "sin(x)", for the copies
         precision : {"double", "float"}
         """
-        path = Path(path).expanduser()
+        path = validation.path("path", path)
         if path.suffix != ".c" or not re.fullmatch(r"[A-Za-z]\w*", path.stem, flags=re.ASCII):
             raise ValueError(f"path must be NAME.c with a NAME for C, got {path.name!r}")
         real = validation.choice("precision", precision, ("double", "float"))
@@ -190,12 +190,12 @@ class Exports:
 
 def _functions(discrete: Any, given: Texts) -> str:
     """Return the nonlinearities of the copies as C functions."""
-    psi, running = [None] * discrete.g if given is None else given, discrete._running
-    right = not isinstance(psi, str) and len(psi) == discrete.g
+    psi = validation.sequence("functions", [None] * discrete.g if given is None else given)
+    running, right = discrete._running, len(psi) == discrete.g
     if not right or not all(re.fullmatch(_EXPRESSION, str(psi[i] or "")) for i in running):
         raise ValueError(
             f"functions must be a list of {discrete.g} expressions of C in x, such as 'sin(x)', or "
-            f"None where no copy runs (copies run at {running}), got {given!r}"
+            f"None where no copy runs (copies run at {running}), got {validation.shown(given)}"
         )
     return "".join(_PSI.format(i, psi[i]) for i in running)
 

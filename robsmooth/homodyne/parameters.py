@@ -86,7 +86,8 @@ class HomodyneParameters:
 
     def remainder(self, error: ArrayLike) -> NDArray[np.float64]:
         r"""Return :math:`f(e) = \sin e - \beta e` at errors in rad."""
-        return np.sin(error) - self.beta * np.asarray(error)
+        error = validation.numbers_of("error", error)
+        return np.sin(error) - self.beta * error
 
     @property
     def channel(self) -> Combination:

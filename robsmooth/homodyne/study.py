@@ -28,6 +28,7 @@ from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.systems.augmented import augment
+from robsmooth.systems.delay import checked_order
 
 Axis = Sequence[float] | NDArray[np.float64]
 
@@ -132,14 +133,18 @@ def parameter_study(
     array([[[[0.59]]]])
     """
     validation.instance("parameters", parameters, HomodyneParameters)
+    given = zip(AXES, (gammas, noises, orders, lags), strict=True)
+    gammas, noises, orders, lags = (validation.sequence(*each) for each in given)
     lags = tuple(validation.positive("lags", lag) for lag in lags)
-    orders = tuple(validation.integer("orders", order, low=1) for order in orders)
+    orders = tuple(checked_order("orders", order) for order in orders)
     gammas = tuple(replace(parameters, gamma=gamma).gamma for gamma in gammas)
     noises = tuple(validation.positive("noises", noise) for noise in noises)
     axes = dict(zip(AXES, (gammas, noises, orders, lags), strict=True))
     for name, axis in axes.items():
         if not axis or len(set(axis)) < len(axis):
-            raise ValueError(f"{name} must be one or more different values, got {axis}")
+            raise ValueError(
+                f"{name} must be one or more different values, got {validation.shown(axis)}"
+            )
     runs, seed = validation.integer("runs", runs, low=2), validation.integer("seed", seed, low=0)
     validation.boolean("progress", progress)
 

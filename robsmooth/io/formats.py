@@ -36,9 +36,10 @@ def delimiter_of(name: str, path: Path, given: str | None) -> str:
     if not found or unwritten or (path.exists() and not path.is_file()):
         allowed = "that ends in .csv, .tsv, .csv.gz, .tsv.gz, .npy or, to be read, .parquet"
         raise ValueError(f"{name} must be a file, no pipe or device, {allowed}, got {path}")
-    if given is not None and not re.fullmatch(r"(?![\w\"'.+-])[\t -~]", str(given)):
+    right = isinstance(given, str) and re.fullmatch(r"(?![\w\"'.+-])[\t -~]", given)
+    if given is not None and not right:
         allowed = "one character of ASCII, not a quote and in no number"
-        raise ValueError(f"delimiter must be {allowed}, got {given!r}")
+        raise ValueError(f"delimiter must be {allowed}, got {validation.shown(given)}")
     return {".csv": given or ",", ".tsv": given or "\t"}.get(found[1], "")
 
 
@@ -96,14 +97,16 @@ class Record:
     @contextmanager
     def _failures(self) -> Iterator[None]:
         """Turn an error of a library into one that names the file and the line."""
-        wrong = EOFError, zlib.error, gzip.BadGzipFile, csv.Error, OverflowError
+        wrong = EOFError, zlib.error, csv.Error, OverflowError
         try:
             yield
         except Exception as error:
-            if not isinstance(error, wrong) and type(error).__module__ != "pyarrow.lib":
+            own = isinstance(error, OSError) and error.errno is None  # of gzip and of PyArrow
+            if not (own or isinstance(error, wrong) or type(error).__module__ == "pyarrow.lib"):
                 raise
             what = re.sub(r"Row #(\d+)", lambda n: f"line {self.first + int(n[1]) - 1}", str(error))
-            raise ValueError(f"{self.path}: {what[:200]}{self.advice}") from None
+            what = validation.line(what, 200)
+            raise ValueError(f"{self.path}: {what}{self.advice}") from None
 
 
 class Array(Record):
@@ -117,7 +120,8 @@ class Array(Record):
             array = self._map()
         except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
             plain = "plain numbers, without Python objects, which are never unpickled"
-            raise ValueError(f"{self.path} must be an NPY file of {plain}: {error}") from None
+            what = f"{plain}: {validation.line(error)}"
+            raise ValueError(f"{self.path} must be an NPY file of {what}") from None
         array = validation.numbers_of(str(self.path), array)
         if array.ndim not in (1, 2):
             shape = array.shape
@@ -208,15 +212,12 @@ class Csv(Record):
     advice = "; header=, skip_rows=, columns=, delimiter=, decimal= and missing= say how to read it"
 
     def __init__(self, path: Path, delimiter: str, *dialect: Any) -> None:
-        decimal, header, skip, missing = dialect
-        if validation.choice("decimal", decimal, (".", ",")) == delimiter:
+        decimal, header, skip, gaps = dialect
+        if decimal == delimiter:
             raise ValueError(f"delimiter and decimal must differ, got {decimal!r} for both")
-        gaps = [missing] if isinstance(missing, str) else missing
-        if not (isinstance(gaps, Sequence) and all(isinstance(word, str) for word in gaps)):
-            raise TypeError(f"missing must be the words for a gap, got {missing!r}")
         self._parse = pyarrow().csv.ParseOptions(delimiter=delimiter)
         self.path, self.size = path, path.stat().st_size
-        self.first = 1 + validation.integer("skip_rows", skip, low=0)
+        self.first = 1 + skip
         with self._failures(), _Text(path, skip) as text:
             lines = [text.readline(BLOCK) for _ in range(2)]
             if not lines[0].strip() or re.search(rb"[\0-\10]|\r(?!\n)", lines[0]):
@@ -228,7 +229,7 @@ class Csv(Record):
         gaps = [*gaps, *(f" {word}" for word in gaps if word or len(head) > 1)]
         self._values = {"decimal_point": decimal, "null_values": gaps}
         self.width = len(head)
-        if self._has_names(head, below) if header is None else validation.boolean("header", header):
+        if self._has_names(head, below) if header is None else header:
             self.names, self.first, head = head, self.first + 1, below
         dates = [(i, date) for i, cell in enumerate(head) if (date := DATE.fullmatch(cell))]
         self.dates = {i: pyarrow().timestamp("ns", date[1] and "UTC") for i, date in dates}
@@ -273,7 +274,8 @@ class _Text(io.BufferedReader):
         super().__init__(gzip.GzipFile(path) if zipped else io.FileIO(path))  # type: ignore
         self.lines, self._end = 0, b"\n"  # the number of lines read, and their last line end
         for _ in range(skip):
-            self.readline()
+            if not self.readline():
+                break
 
     def read(self, size: int | None = -1) -> bytes:
         text = self._end + (block := super().read(size))
@@ -299,9 +301,23 @@ def in_memory(source: Any) -> Record:
     return Chunks(source) if isinstance(source, Iterator) else Array(source)
 
 
-def opened(source: Any, delimiter: str | None, *dialect: Any) -> Record:
-    """Open a record; the dialect is that of `Csv`."""
-    path = Path(os.path.expanduser(source)) if isinstance(source, str | os.PathLike) else None
+def opened(
+    source: Any,
+    delimiter: str | None,
+    decimal: str,
+    header: bool | None,
+    skip_rows: int,
+    missing: str | Sequence[str],
+) -> Record:
+    """Open a record in the dialect of a CSV file."""
+    validation.choice("decimal", decimal, (".", ","))
+    header = header if header is None else validation.boolean("header", header)
+    gaps = [missing] if isinstance(missing, str) else validation.sequence("missing", missing)
+    if not all(isinstance(word, str) for word in gaps):
+        raise TypeError(f"missing must be the words for a gap, got {validation.shown(missing)}")
+    skip = validation.integer("skip_rows", skip_rows, low=0)
+    dialect = str(decimal), header, skip, tuple(gaps)
+    path = validation.path("source", source) if isinstance(source, str | os.PathLike) else None
     mark = delimiter_of("source", path, delimiter) if path else ""
     if path and mark:
         return Csv(path, mark, *dialect)

@@ -157,7 +157,7 @@ def _target(record: Record, target: Any, delimiter: str | None, resume: bool) ->
         if resume or isinstance(record.path, Path):
             raise TypeError("target must be given where source is a file, and for resume=True")
         return Path(), ""
-    path = Path(os.path.expanduser(target))
+    path = validation.path("target", target)
     mark = formats.delimiter_of("target", path, delimiter)
     if isinstance(record.path, Path) and path.exists() and path.samefile(record.path):
         raise ValueError(f"target must be another file than source, got {path} for both")
@@ -196,12 +196,15 @@ def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[
     if chosen is None or (chosen is False and name == "time"):
         return []
     path, names, found = record.path, list(record.names), []
-    for column in [chosen] if isinstance(chosen, str) or not np.iterable(chosen) else chosen:
+    single = isinstance(chosen, str) or validation.is_single(chosen)
+    for column in [chosen] if single else validation.sequence(name, chosen, of="columns"):
         named = isinstance(column, str)
         if named and names.count(column) != 1:
             there = "twice" if column in names else "not"
             known = ", ".join(map(repr, names)) or "no header"
-            raise ValueError(f"{name}: {column!r} is {there} in {path}, which has {known}")
+            raise ValueError(
+                f"{name}: {validation.shown(column)} is {there} in {path}, which has {known}"
+            )
         index = validation.integer(name, names.index(column) if named else column, low=0)
         if index >= record.width:
             raise ValueError(f"{name}: {path} has {record.width} columns, there is no {index}")

@@ -10,7 +10,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
+from robsmooth._numerics.steps import (
+    check_steps,
+    dividing_step,
+    steps_in,
+    warn_of_long_step,
+    whole_steps,
+)
 from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support import cluster, validation
 from robsmooth._support.blas import one_thread
@@ -23,6 +29,8 @@ from robsmooth.simulation.kernel import CHUNK
 from robsmooth.systems.augmented import AugmentedSystem
 
 COMPILED, IN_PYTHON = 4_000_000, 200_000  # path-steps between two looks at an interrupt
+MOST_STEPS, LONGEST_LAG = 10**9, 10**6  # steps of a path, and those in memory at once
+MOST_NUMBERS = 4e8  # that `sample_paths` keeps
 RECORDED = 100_000  # path-steps whose signals are in memory at once
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response time
 SILENT = 1 / 4  # the longest step without a warning, in these units
@@ -144,7 +152,11 @@ def sample_paths(
     """
     run = _Run(smoother, uncertainties, runs, duration, step, seed, measured=True)
     m, g, arguments = run.plant.system.m, run.plant.system.g, len(run.scheme.loop.arguments)
-    parts = run.parts(0, -(-run.runs // BLOCK), recorded=True)
+    blocks, signals = -(-run.runs // BLOCK), len(run.scheme.scheme.signals)
+    if blocks * BLOCK * run.steps * signals > MOST_NUMBERS:
+        given = f"{run.runs} paths of {run.steps} steps with {signals} signals"
+        raise ValueError(f"runs and duration must make fewer numbers to keep, got {given}")
+    parts = run.parts(0, blocks, recorded=True)
     signals = np.concatenate([np.concatenate(each, axis=2)[..., : run.runs] for *_, each in parts])
     rows = np.cumsum([m, m, m, arguments, arguments])
     signals = np.split(np.moveaxis(signals, 2, 0), rows, axis=2)  # the warm-up comes first
@@ -175,8 +187,10 @@ class _Run:
         response_time = 1.0 / loop.argument_rate()
         default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
         self.step = step = validation.positive("step", default if step is None else step)
-        before = (WARM_UP_TIME_CONSTANTS / loop.slowest_rate + delay) / step
-        self.before = CHUNK * math.ceil(before / CHUNK)
+        before = WARM_UP_TIME_CONSTANTS / loop.slowest_rate + delay
+        check_steps(before + duration, step, MOST_STEPS)
+        check_steps(delay, step, LONGEST_LAG, "a delay")
+        self.before = CHUNK * math.ceil(before / step / CHUNK)
         self.averaged, self.lag = steps_in(duration, step), whole_steps(delay, step)
         self.steps = self.before + self.averaged
         growth = loop.growth_rate * step * self.steps

@@ -114,6 +114,7 @@ class AugmentedSystem(Frozen):
 
     def M(self, multipliers: ArrayLike) -> Matrix:
         """Return M(lambda), the sum of lambda_i M_i."""
+        multipliers = validation.array("multipliers", multipliers, ndim=1)
         if (given := len(multipliers)) != len(self.M_i):
             raise ValueError(f"multipliers must have {len(self.M_i)} entries, got {given}")
         zero = np.zeros([sum(self.input_sizes)] * 2)
@@ -202,7 +203,7 @@ def augment(
     (3.1e-06, 2, 3)
     """
     validation.instance("system", system, UncertainSystem)
-    if np.ndim(J_21) == 0:
+    if validation.is_single(J_21):
         J_21 = validation.positive("J_21", J_21) * np.eye(system.g)
     J_21 = validation.matrix("J_21", J_21, (system.g, system.g))
     if system.g and not np.linalg.eigvalsh((J_21 + J_21.T) / 2).min() > 0.0:
@@ -277,17 +278,13 @@ def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix,
 
 def _blocks(name: str, given: Sequence, sizes: Sequence[tuple[int, int]]) -> list[Matrix]:
     """Return the blocks of a Delta, zeros by default."""
-    try:
-        values = list(given) or [0.0] * len(sizes)
-    except TypeError:
-        rule = f"{name} must be a sequence of length {len(sizes)}"
-        raise TypeError(f"{rule}, got {given!r}") from None
+    values = validation.sequence(name, given, of=f"length {len(sizes)}") or [0.0] * len(sizes)
     if len(values) != len(sizes):
         raise ValueError(f"{name} must have {len(sizes)} entries, got {len(values)}")
     blocks = []
     for i, (value, size) in enumerate(zip(values, sizes, strict=True)):
-        if isinstance(value, list | tuple) or np.ndim(value) > 0:
-            blocks.append(validation.matrix(f"{name}[{i}]", value, size))
-        else:
+        if validation.is_single(value):
             blocks.append(validation.real(f"{name}[{i}]", value) * np.eye(*size))
+        else:
+            blocks.append(validation.matrix(f"{name}[{i}]", value, size))
     return blocks

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
@@ -110,9 +111,9 @@ class Nonlinearity(Channel):
             slopes = validation.array("Nonlinearity sector", sector, ndim=1).tolist()
             if len(slopes) != 2 or not slopes[0] < slopes[1]:
                 rule = "two slopes, the least and the largest"
-                raise ValueError(f"Nonlinearity sector must be {rule}, got {sector!r}")
+                raise ValueError(f"Nonlinearity sector must be {rule}, got {slopes}")
             sector = tuple(slopes)
-            if lipschitz not in (None, max(map(abs, sector))):
+            if lipschitz is not None and not np.array_equal(lipschitz, max(map(abs, sector))):
                 raise TypeError("Nonlinearity must have a lipschitz or a sector, got both")
             lipschitz = max(map(abs, sector))
         lipschitz = validation.positive("Nonlinearity lipschitz", lipschitz)
@@ -165,10 +166,7 @@ def fitting(
     name: str, values: Iterable, kind: type[Channel], states: int, measurements: int
 ) -> tuple[Channel, ...]:
     """Return channels of one kind, their shapes checked against the system's."""
-    try:
-        channels = tuple(values)
-    except TypeError:
-        raise TypeError(f"{name} must be a sequence of {kind.__name__}, got {values!r}") from None
+    channels = tuple(validation.sequence(name, values, of=kind.__name__))
     for index, channel in enumerate(channels):
         validation.instance(f"{name}[{index}]", channel, kind)
         inputs, outputs = (1, 1) if kind is Nonlinearity else (channel.B.shape[1], None)

@@ -6,9 +6,16 @@ from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import ClassVar, Self
 
+import numba
 import numpy as np
 
-from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
+from robsmooth._numerics.steps import (
+    check_steps,
+    dividing_step,
+    steps_in,
+    warn_of_long_step,
+    whole_steps,
+)
 from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
@@ -30,6 +37,8 @@ SILENT_SPLITTING = 1 / 4  # less than one, but 15% of the slips
 STABLE_PART = 0.5  # of the longest stable Euler-Maruyama step: the default
 
 FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, for control variates
+UNINTERRUPTED = 60_000_000  # path-steps of a thread between two looks at an interrupt
+MOST_STEPS = 2_000_000  # of a path: so many of a block take about two seconds
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
 
 
@@ -58,16 +67,20 @@ class Simulation:
         real, n = PRECISIONS[self.precision], self.readout.shape[1]
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
         with threads():
-            self.kernel.simulate_blocks(
-                (real(0),) * n,
-                *((real(0),) * count for count in self.compiled_for),
-                np.concatenate([np.ravel(part) for part in self.coefficients]).astype(real),
-                -self.readout.ravel(),
-                self.schedule,
-                np.uint64(self.seed),
-                first,
-                results.reshape(count, -1),
-            )
+            # the results of a block do not depend on the call, which no interrupt reaches
+            at_once = numba.get_num_threads() * max(1, UNINTERRUPTED // (BLOCK * self.steps))
+            for start in range(0, count, at_once):
+                part = results[start : start + at_once]
+                self.kernel.simulate_blocks(
+                    (real(0),) * n,
+                    *((real(0),) * count for count in self.compiled_for),
+                    np.concatenate([np.ravel(each) for each in self.coefficients]).astype(real),
+                    -self.readout.ravel(),
+                    self.schedule,
+                    np.uint64(self.seed),
+                    first + start,
+                    part.reshape(len(part), -1),
+                )
         return results[:, : self.kernel.SLIPS + 1]
 
     def tally(self, path: int, outputs: Matrix) -> Tally:
@@ -100,6 +113,7 @@ class PaperSimulation(Simulation):
         default = min(PAPER_STEP, SILENT_EULER * response, STABLE_PART * longest)
         default = dividing_step(loop.delay, default, duration)
         step = step or default
+        check_steps(duration, step, MOST_STEPS)
         delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
         if step >= longest:
             raise ValueError(
@@ -138,7 +152,9 @@ class ErgodicSimulation(Simulation):
         response = loop.response_time()
         default = dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * response, duration)
         step = step or default
-        warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
+        before = WARM_UP_TIME_CONSTANTS / slowest + loop.delay
+        check_steps(before + duration, step, MOST_STEPS)
+        warm_up = math.ceil(before / step)
         steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
         warn_of_long_step(step, response, SILENT_SPLITTING, default, stacklevel=5)
         filtered, lagged = loop.linear_errors(*slopes)
