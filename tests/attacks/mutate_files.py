@@ -81,7 +81,7 @@ def records(suffix: str) -> list[bytes]:
             found.append(path.read_bytes())
         dates = np.datetime_as_string(np.arange(40).astype("datetime64[us]"))
         rows = zip(dates, samples()[:, 1], strict=True)
-        found.append("".join(f"{date},{value!r}\n" for date, value in rows).encode())
+        found.append("".join(f"{date},{value:.17g}\n" for date, value in rows).encode())
     return found
 
 
@@ -111,7 +111,8 @@ def read_profiles(path: Path) -> None:
     profiles = runner._profiles(folder)
     for name in runner.select(profiles["notebooks"], ()):
         for profile in runner.PROFILES:
-            parameters.check(known()[name], profiles[profile].get(name, {}), "profiles.toml")
+            there = known().get(name) or parameters.read(folder / f"{name}.ipynb")
+            parameters.check(there, profiles[profile].get(name, {}), "profiles.toml")
 
 
 @cache

@@ -58,6 +58,7 @@ def _serve(trial: Trial, seed: int, numbers: range, answers) -> None:
     fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     limit = 1024 * int(fields["VmData"].split()[0]) + MEMORY
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    answers.send("ready")
     for number in numbers:
         answers.send(trial(seed, number))
 
@@ -72,10 +73,14 @@ def apart(trial: Trial, tries: int, seed: int) -> tuple[Counter, list[str]]:
         process = context.Process(target=_serve, args=given)
         process.start()
         theirs.close()
-        begun = number
+        try:
+            if not ours.poll(20 * SECONDS) or ours.recv() != "ready":
+                raise RuntimeError("the attack cannot begin")
+        except EOFError:
+            raise RuntimeError("the attack cannot begin: what is typical fails") from None
         try:
             while number < tries:
-                if not ours.poll(SECONDS * (10 if number == begun else 1)):
+                if not ours.poll(SECONDS):
                     raise EOFError(f"no answer in {SECONDS:g} s")
                 outcome, failure = ours.recv()
                 outcomes[outcome] += 1
