@@ -20,8 +20,8 @@ _NUMBERS = "{} must be an array of numbers, got entries of type {}"
 _NUMBERS += ": np.array(..., dtype=float) makes numbers of them"
 _DEEPEST = 32  # lists in lists: no array of NumPy 1 has more dimensions
 _MOST_NUMBERS = 10**10  # of an array
-MOST_COUNTED = 2**53  # floats tell integers apart up to here
-MOST_VALUES = 1_000_000  # of a sequence of arguments: more are an error, or have no end
+_COUNTED = 2**53  # floats, and compiled code, tell integers apart up to here
+_MOST_VALUES = 1_000_000  # of a sequence of arguments: more are an error, or have no end
 _SHORT = reprlib.Repr()
 _SHORT.maxother = _SHORT.maxstring = _SHORT.maxlong = 80
 
@@ -182,7 +182,7 @@ def positive(name: str, value: float) -> float:
     return real(name, value, low=0.0, without=[0.0])
 
 
-def integer(name: str, value: int, *, low: int, high: int = MOST_COUNTED, why: str = "") -> int:
+def integer(name: str, value: int, *, low: int, high: int = _COUNTED, why: str = "") -> int:
     """Return `value` as an int within an interval, whose upper end may have a reason."""
     if isinstance(value, _NO_NUMBERS) or not isinstance(value, numbers.Integral):
         raise TypeError(f"{name} must be an integer, got {shown(value)}")
@@ -223,13 +223,13 @@ def sequence(name: str, value: Iterable[Any], of: str = "values") -> list[Any]:
         found = None
     else:
         try:
-            found = list(islice(value, MOST_VALUES + 1))
+            found = list(islice(value, _MOST_VALUES + 1))
         except TypeError:  # of what has no entries
             found = None
     if found is None:
         raise TypeError(f"{name} must be a sequence of {of}, got {shown(value)}")
-    if len(found) > MOST_VALUES:
-        raise ValueError(f"{name} must have at most {MOST_VALUES} entries, got more")
+    if len(found) > _MOST_VALUES:
+        raise ValueError(f"{name} must have at most {_MOST_VALUES} entries, got more")
     return found
 
 

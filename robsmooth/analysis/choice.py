@@ -31,7 +31,7 @@ _PAPER = "paper's V, "
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Judgement(Frozen):
     """The three errors by which every estimator is judged, as `judge` finds them.
 
     Attributes
@@ -86,7 +86,7 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class Candidate(Frozen):
     """An estimator that `best_smoother` compares; None, and the reason, where it was refused."""
 
     estimator: Estimator | None = None

@@ -161,7 +161,7 @@ def best_lag(system: UncertainSystem, order: int) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class LagChoice:
+class LagChoice(Frozen):
     """The lag and the order that `choose_lag` chooses; both are zero where the filter suffices.
 
     Attributes

@@ -190,7 +190,8 @@ class Exports:
 
 def _functions(discrete: Any, given: Texts) -> str:
     """Return the nonlinearities of the copies as C functions."""
-    psi = validation.sequence("functions", [None] * discrete.g if given is None else given)
+    psi = [None] * discrete.g if given is None else given
+    psi = validation.sequence("functions", psi, of="expressions of C in x")
     running, right = discrete._running, len(psi) == discrete.g
     if not right or not all(re.fullmatch(_EXPRESSION, str(psi[i] or "")) for i in running):
         raise ValueError(

@@ -27,6 +27,7 @@ from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo
 from robsmooth.homodyne.parameters import HomodyneParameters
+from robsmooth.simulation.groups import checked_seed
 from robsmooth.systems.augmented import augment
 from robsmooth.systems.delay import checked_order
 
@@ -145,7 +146,7 @@ def parameter_study(
             raise ValueError(
                 f"{name} must be one or more different values, got {validation.shown(axis)}"
             )
-    runs, seed = validation.integer("runs", runs, low=2), validation.integer("seed", seed, low=0)
+    runs, seed = validation.integer("runs", runs, low=2), checked_seed(seed)
     validation.boolean("progress", progress)
 
     study = {**axes, "parameters": vars(parameters), "runs": runs, "seed": seed}

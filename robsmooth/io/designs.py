@@ -139,7 +139,7 @@ def _language(path: str | os.PathLike[str]) -> tuple[Path, str]:
     path = validation.path("path", path)
     language = path.suffix[1:].lower()
     if language not in _READERS:
-        raise ValueError(f"path must end in .toml or .json, got {validation.shown(path)}")
+        raise ValueError(f"path must end in .toml or .json, got {validation.shown(path.name)}")
     return path, language
 
 

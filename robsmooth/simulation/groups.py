@@ -28,10 +28,7 @@ def checked_seed(seed: int) -> int:
     """Return a seed that the compiled generators take; a RuntimeError says that numba is off."""
     if numba.config.DISABLE_JIT:
         raise RuntimeError("a simulation needs numba's compiler: unset NUMBA_DISABLE_JIT")
-    seed = validation.integer("seed", seed, low=0)
-    if seed >= 2**64:
-        raise ValueError(f"seed must be below 2**64, got {seed}")
-    return seed
+    return validation.integer("seed", seed, low=0, high=2**64 - 1)
 
 
 @contextmanager

@@ -83,7 +83,12 @@ class AugmentedSystem(Frozen):
     N_i: tuple[Matrix, ...] = field(init=False)
 
     def __post_init__(self) -> None:
+        validation.instance("system", self.system, UncertainSystem)
+        validation.instance("delay_model", self.delay_model, DelayModel)
         system, model, g = self.system, self.delay_model, self.system.g
+        shapes = {"J_21": (g, g), "growth": (system.m, system.n)}
+        for name, shape in (shapes | {"taken_off": (system.n + system.l, g)}).items():
+            vars(self)[name] = validation.matrix(name, getattr(self, name), shape)
         n, ones = system.n + len(model.F), (1,) * (2 * g)
         input_sizes = (*(u.B.shape[1] for u in system.uncertainties), *ones)
         output_sizes = (*(u.C.shape[0] for u in system.uncertainties), *ones)

@@ -111,7 +111,9 @@ class Nonlinearity(Channel):
             slopes = validation.array("Nonlinearity sector", sector, ndim=1).tolist()
             if len(slopes) != 2 or not slopes[0] < slopes[1]:
                 rule = "two slopes, the least and the largest"
-                raise ValueError(f"Nonlinearity sector must be {rule}, got {slopes}")
+                raise ValueError(
+                    f"Nonlinearity sector must be {rule}, got {validation.shown(sector)}"
+                )
             sector = tuple(slopes)
             if lipschitz is not None and not np.array_equal(lipschitz, max(map(abs, sector))):
                 raise TypeError("Nonlinearity must have a lipschitz or a sector, got both")

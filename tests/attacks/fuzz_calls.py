@@ -5,6 +5,7 @@ error that the package words itself, in one sentence. It changes no argument; th
 returns are read-only and share no memory with an argument; it answers an interrupt.
 """
 
+import copy
 import dataclasses
 import itertools
 import os
@@ -18,7 +19,7 @@ from decimal import Decimal
 from fractions import Fraction
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib import pyplot
@@ -26,11 +27,13 @@ from matplotlib import pyplot
 import robsmooth as rs
 from robsmooth import baselines, examples, homodyne
 from tests.helpers import trials
+from tests.project.test_copies import VALUES, example
 
 TRIES = 10_000
 PATIENCE = 1.0  # s, then a call is interrupted
 ANSWER = float(os.environ.get("ATTACK_ANSWER", "2"))  # s, until it has answered
 PAPER = homodyne.PAPER
+GAINS = ("A_c", "B_c", "C_c", "C_a", "C_f")
 MULTIPLIERS = [1.0, 0.4999, 1e-6, 1e-6]
 
 
@@ -84,32 +87,8 @@ class Things:
 
     @staticmethod
     @cache
-    def sweep() -> Any:
-        return rs.lag_sweep(T.system(), [1e-6, 2e-6], [1])
-
-    @staticmethod
-    @cache
     def deltas() -> Any:
         return rs.delta_sweep(T.kalman(), [-1.0, 0.0, 1.0], "filtered")
-
-    @staticmethod
-    @cache
-    def study() -> Any:
-        return rs.Study((0.4,), (1.0,), (2,), (1e-6, 3e-6), {"bound": [[[[0.1, 0.1]]]]}, {})
-
-    @staticmethod
-    @cache
-    def choice() -> Any:
-        judged = rs.judge(T.kalman())
-        from robsmooth.analysis.choice import Candidate
-
-        candidates = {"classical": Candidate(T.kalman(), judged)}
-        return rs.Choice(T.kalman(), "classical", candidates, "constant", "smoothed")
-
-    @staticmethod
-    @cache
-    def measured() -> Any:
-        return rs.monte_carlo(PAPER, T.kalman(), runs=64)
 
 
 T = Things
@@ -120,143 +99,178 @@ def file(name: str) -> str:
     return str(Path(FOLDER) / name)
 
 
-def matrices(estimator: Any) -> dict[str, Any]:
-    return {
-        name: np.array(getattr(estimator, name)) for name in ("A_c", "B_c", "C_c", "C_a", "C_f")
-    }
-
-
 def record(rows: int = 30) -> Any:
     return np.random.default_rng(0).standard_normal((rows, 1))
 
 
-def fields(value: Any) -> dict[str, Any]:
-    return {each.name: getattr(value, each.name) for each in dataclasses.fields(value) if each.init}
+class Call(NamedTuple):
+    """A function and its typical arguments."""
+
+    function: Callable
+    typical: dict[str, Any]
+
+    def arguments(self) -> dict[str, Any]:
+        """Return typical arguments, made anew where they can be changed."""
+        return {name: fresh(value) for name, value in self.typical.items()}
 
 
-Call = tuple[Callable, Callable[[], dict[str, Any]]]
+def fresh(value: Any) -> Any:
+    if isinstance(value, partial):
+        return value()
+    return copy.deepcopy(value) if isinstance(value, list | dict | np.ndarray) else value
+
+
+def call(function: Callable, /, **typical: Any) -> Call:
+    return Call(function, typical)
 
 
 def functions() -> dict[str, Call]:
-    """Return every public function and class with typical arguments, by name."""
+    """Return every public function with typical arguments, by name."""
     loop = {"oscillator": "filtered", "copy": True, "shot_noise": 1.0}
-    runs = {"runs": 8, "duration": 1e-4, "step": None, "seed": 0, "checkpoint": None}
-    lists = {"lags": [1e-6], "orders": [2], "gammas": [0.4], "noises": [1.0]}
-    square = {"A": [[-1.0]], "B1": [[1.0, 0.0]], "C0": [[1.0]], "C2": [[1.0]], "D21": [[0.0, 0.1]]}
-    channel = {"B": [[1.0]], "C": [[0.1]], "D": [[0.0]]}
+    many = {"runs": 8, "seed": 0, "client": None, "checkpoint": None, "progress": False}
+    paths = {"smoother": T.kalman(), "uncertainties": [0.0], "duration": 1e-4, "step": None}
+    axes = {"lags": [1e-6], "orders": [2], "gammas": [0.4], "noises": [1.0]}
     delayed = {"system": T.system(), "delay": 3.1e-6, "order": 2}
     judged = {"smoother": T.robust(), "output": "filtered", "loop": "real"}
-    designed = {"plant": T.plant(), "tau": 1.1e-6, "multipliers": [1.0, 0.49, 1e-4, 1e-4]}
+    given = {"plant": T.plant(), "tau": 1.1e-6, "multipliers": [1.0, 0.49, 1e-4, 1e-4]}
+    designed = {"plant": T.plant(), "output": "smoothed"}
+    homodyned = {"parameters": PAPER, "smoother": T.kalman(), **loop}
+    smoother = {"smoother": partial(T.exact), "reference": None}
+    recorded = {**smoother, "time": None, "columns": None, "regular": True, "output": "smoothed"}
+    recorded |= {"chunk": 7, "header": None, "skip_rows": 0, "progress": False, "resume": False}
+    dialect = {"delimiter": ",", "decimal": ".", "header": False, "missing": "nan", "time": 0}
+    channel = {"B": [[1.0]], "C": [[0.1]], "D": [[0.0]]}
+    square = {"A": [[-1.0]], "B1": [[1.0, 0.0]], "C0": [[1.0]], "C2": [[1.0]], "D21": [[0.0, 0.1]]}
+    square |= {"uncertainties": [], "nonlinearities": [], "B2": np.eye(1), "D22": [[0.0]]}
+    noises = {"process_noise": 1.0, "measurement_noise": 0.01, "gain_uncertainty": 0.1}
+    own = {"lipschitz": 1.0, "function": np.tanh, "reference": "filtered", "sector": None}
+    search = {"against": "constant", "progress": False}
+    with_delta = {"Delta": T.plant().structured_delta(), "reference": None, "copy_noise": None}
+    mirror = {"frequency": 1e3, "damping": 0.05, "rms": 0.25, "noise": 1e-3, "uncertainty": 0.02}
+    made = {name: np.array(getattr(T.robust(), name)) for name in GAINS}
+    from_plant = rs.UncertainSystem.from_plant
     return {
-        "UncertainSystem": (rs.UncertainSystem, lambda: square | {"uncertainties": [], "nonlinearities": [], "B2": np.eye(1), "D22": [[0.0]]}),
-        "UncertainSystem.from_plant": (rs.UncertainSystem.from_plant, lambda: {"plant": T.linear().to_statespace(), "process_noise": 1.0, "measurement_noise": 0.01, "gain_uncertainty": 0.1}),
-        "Uncertainty": (rs.Uncertainty, lambda: dict(channel)),
-        "Nonlinearity": (rs.Nonlinearity, lambda: channel | {"lipschitz": 1.0, "function": np.tanh, "reference": "filtered", "sector": None}),
-        "sector": (rs.sector, lambda: {"function": np.tanh, "reach": 0.6}),
-        "augment": (rs.augment, lambda: delayed | {"J_21": 1.0}),
-        "design_smoother": (rs.design_smoother, lambda: designed | {"cost": "filtered"}),
-        "limiting_smoother": (rs.limiting_smoother, lambda: designed | {"cost": "smoothed"}),
-        "minimize_bound": (rs.minimize_bound, lambda: {"plant": T.plant(), "cost": "smoothed", "starts": 1}),
-        "minimax_smoother": (rs.minimax_smoother, lambda: {"plant": T.plant(), "output": "smoothed"}),
-        "constant_minimax_smoother": (rs.constant_minimax_smoother, lambda: {"plant": T.plant(), "output": "smoothed"}),
-        "best_smoother": (rs.best_smoother, lambda: {"plant": T.plant(), "against": "constant", "output": "smoothed", "progress": False}),
-        "judge": (rs.judge, lambda: {"estimator": T.kalman(), "output": "filtered"}),
-        "Estimator": (rs.Estimator, lambda: {"plant": T.plant(), **matrices(T.robust())}),
-        "RobustSmoother": (rs.RobustSmoother, lambda: fields(T.robust())),
-        "error_covariance": (rs.error_covariance, lambda: judged | {"Delta": T.plant().structured_delta(), "allow_inadmissible": False, "reference": None, "copy_noise": None}),
-        "delta_sweep": (rs.delta_sweep, lambda: judged | {"nonlinearities": [-1.0, 0.0]}),
-        "worst_case": (rs.worst_case, lambda: dict(judged)),
-        "analysis_bound": (rs.analysis_bound, lambda: judged | {"copy_noise": None}),
-        "lag_sweep": (rs.lag_sweep, lambda: {"system": T.system(), "lags": [1e-6], "orders": [1], "design": None, "progress": False}),
-        "best_lag": (rs.best_lag, lambda: {"system": T.system(), "order": 1}),
-        "choose_lag": (rs.choose_lag, lambda: {"system": T.system(), "target": None, "fraction": 0.5}),
-        "check_record": (rs.check_record, lambda: {"smoother": T.exact(), "y": record(), "reference": None, "inputs": None}),
-        "smooth_record": (rs.smooth_record, lambda: {"smoother": T.exact(), "source": record(), "target": None, "columns": None, "reference": None, "time": None, "regular": True, "output": "smoothed", "chunk": 7, "delimiter": None, "header": None, "skip_rows": 0}),
-        "smooth_record of a file": (rs.smooth_record, lambda: {"smoother": T.exact(), "source": written(), "target": file("w.csv"), "columns": 1, "reference": None, "time": 0, "regular": True, "output": "smoothed", "chunk": 7, "delimiter": ",", "decimal": ".", "header": False, "skip_rows": 0, "missing": "nan", "resume": False}),
-        "save": (rs.save, lambda: {"value": T.system(), "path": file("system.toml")}),
-        "load": (rs.load, lambda: {"path": saved(), "functions": None}),
-        "simulate": (rs.simulate, lambda: {"smoother": T.kalman(), "uncertainties": [0.0], **runs}),
-        "sample_paths": (rs.sample_paths, lambda: {"smoother": T.kalman(), "uncertainties": [0.0], "runs": 2, "duration": 1e-4, "step": None, "seed": 0}),
-        "monte_carlo": (rs.monte_carlo, lambda: {"parameters": PAPER, "smoother": T.kalman(), "protocol": "ergodic", "precision": "mixed", **runs, **loop}),
-        "parameter_study": (rs.parameter_study, lambda: {"parameters": PAPER, **lists, "runs": 8, "seed": 0, "checkpoint": None}),
-        "stationary_errors": (rs.stationary_errors, lambda: {"parameters": PAPER, "smoother": T.kalman(), **loop}),
-        "statistical_linearisation": (rs.statistical_linearisation, lambda: {"parameters": PAPER, "smoother": T.kalman(), **loop}),
-        "verdicts": (rs.verdicts, lambda: {"data_dir": None, "kinds": ["input"]}),
-        "HomodyneParameters": (homodyne.HomodyneParameters, lambda: dict(vars(PAPER))),
-        "fraction_inside": (homodyne.fraction_inside, lambda: {"error_range": 1.0, "variance": 0.25}),
-        "random_walk": (examples.random_walk, lambda: {"diffusion": 1.0, "noise": 1.0}),
-        "clock": (examples.clock, lambda: {"phase_noise": 1.0, "frequency_noise": 0.1, "noise": 1.0}),
-        "resonant_phase": (examples.resonant_phase, lambda: {"frequency": 1e3, "damping": 0.05, "rms": 0.25, "noise": 1e-3, "uncertainty": 0.02}),
-        "kalman_bucy": (baselines.kalman_bucy, lambda: {"system": T.system(), "copies": False}),
-        "fixed_lag_smoother": (baselines.fixed_lag_smoother, lambda: delayed | {"copies": True}),
-        "ngcf": (baselines.ngcf, lambda: {"system": T.system()}),
-        "optimal_fixed_lag_error": (baselines.optimal_fixed_lag_error, lambda: {"system": T.system(), "delay": 1e-6}),
-        "optimal_two_sided_error": (baselines.optimal_two_sided_error, lambda: {"system": T.system()}),
-        "worst_optimal_error": (baselines.worst_optimal_error, lambda: {"system": T.system(), "delay": 1e-6}),
-        "tuned_fixed_lag_smoother": (baselines.tuned_fixed_lag_smoother, lambda: {"plant": T.plant(), "against": "constant", "output": "smoothed"}),
-        "Study": (rs.Study, lambda: fields(T.study())),
-        "LagSweep": (rs.LagSweep, lambda: fields(T.sweep())),
-        "MeanSquare": (rs.MeanSquare, lambda: {"mean_square": 0.1, "standard_error": 0.01}),
-    }  # fmt: skip
+        "UncertainSystem": call(rs.UncertainSystem, **square),
+        "from_plant": call(from_plant, plant=T.linear().to_statespace(), **noises),
+        "Uncertainty": call(rs.Uncertainty, **channel),
+        "Nonlinearity": call(rs.Nonlinearity, **channel, **own),
+        "sector": call(rs.sector, function=np.tanh, reach=0.6),
+        "augment": call(rs.augment, **delayed, J_21=1.0),
+        "design_smoother": call(rs.design_smoother, **given, cost="filtered"),
+        "limiting_smoother": call(rs.limiting_smoother, **given, cost="smoothed"),
+        "minimize_bound": call(rs.minimize_bound, plant=T.plant(), cost="smoothed", starts=1),
+        "minimax_smoother": call(rs.minimax_smoother, **designed),
+        "constant_minimax_smoother": call(rs.constant_minimax_smoother, **designed),
+        "best_smoother": call(rs.best_smoother, **designed, **search),
+        "judge": call(rs.judge, estimator=T.kalman(), output="filtered"),
+        "Estimator": call(rs.Estimator, plant=T.plant(), **made),
+        "error_covariance": call(rs.error_covariance, **judged, **with_delta),
+        "delta_sweep": call(rs.delta_sweep, **judged, nonlinearities=[-1.0, 0.0]),
+        "worst_case": call(rs.worst_case, **judged),
+        "analysis_bound": call(rs.analysis_bound, **judged, copy_noise=None),
+        "lag_sweep": call(rs.lag_sweep, system=T.system(), lags=[1e-6], orders=[1], design=None),
+        "best_lag": call(rs.best_lag, system=T.system(), order=1),
+        "choose_lag": call(rs.choose_lag, system=T.system(), target=None, fraction=0.5),
+        "check_record": call(rs.check_record, **smoother, y=record(), inputs=None),
+        "smooth_record": call(rs.smooth_record, **recorded, source=record(), target=None),
+        "a file's smooth_record": call(
+            rs.smooth_record,
+            **recorded | dialect | {"source": written(), "target": file("w.csv"), "columns": 1},
+        ),
+        "save": call(rs.save, value=T.system(), path=file("system.toml")),
+        "load": call(rs.load, path=saved(), functions=None),
+        "simulate": call(rs.simulate, **paths, **many),
+        "sample_paths": call(rs.sample_paths, **paths, runs=2, seed=0),
+        "monte_carlo": call(rs.monte_carlo, **homodyned, **many, protocol="ergodic", step=None),
+        "parameter_study": call(rs.parameter_study, parameters=PAPER, **axes, **many),
+        "stationary_errors": call(rs.stationary_errors, **homodyned),
+        "statistical_linearisation": call(rs.statistical_linearisation, **homodyned),
+        "verdicts": call(rs.verdicts, data_dir=None, kinds=["input"]),
+        "HomodyneParameters": call(homodyne.HomodyneParameters, **vars(PAPER)),
+        "random_walk": call(examples.random_walk, diffusion=1.0, noise=1.0),
+        "clock": call(examples.clock, phase_noise=1.0, frequency_noise=0.1, noise=1.0),
+        "resonant_phase": call(examples.resonant_phase, **mirror),
+        "kalman_bucy": call(baselines.kalman_bucy, system=T.system(), copies=False),
+        "fixed_lag_smoother": call(baselines.fixed_lag_smoother, **delayed, copies=True),
+        "ngcf": call(baselines.ngcf, system=T.system()),
+        "optimal_fixed_lag_error": call(
+            baselines.optimal_fixed_lag_error, system=T.system(), delay=1e-6
+        ),
+        "optimal_two_sided_error": call(baselines.optimal_two_sided_error, system=T.system()),
+        "worst_optimal_error": call(baselines.worst_optimal_error, system=T.system(), delay=1e-6),
+        "tuned_fixed_lag_smoother": call(
+            baselines.tuned_fixed_lag_smoother, **designed, against="constant"
+        ),
+    }
+
+
+def classes() -> dict[str, Call]:
+    """Return the public classes of results, with the fields of an example, by name."""
+    found = {}
+    for name in VALUES:
+        if name not in ("UncertainSystem", "Uncertainty", "Nonlinearity", "Estimator"):
+            value = example(name)
+            fields = {each.name: each for each in dataclasses.fields(value) if each.init}
+            found[name] = Call(type(value), {each: getattr(value, each) for each in fields})
+    return found
 
 
 def methods() -> dict[str, Call]:
     """Return the methods of what the functions return, with typical arguments, by name."""
-    y = {"y": record(), "reference": None, "inputs": None, "intervals": None}
-    row = {"y": [0.1], "reference": None, "inputs": None, "interval": None}
-    made = {
-        "dt": 1e-6,
-        "functions": None,
-        "delay": None,
-        "mean": None,
-        "offset": None,
-        "samples": "means",
-    }
-    inputs = np.zeros((30, 1))
+    made = {"dt": 1e-6, "delay": None, "mean": None, "offset": None, "samples": "means"}
+    channel = {"B": [[0.0]], "C": [[1.0]], "D": [[1.0]], "noise": 0.1}
+    both = {"uncertainties": [0.5], "nonlinearities": [0.5]}
     own = {
-        "system.to_statespace": (T.system().to_statespace, dict),
-        "plant.structured_delta": (T.plant().structured_delta, lambda: {"uncertainties": [0.5], "nonlinearities": [0.5]}),
-        "plant.M": (T.plant().M, lambda: {"multipliers": list(MULTIPLIERS)}),
-        "delay_model.response": (T.plant().delay_model.response, lambda: {"omega": [1.0, 2.0]}),
-        "estimator.to_statespace": (T.robust().to_statespace, lambda: {"slopes": [0.0]}),
-        "estimator.discretize": (T.kalman().discretize, lambda: dict(made)),
-        "robust.discretize": (T.robust().discretize, lambda: made | {"functions": [np.sin], "delay": "model"}),
-        "sector.nonlinearity": (T.sector().nonlinearity, lambda: {"B": [[0.0]], "C": [[1.0]], "D": [[1.0]], "noise": 0.1}),
-        "parameters.remainder": (PAPER.remainder, lambda: {"error": [0.1, 0.2]}),
-        "parameters.sector_range": (PAPER.sector_range, lambda: {"slope": 0.5}),
-        "parameters.with_gain": (PAPER.with_gain, lambda: {"gain": 0.9}),
-        "lag_sweep.plot": (T.sweep().plot, lambda: {"ax": None, "error": "nominal"}),
-        "delta_sweep.plot": (T.deltas().plot, lambda: {"ax": None, "label": None}),
-        "delta_sweep.to_frame": (T.deltas().to_frame, dict),
-        "study.plot": (T.study().to_frame, dict),
-        "choice.to_frame": (T.choice().to_frame, dict),
-        "monte_carlo.to_dict": (T.measured().to_dict, dict),
-    }  # fmt: skip
+        "to_statespace of a system": call(T.system().to_statespace),
+        "structured_delta": call(T.plant().structured_delta, **both),
+        "M": call(T.plant().M, multipliers=list(MULTIPLIERS)),
+        "response": call(T.plant().delay_model.response, omega=[1.0, 2.0]),
+        "to_statespace": call(T.robust().to_statespace, slopes=[0.0]),
+        "discretize": call(T.kalman().discretize, **made, functions=None),
+        "discretize with a model": call(
+            T.robust().discretize, **made | {"delay": "model"}, functions=[np.sin]
+        ),
+        "nonlinearity": call(T.sector().nonlinearity, **channel),
+        "remainder": call(PAPER.remainder, error=[0.1, 0.2]),
+        "sector_range": call(PAPER.sector_range, slope=0.5),
+        "with_gain": call(PAPER.with_gain, gain=0.9),
+        "to_dict": call(example("MonteCarloResult").to_dict),
+    }
+    for name in VALUES:
+        value = example(name)
+        for method, typical in (("plot", {"ax": None}), ("to_frame", {})):
+            if hasattr(type(value), method):
+                own[f"{method} of {name}"] = Call(getattr(value, method), typical)
+    own["plot of LagSweep"].typical["error"] = "nominal"
+    own["plot of DeltaSweep"] = call(T.deltas().plot, ax=None, label=None)
+    own["plot of Study"].typical.update(gamma=None, noise=None)
+    y = {"reference": None, "intervals": None, "inputs": None}
     for name in ("exact", "driven", "model"):
-        kind = partial(lambda name, method, **of: getattr(getattr(T, name)(), method)(**of), name)
-        more = {"inputs": inputs} if name == "driven" else {}
-        one = {"inputs": [0.0]} if name == "driven" else {}
+        one = y | {"inputs": np.zeros((30, 1)) if name == "driven" else None}
+        row = {"y": [0.1], "reference": None, "interval": None}
+        row["inputs"] = [0.0] if name == "driven" else None
+        of = partial(method_of, name)
         own |= {
-            f"{name}.run": (partial(kind, "run"), partial(dict, y | more, output="smoothed", return_std=False)),
-            f"{name}.step": (partial(kind, "step"), partial(dict, row | one)),
-            f"{name}.reset": (partial(kind, "reset"), partial(dict, state=None, samples=0, covariance=None)),
-            f"{name}.times": (partial(kind, "times"), partial(dict, rows=0, output="filtered")),
-        }  # fmt: skip
-    for method in ("bank", "two_sided", "innovations"):
-        lags = {"lags": [0, 1]} if method == "bank" else {}
-        call = partial(lambda method, **of: getattr(T.exact(), method)(**of), method)
-        own[f"exact.{method}"] = call, partial(dict, y | lags)
-    to_c = partial(lambda **of: T.model().to_c(**of))
-    own["model.to_c"] = (
-        to_c,
-        lambda: {"path": file("m.c"), "functions": ["sin(x)"], "precision": "double"},
-    )
+            f"run, {name}": call(of("run"), **one, y=record(), output="smoothed", return_std=False),
+            f"step, {name}": call(of("step"), **row),
+            f"reset, {name}": call(of("reset"), state=None, samples=0, covariance=None),
+            f"times, {name}": call(of("times"), rows=0, output="filtered"),
+        }
+    for method in ("two_sided", "innovations"):
+        own[method] = call(method_of("exact", method), **y, y=record())
+    text = {"functions": ["sin(x)"], "precision": "double"}
+    own["to_c"] = call(method_of("model", "to_c"), path=file("m.c"), **text)
     return own
+
+
+def method_of(name: str, method: str) -> Callable:
+    """Return a method of a smoother of records, which is made for the call."""
+    return lambda **of: getattr(getattr(T, name)(), method)(**of)
 
 
 @cache
 def calls() -> dict[str, Call]:
-    return functions() | methods()
+    return classes() | functions() | methods()
 
 
 @cache
@@ -313,8 +327,8 @@ JUNK: list[Callable[[], Any]] = [
     lambda: np.array(["2020-01-01"], "datetime64[D]"), lambda: np.array([True]),
     lambda: np.array([[1.0]]).view(np.matrix), lambda: np.array(b"ab"), lambda: np.array(5),
     lambda: np.array([1.0], ">f8"), lambda: np.array([2], np.uint8), lambda: np.ones((1,) * 30),
-    lambda: np.broadcast_to(0.0, (10**6, 10**6)), lambda: np.frombuffer(b"x" * 8)[:1],
-    T.system, T.linear, T.plant, T.robust, T.kalman, T.sector, T.exact, T.model, T.sweep, T.study,
+    lambda: np.broadcast_to(0.0, (2000, 2000)), lambda: np.frombuffer(b"x" * 8)[:1],
+    T.system, T.linear, T.plant, T.robust, T.kalman, T.sector, T.exact, T.model,
 ]  # fmt: skip
 
 
@@ -355,12 +369,11 @@ def case(seed: int, number: int) -> tuple[str, Callable, dict[str, Any]]:
     """Return a call: its name, the function and the arguments."""
     rng = random.Random(f"{seed}, {number}")
     name = rng.choice(list(calls()))
-    function, typical = calls()[name]
-    arguments = dict(typical())
+    arguments = calls()[name].arguments()
     for each in rng.sample(list(arguments), min(len(arguments), rng.choice([1, 1, 1, 2, 3]))):
         near = rng.random() < 0.4
         arguments[each] = changed(rng, arguments[each]) if near else rng.choice(JUNK)()
-    return name, function, arguments
+    return name, calls()[name].function, arguments
 
 
 def state_of(value: Any, depth: int = 0) -> Any:
@@ -420,7 +433,7 @@ def fault_in(result: Any, arguments: dict[str, Any]) -> str | None:
 
 def shown(arguments: dict[str, Any], typical: dict[str, Any]) -> str:
     """Return the arguments that are not the typical ones."""
-    odd = {name: each for name, each in arguments.items() if each is not typical.get(name)}
+    odd = {name: each for name, each in arguments.items() if each is not typical[name]}
     texts = []
     for name, each in odd.items():
         try:
@@ -433,14 +446,14 @@ def shown(arguments: dict[str, Any], typical: dict[str, Any]) -> str:
 def trial(seed: int, number: int) -> tuple[str, str | None]:
     """Make a call; return the outcome, and the failure if there is one."""
     if number < 0:
-        for function, typical in calls().values():
-            with warnings.catch_warnings(action="ignore"):
-                function(**typical())
+        with warnings.catch_warnings(action="ignore"):
+            for each in calls().values():
+                each.function(**each.arguments())
         return "ready", None
     name, function, arguments = case(seed, number)
     pyplot.close("all")
     before = state_of(arguments)
-    what = f"{name}({shown(arguments, calls()[name][1]())})"
+    what = f"{name}({shown(arguments, calls()[name].typical)})"
     outcome, fault = attempt(partial(function, **arguments), arguments)
     if fault is None and state_of(arguments) != before:
         fault = "an argument was changed"
