@@ -154,15 +154,19 @@ def parameter_study(
     loops = [(replace(parameters, gamma=g, alpha=parameters.alpha / s**0.5),) for g, s in columns]
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
     with open_journal(checkpoint, {"study": study, "software": cluster.software()}) as journal:
-        results = list(journal.records()) if journal else []
-        computed = cluster.in_order(compute, loops[len(results) :], client)
+        results = {each["column"]: each for each in journal.records()} if journal else {}
+        wanted = [number for number in range(len(loops)) if number not in results]
+        computed = cluster.in_order(compute, (loops[number] for number in wanted), client)
         # columns of a former run count as progress, not for the rate
         extent = {"total": len(loops), "initial": len(results), "unit": "column"}
-        for result in progress_bar(computed, **extent, shown=progress):
-            if journal:
-                journal.append(result)
-            results.append(result)
+        with progress_bar(**extent, shown=progress) as bar:
+            for number, result in zip(wanted, computed, strict=True):
+                results[number] = result
+                if journal:
+                    journal.append({"column": number, **result})
+                bar.update()
 
+    results = [results[number] for number in range(len(loops))]
     nothing, shape = [{}] * (len(orders) * len(lags)), tuple(map(len, axes.values()))
     points = [point for result in results for point in result.get("points", nothing)]
     values = {name: [point.get(name, np.nan) for point in points] for name in QUANTITIES}

@@ -3,14 +3,18 @@
 A *group* of blocks has its own sums. It depends on the simulation alone; so do the last bits.
 """
 
+import operator
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support import cluster, validation
@@ -44,6 +48,21 @@ def threads(alone: bool = False) -> Iterator[None]:
         numba.set_num_threads(before)
 
 
+def stoppable(compiled: Callable, *arguments: Any, results: NDArray) -> None:
+    """Call compiled code that ends when an array after its results says so: Ctrl-C does it."""
+    stop = np.zeros(1, np.uint8)
+    compiled(*arguments, results[:0], stop)  # which compiles it here, where Ctrl-C ends that
+    if threading.current_thread() is not threading.main_thread():  # no signal comes
+        compiled(*arguments, results, stop)
+        return
+    use = numba.set_num_threads, (numba.get_num_threads(),)  # the number is of a thread
+    with ThreadPoolExecutor(1, "", *use) as thread:
+        try:
+            thread.submit(compiled, *arguments, results, stop).result()
+        finally:
+            stop[0] = 1
+
+
 def tally_paths(
     simulation: Any, journal: Journal | None, client: "cluster.Client | None", progress: bool
 ) -> Tally:
@@ -53,33 +72,34 @@ def tally_paths(
     ``simulate(first, count, report)`` gives (count, outputs, BLOCK) of blocks, the last of them
     whole, and reports path-steps meanwhile. Its ``tally(path, outputs)`` sums up paths.
     """
-    tally, first = Tally(), 0
     steps, end = simulation.steps, -(-simulation.runs // BLOCK)
+    done = Tally(), 0  # of these blocks
     if journal and journal.last:
-        tally, first = Tally.from_state(*journal.last["tally"]), journal.last["blocks"]
+        done = Tally.from_state(*journal.last["tally"]), journal.last["blocks"]
     group = min(max(simulation.group_steps // (BLOCK * steps), 1), BLOCKS_OF_A_GROUP)
     if client is None:
         groups = numba.get_num_threads()
     else:
         groups = end // (group * CALLS_OF_A_THREAD * cluster.workers(client))
         groups = min(max(groups, 1), GROUPS_OF_A_CALL)
-    size = groups * group
-    calls = ((start, min(size, end - start)) for start in range(first, end, size))  # first, count
-    saved = time.perf_counter()
+    size, saved, saved_at = groups * group, done, time.perf_counter()
+    calls = ((first, min(size, end - first)) for first in range(done[1], end, size))  # and count
     # paths of the journal count for the progress, not for the rate
-    extent = {"total": simulation.runs * steps, "initial": tally.all.count * steps, "unit": "step"}
-    with progress_bar(**extent, unit_scale=True, shown=progress) as bar:
+    extent = {"total": simulation.runs * steps, "initial": done[0].all.count * steps}
+    with progress_bar(**extent, unit="step", unit_scale=True, shown=progress) as bar:
         report = bar.update if client is None else int  # which does nothing, on a worker
         simulate = partial(_tallies, simulation, group, report)
-        for tallies in cluster.in_order(simulate, calls, client):
-            for each in tallies:
-                tally += each
-            first = min(first + size, end)
-            bar.update(tally.all.count * steps - bar.n)
-            if journal and (time.perf_counter() - saved > CHECKPOINT_EVERY or first == end):
-                journal.append({"blocks": first, "tally": tally.state()})
-                saved = time.perf_counter()
-    return tally
+        try:
+            for tallies in cluster.in_order(simulate, calls, client):
+                done = reduce(operator.add, tallies, done[0]), min(done[1] + size, end)
+                bar.update(done[0].all.count * steps - bar.n)
+                if journal and time.perf_counter() - saved_at > CHECKPOINT_EVERY:
+                    saved, saved_at = done, time.perf_counter()
+                    journal.append({"blocks": done[1], "tally": done[0].state()})
+        finally:  # after an error, too
+            if journal and saved is not done:
+                journal.append({"blocks": done[1], "tally": done[0].state()})
+    return done[0]
 
 
 def _tallies(

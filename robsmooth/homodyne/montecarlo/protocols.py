@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import ClassVar, Self
 
-import numba
 import numpy as np
 
 from robsmooth._numerics.steps import (
@@ -22,7 +21,7 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop, decay_rate
 from robsmooth.homodyne.montecarlo import euler, splitting
-from robsmooth.simulation.groups import checked_seed, threads
+from robsmooth.simulation.groups import checked_seed, stoppable, threads
 from robsmooth.simulation.statistics import Tally, control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
@@ -37,8 +36,7 @@ SILENT_SPLITTING = 1 / 4  # less than one, but 15% of the slips
 STABLE_PART = 0.5  # of the longest stable Euler-Maruyama step: the default
 
 FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, for control variates
-UNINTERRUPTED = 60_000_000  # path-steps of a thread between two looks at an interrupt
-MOST_STEPS = 2_000_000  # of a path: so many of a block take about two seconds
+MOST_STEPS = 2_000_000  # of a path: a block of so many takes about two seconds
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
 
 
@@ -67,20 +65,17 @@ class Simulation:
         real, n = PRECISIONS[self.precision], self.readout.shape[1]
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
         with threads():
-            # the results of a block do not depend on the call, which no interrupt reaches
-            at_once = numba.get_num_threads() * max(1, UNINTERRUPTED // (BLOCK * self.steps))
-            for start in range(0, count, at_once):
-                part = results[start : start + at_once]
-                self.kernel.simulate_blocks(
-                    (real(0),) * n,
-                    *((real(0),) * count for count in self.compiled_for),
-                    np.concatenate([np.ravel(each) for each in self.coefficients]).astype(real),
-                    -self.readout.ravel(),
-                    self.schedule,
-                    np.uint64(self.seed),
-                    first + start,
-                    part.reshape(len(part), -1),
-                )
+            stoppable(
+                self.kernel.simulate_blocks,
+                (real(0),) * n,
+                *((real(0),) * count for count in self.compiled_for),
+                np.concatenate([np.ravel(part) for part in self.coefficients]).astype(real),
+                -self.readout.ravel(),
+                self.schedule,
+                np.uint64(self.seed),
+                first,
+                results=results.reshape(count, -1),
+            )
         return results[:, : self.kernel.SLIPS + 1]
 
     def tally(self, path: int, outputs: Matrix) -> Tally:
