@@ -21,8 +21,7 @@ Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
 _FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of the samples of `step`'s short way
 SHORTEST = 1e-6  # interval, times dt
-_ROWS = 1 << 20  # of samples between two looks at an interrupt
-_OWN_ROWS = 4096  # the same with intervals of their own, whose matrices are in memory at a time
+_ROWS = 4096  # of samples at a time: between two looks at Ctrl-C, and with matrices in memory
 
 
 class Beside(TypedDict, total=False):
@@ -297,13 +296,12 @@ class DiscreteSmoother(Exports):
         )
 
     def _take(self, given: Samples, output: str, spread: bool) -> Pair:
-        rows = _ROWS if given.intervals is None else _OWN_ROWS
         with self._lock:
             before = self._engine.memory
             try:
                 parts = (
-                    Samples(*(None if each is None else each[i : i + rows] for each in given))
-                    for i in range(0, len(given.y) or 1, rows)
+                    Samples(*(None if each is None else each[i : i + _ROWS] for each in given))
+                    for i in range(0, len(given.y) or 1, _ROWS)
                 )
                 found = [self._engine.take(part, output, spread) for part in parts]
             except BaseException:

@@ -4,11 +4,12 @@ A *group* of blocks has its own sums. It depends on the simulation alone; so do 
 """
 
 import operator
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial, reduce
 from typing import Any
 
@@ -26,6 +27,16 @@ BLOCKS_OF_A_GROUP = 256  # at most, for the memory
 GROUPS_OF_A_CALL = 20  # on a cluster, at most: a client serves some 100 calls a second
 CALLS_OF_A_THREAD = 8  # on a cluster, at least: threads then end at about the same time
 CHECKPOINT_EVERY = 2.0  # s
+_lost_threads = False  # GNU OpenMP ends a process that forked, as soon as it needs threads
+
+
+def _note_fork() -> None:
+    global _lost_threads
+    with suppress(ValueError):  # no threads were there
+        _lost_threads = numba.threading_layer() == "omp"
+
+
+os.register_at_fork(after_in_child=_note_fork)
 
 
 def checked_seed(seed: int) -> int:
@@ -38,6 +49,9 @@ def checked_seed(seed: int) -> int:
 @contextmanager
 def threads(alone: bool = False) -> Iterator[None]:
     """Let compiled code use one thread, or those of this worker of a cluster, or numba's number."""
+    if _lost_threads:
+        advice = "start it by spawn, or set NUMBA_THREADING_LAYER=workqueue first"
+        raise RuntimeError(f"a process that was forked after a simulation has none: {advice}")
     before = numba.get_num_threads()
     several = min(cluster.worker_threads() or before, numba.config.NUMBA_NUM_THREADS)
     numba.set_num_threads(1 if alone else several)  # of this thread

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit, prange
 from numba.extending import register_jitable
 
-from robsmooth._numerics.vectors import BLOCK, LANES, add_product, fma, load, store
+from robsmooth._numerics.vectors import BLOCK, LANES, add_product, fma, is_set, load, store
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
 from robsmooth.simulation import noise
@@ -81,7 +81,7 @@ def euler_steps(order, coefficients, steps, state, gaussians):
 def advance(order, coefficients, readout, steps, state, generator, gaussians, result, stop):
     """Advance a block by `steps` steps, or to the `stop`, and count its cycle slips."""
     done = 0
-    while done < steps and not stop[0]:
+    while done < steps and not is_set(stop):
         count = min(CHUNK, steps - done)
         noise.fill_gaussians(generator, count, gaussians)
         euler_steps(order, coefficients, count, state, gaussians)

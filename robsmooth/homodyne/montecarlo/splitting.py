@@ -36,7 +36,7 @@ from numba.extending import register_jitable
 
 from robsmooth._numerics.lyapunov import noise_root, square_root
 from robsmooth._numerics.steps import responses
-from robsmooth._numerics.vectors import BLOCK, LANES, add_product, fma, load, store
+from robsmooth._numerics.vectors import BLOCK, LANES, add_product, fma, is_set, load, store
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
@@ -165,7 +165,7 @@ def simulate_block(order, pair, coefficients, readout, schedule, seed, first_pat
 
     last = warm_up + steps
     for chunk in range(1 + last // CHUNK):
-        if stop[0]:
+        if is_set(stop):
             break
         noise.fill_gaussians(generator, CHUNK * (m // DRAWS), gaussians)
         # The last sample is at the start of a step, whose end is not used.
