@@ -12,13 +12,15 @@ import json
 import os
 import sqlite3
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
-from robsmooth._support import files
+from robsmooth._support import files, validation
 
 APPLICATION = int.from_bytes(b"rsmo", "big")  # SQLite's mark of the program that made a database
+_decoded = partial(str, encoding="utf-8", errors="replace")  # a damaged text fails its checksum
 ANEW = "give another path, or delete the file to start anew"
 NOT_ONE = "{} is not a checkpoint of this version of robsmooth: give another path"
 OF_DAMAGE = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_TOOBIG}
@@ -40,9 +42,7 @@ def open_journal(
     if path is None:
         yield None
         return
-    if not isinstance(path, str | os.PathLike) or not os.fspath(path):
-        raise TypeError(f"checkpoint must be the path of a file, got {path!r}")
-    path, identity = Path(path).absolute(), _text(dict(identity))
+    path, identity = validation.path("checkpoint", path).absolute(), _text(dict(identity))
     with ExitStack() as stack:
         try:
             # SQLite would take a file of one byte for an empty database.
@@ -56,13 +56,9 @@ def open_journal(
                 stack.close()
                 aside, records = _set_aside(path, identity)
                 database = stack.enter_context(files.exclusive_lock(path))
-                journal = Journal(path, database, identity, records)
-                what = f"{len(records)} of its records are whole, and begin a new file"
-                warnings.warn(
-                    f"the checkpoint {path} was damaged and is now {aside}: {what}",
-                    RuntimeWarning,
-                    stacklevel=4,
-                )
+                journal = Journal(path, database, identity, *records)
+                what = f"is now {aside}: {len(records)} of its records are whole, and kept here"
+                warnings.warn(f"the checkpoint {path} was damaged, and {what}", stacklevel=4)
         except BlockingIOError as error:
             raise CheckpointError(f"the checkpoint {error}, or give another path") from None
         except (OSError, sqlite3.Error) as error:
@@ -76,9 +72,7 @@ def open_journal(
 class Journal:
     """The records of one computation, in a file that is locked; a new one begins with `records`."""
 
-    def __init__(
-        self, path: Path, database: sqlite3.Connection, identity: str, records: Iterable[str] = ()
-    ):
+    def __init__(self, path: Path, database: sqlite3.Connection, identity: str, *records: str):
         self.path, self._file = path, path.stat()
         self._database, self._identity = database, identity
         database.text_factory = _decoded
@@ -125,10 +119,8 @@ class Journal:
         self._database.execute("INSERT INTO record VALUES (?, ?, ?)", row)
 
     def _whole(self, number: int) -> str | None:
-        """Return the text of a record, or None where it is damaged or absent."""
         query = "SELECT * FROM record WHERE number = ?"
-        row = self._database.execute(query, (number,)).fetchone()
-        return row[2] if row and _is_whole(row, self._identity) else None
+        return _whole(self._database.execute(query, (number,)).fetchone(), self._identity)
 
     def _value(self, query: str) -> object:
         return self._database.execute(query).fetchone()[0]
@@ -136,7 +128,7 @@ class Journal:
 
 def _set_aside(path: Path, identity: str) -> tuple[Path, list[str]]:
     """Rename a damaged checkpoint; return its new path and the whole records of a computation."""
-    rows = {}
+    records = {}
     with closing(sqlite3.connect(path, isolation_level=None)) as database:
         database.text_factory = _decoded
         database.execute("PRAGMA writable_schema = ON")  # reads a file that was cut off, too
@@ -145,13 +137,11 @@ def _set_aside(path: Path, identity: str) -> tuple[Path, list[str]]:
         for order in ("ASC", "DESC"):  # from both ends up to what cannot be read
             with suppress(sqlite3.Error, UnicodeDecodeError):
                 for row in database.execute(f"SELECT * FROM record ORDER BY number {order}"):
-                    rows[row[0]] = row
-    whole = {number: row[2] for number, row in rows.items() if _is_whole(row, identity)}
-    _check_identity(path, whole.pop(0, None), identity)
+                    records[row[0]] = _whole(row, identity)
+    _check_identity(path, records.pop(0, None), identity)
     names = (path.with_name(f"{path.name}.damaged-{number}") for number in itertools.count(1))
-    aside = next(name for name in names if not name.exists())
-    path.rename(aside)
-    return aside, [whole[number] for number in sorted(whole)]
+    aside = path.rename(next(name for name in names if not name.exists()))
+    return aside, [records[number] for number in sorted(records) if records[number]]
 
 
 def _check_identity(path: Path, there: str | None, here: str) -> None:
@@ -173,18 +163,14 @@ def _text(value: object) -> str:
     return json.dumps(value, sort_keys=True, ensure_ascii=False)
 
 
-def _decoded(text: bytes) -> str:
-    return text.decode(errors="replace")  # a damaged one fails its checksum
+def _whole(row: tuple | None, identity: str) -> str | None:
+    """Return a record's text as it was written, with this number and identity, or None."""
+    number, checksum, text = row or (0, None, None)
+    return text if checksum == _checksum(number, text, identity) else None
 
 
-def _is_whole(row: tuple, identity: str) -> bool:
-    """Say whether a record is as it was written, as this number of this computation."""
-    number, checksum, text = row
-    return checksum == _checksum(number, text, identity)
-
-
-def _checksum(number: int, text: str, identity: str) -> str:
-    of = text if number == 0 else identity
+def _checksum(number: int, text: str | None, identity: str) -> str:
+    of = identity if number else ""
     return hashlib.sha256(f"{number} {of} {text}".encode()).hexdigest()[:16]
 
 

@@ -5,6 +5,7 @@ import numbers
 import os
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence, Set
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any, Never, TypeVar
@@ -217,31 +218,26 @@ def choice(name: str, value: str, allowed: Sequence[str]) -> str:
         raise ValueError(f"{name} must be one of {words}, got {shown(value)}") from None
 
 
-def sequence(name: str, value: Iterable[Any], of: str = "values") -> list[Any]:
+def sequence(
+    name: str, value: Iterable[Any], of: str = "values", count: int | None = None
+) -> list[Any]:
     """Return the entries of a list, an array or another iterable that has an order and an end."""
-    if isinstance(value, str | bytes | bytearray | memoryview | Set | Mapping):
-        found = None
-    else:
-        try:
-            found = list(islice(value, _MOST_VALUES + 1))
-        except TypeError:  # of what has no entries
-            found = None
-    if found is None:
-        raise TypeError(f"{name} must be a sequence of {of}, got {shown(value)}")
-    if len(found) > _MOST_VALUES:
-        raise ValueError(f"{name} must have at most {_MOST_VALUES} entries, got more")
+    try:
+        if isinstance(value, str | bytes | bytearray | memoryview | Set | Mapping):
+            raise TypeError
+        found = list(islice(value, _MOST_VALUES + 1))
+    except TypeError:  # also of what has no entries
+        raise TypeError(f"{name} must be a sequence of {of}, got {shown(value)}") from None
+    if len(found) > _MOST_VALUES or count not in (None, len(found)):
+        allowed = f"at most {_MOST_VALUES}" if count is None else count
+        raise ValueError(f"{name} must have {allowed} entries, got {len(found)}")
     return found
 
 
 def path(name: str, value: str | os.PathLike[str]) -> Path:
     """Return `value` as a path, with the user's folder for ``~``."""
-    try:
-        if not isinstance(value, str | os.PathLike):
-            raise TypeError
-        found = os.path.expanduser(value)
-        right = isinstance(found, str) and "\0" not in found and bool(os.fsencode(found))
-    except (TypeError, UnicodeError):  # the latter of a name that no file can have
-        right = False
-    if not right:
-        raise TypeError(f"{name} must be the path of a file, got {shown(value)}")
-    return Path(found)
+    with suppress(TypeError, UnicodeError):  # the latter of a name that no file can have
+        found = Path(os.path.expanduser(value))
+        if os.fspath(value) and b"\0" not in os.fsencode(found):
+            return found
+    raise TypeError(f"{name} must be the path of a file, got {shown(value)}")

@@ -255,7 +255,7 @@ class WorstCase(Frozen):
 
     def plot(self, ax: "plots.Axes | None" = None) -> "plots.Axes":
         """Draw the entries of Delta, whose blocks are the channels; matplotlib is needed."""
-        ax, most = ax or plots.new_axes(), np.abs(self.Delta).max(initial=0.0) or 1.0
+        ax, most = plots.axes_or_new(ax), np.abs(self.Delta).max(initial=0.0) or 1.0
         entries = ax.imshow(self.Delta, cmap="PuOr", vmin=-most, vmax=most)
         ax.figure.colorbar(entries, ax=ax, label=r"entry of $\Delta$")
         ax.set(xlabel=r"row of $\tilde\zeta$", ylabel=r"row of $\tilde\xi$")

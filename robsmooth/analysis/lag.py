@@ -18,7 +18,7 @@ from robsmooth._support import plots, tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Frozen, Matrix
+from robsmooth._support.validation import Frozen, Matrix, shown
 from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.estimator import Estimator
@@ -116,9 +116,7 @@ def lag_sweep(
         raise ValueError(f"{'orders' if lags.size else 'lags'} must have at least one value")
     design = _classical if design is None else design
     if not callable(design):
-        raise TypeError(
-            f"design must be a function of system, lag and order, got {validation.shown(design)}"
-        )
+        raise TypeError(f"design must be a function of system, lag and order, got {shown(design)}")
     validation.boolean("progress", progress)
     grid = [(lag, int(order)) for order in orders for lag in lags]
     bar = progress_bar(grid, unit="design", shown=progress)

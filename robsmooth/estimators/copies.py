@@ -45,12 +45,7 @@ def running_functions(
 ) -> tuple[Function, ...]:
     """Return the functions of the running copies: the given one, or by default the plant's."""
     given = [None] * len(nonlinearities) if given is None else given
-    given = validation.sequence("functions", given, of="callables")
-    if len(given) != len(nonlinearities):
-        raise ValueError(
-            f"functions must have {len(nonlinearities)} entries, one for each nonlinearity, got "
-            f"{len(given)}"
-        )
+    given = validation.sequence("functions", given, "callables", len(nonlinearities))
     functions = [
         own.function if f is None else replace(own, function=f).function
         for own, f in zip(nonlinearities, given, strict=True)

@@ -57,25 +57,16 @@ class Engine:
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"_bound": None}  # addresses of functions are those of a process
 
-    def _advance(
-        self, sampled: Sampled, kinds: Any, memory: Memory, reading: Reading, *of: Any
-    ) -> None:
-        """Take samples into a memory; where this raises an ArithmeticError, drop the memory.
-
-        An interrupt is answered between calls of compiled code.
-        """
-        given, (_, spread, _) = of
+    def _advance(self, sampled: Sampled, kinds: Any, memory: Memory, *of: Any) -> None:
+        """Take samples into a memory; where this raises an ArithmeticError, drop the memory."""
+        reading, (y, *_), (_, spread, _) = of
         size, back = len(sampled.model[0]), len(memory.states) * bool(reading.lags.any())
         cost = size**2 * (size + back) * (size if len(spread) else 1)
         rows, finite = 1 + _UNINTERRUPTED // (_OF_A_SAMPLE + cost), True
         try:
-            for i in range(0, len(given[0]), rows):
-                part, own = slice(i, i + rows), reading
-                if len(reading.lags) > 1:
-                    own = reading._replace(lags=reading.lags[part], times=reading.times[part])
-                rest = [tuple(each[part] for each in arrays) for arrays in of]
-                constants = self._functions.addresses, self._arguments, sampled, kinds[part]
-                finite = finite and advance(*constants, memory, own, *rest)
+            given = self._functions.addresses, self._arguments, sampled, kinds, memory, *of
+            for i in range(0, len(y), rows):
+                finite = finite and advance(*given, i, min(i + rows, len(y)))
         except np.linalg.LinAlgError:
             finite = False
         what = "the estimate, or with too few samples for a mode that grows its covariance,"

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from operator import itemgetter
 from warnings import catch_warnings
 
 import numpy as np
@@ -20,7 +21,7 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Frozen
+from robsmooth._support.validation import Frozen, shown
 from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
@@ -143,30 +144,28 @@ def parameter_study(
     axes = dict(zip(AXES, (gammas, noises, orders, lags), strict=True))
     for name, axis in axes.items():
         if not axis or len(set(axis)) < len(axis):
-            raise ValueError(
-                f"{name} must be one or more different values, got {validation.shown(axis)}"
-            )
+            raise ValueError(f"{name} must be one or more different values, got {shown(axis)}")
     runs, seed = validation.integer("runs", runs, low=2), checked_seed(seed)
     validation.boolean("progress", progress)
 
     study = {**axes, "parameters": vars(parameters), "runs": runs, "seed": seed}
     columns = list(product(gammas, noises))
-    loops = [(replace(parameters, gamma=g, alpha=parameters.alpha / s**0.5),) for g, s in columns]
+    changes = ({"gamma": g, "alpha": parameters.alpha / s**0.5} for g, s in columns)
+    loops = [(number, replace(parameters, **each)) for number, each in enumerate(changes)]
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
     with open_journal(checkpoint, {"study": study, "software": cluster.software()}) as journal:
-        results = {each["column"]: each for each in journal.records()} if journal else {}
-        wanted = [number for number in range(len(loops)) if number not in results]
-        computed = cluster.in_order(compute, (loops[number] for number in wanted), client)
+        results = list(journal.records()) if journal else []
+        done = [result["column"] for result in results]
+        missing = (loop for loop in loops if loop[0] not in done)
+        computed = cluster.in_order(compute, missing, client)
         # columns of a former run count as progress, not for the rate
         extent = {"total": len(loops), "initial": len(results), "unit": "column"}
-        with progress_bar(**extent, shown=progress) as bar:
-            for number, result in zip(wanted, computed, strict=True):
-                results[number] = result
-                if journal:
-                    journal.append({"column": number, **result})
-                bar.update()
+        for result in progress_bar(computed, **extent, shown=progress):
+            if journal:
+                journal.append(result)
+            results.append(result)
+    results.sort(key=itemgetter("column"))
 
-    results = [results[number] for number in range(len(loops))]
     nothing, shape = [{}] * (len(orders) * len(lags)), tuple(map(len, axes.values()))
     points = [point for result in results for point in result.get("points", nothing)]
     values = {name: [point.get(name, np.nan) for point in points] for name in QUANTITIES}
@@ -177,20 +176,22 @@ def parameter_study(
 
 
 @one_thread
-def _column(loop: HomodyneParameters, lags: Axis, orders: Axis, runs: int, seed: int) -> dict:
+def _column(
+    column: int, loop: HomodyneParameters, lags: Axis, orders: Axis, runs: int, seed: int
+) -> dict:
     """Search for tau and the multipliers, then design and measure for each order and lag."""
     system = loop.uncertain_system()
     try:
         best = minimize_bound(augment(system, 0.0, 0))
     except InfeasibleDesignError as error:
-        return {"failure": str(error)}
+        return {"column": column, "failure": str(error)}
     points, optimal = [], baselines.optimal_fixed_lag_error
     optimum = {"optimal_filtered": optimal(system, 0.0).item()}
     for order, lag in product(orders, lags):
         smoother = design_smoother(augment(system, lag, order), best.tau, best.multipliers)
         optimum["optimal"] = optimal(system, lag).item()
         points.append(_measure(loop, smoother, runs, seed) | optimum)
-    return {"points": points}
+    return {"column": column, "points": points}
 
 
 def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[str, float]:

@@ -220,7 +220,8 @@ class Csv(Record):
         self.first = 1 + skip
         with self._failures(), _Text(path, skip) as text:
             lines = [text.readline(BLOCK) for _ in range(2)]
-            if not lines[0].strip() or re.search(rb"[\0-\10]|\r(?!\n)", lines[0]):
+            given = lines[0].replace(delimiter.encode(), b".").strip()  # a tab is no space here
+            if not given or re.search(rb"[\0-\10]|\r(?!\n)", lines[0]):
                 rule = "begin with names or numbers, in UTF-8 with line ends of LF"
                 raise ValueError(f"{path} must {rule}, got {lines[0][:20]!r}")
             decoded = [line.decode("utf-8-sig", "replace") for line in lines]
@@ -301,22 +302,15 @@ def in_memory(source: Any) -> Record:
     return Chunks(source) if isinstance(source, Iterator) else Array(source)
 
 
-def opened(
-    source: Any,
-    delimiter: str | None,
-    decimal: str,
-    header: bool | None,
-    skip_rows: int,
-    missing: str | Sequence[str],
-) -> Record:
-    """Open a record in the dialect of a CSV file."""
-    validation.choice("decimal", decimal, (".", ","))
-    header = header if header is None else validation.boolean("header", header)
+def opened(source: Any, delimiter: str | None, *dialect: Any) -> Record:
+    """Open a record; the dialect is that of `Csv`."""
+    decimal, header, skip, missing = dialect
     gaps = [missing] if isinstance(missing, str) else validation.sequence("missing", missing)
     if not all(isinstance(word, str) for word in gaps):
         raise TypeError(f"missing must be the words for a gap, got {validation.shown(missing)}")
-    skip = validation.integer("skip_rows", skip_rows, low=0)
-    dialect = str(decimal), header, skip, tuple(gaps)
+    header = header if header is None else validation.boolean("header", header)
+    decimal = validation.choice("decimal", decimal, (".", ","))
+    dialect = decimal, header, validation.integer("skip_rows", skip, low=0), (*gaps,)
     path = validation.path("source", source) if isinstance(source, str | os.PathLike) else None
     mark = delimiter_of("source", path, delimiter) if path else ""
     if path and mark:

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robsmooth._support import validation
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Matrix, shown
 from robsmooth.estimators.discrete import OUTPUTS, SHORTEST, DiscreteSmoother
 from robsmooth.io import formats, targets
 from robsmooth.io.formats import Record
@@ -202,9 +202,7 @@ def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[
         if named and names.count(column) != 1:
             there = "twice" if column in names else "not"
             known = ", ".join(map(repr, names)) or "no header"
-            raise ValueError(
-                f"{name}: {validation.shown(column)} is {there} in {path}, which has {known}"
-            )
+            raise ValueError(f"{name}: {shown(column)} is {there} in {path}, which has {known}")
         index = validation.integer(name, names.index(column) if named else column, low=0)
         if index >= record.width:
             raise ValueError(f"{name}: {path} has {record.width} columns, there is no {index}")

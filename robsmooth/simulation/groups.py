@@ -3,40 +3,29 @@
 A *group* of blocks has its own sums. It depends on the simulation alone; so do the last bits.
 """
 
-import operator
 import os
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
-from functools import partial, reduce
+from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support import cluster, validation
 from robsmooth._support.checkpoint import Journal
 from robsmooth._support.progress import progress_bar
+from robsmooth._support.validation import Matrix
 from robsmooth.simulation.statistics import Tally
 
 BLOCKS_OF_A_GROUP = 256  # at most, for the memory
 GROUPS_OF_A_CALL = 20  # on a cluster, at most: a client serves some 100 calls a second
 CALLS_OF_A_THREAD = 8  # on a cluster, at least: threads then end at about the same time
 CHECKPOINT_EVERY = 2.0  # s
-_lost_threads = False  # GNU OpenMP ends a process that forked, as soon as it needs threads
-
-
-def _note_fork() -> None:
-    global _lost_threads
-    with suppress(ValueError):  # no threads were there
-        _lost_threads = numba.threading_layer() == "omp"
-
-
-os.register_at_fork(after_in_child=_note_fork)
+_USED_BY = set[int]()  # processes; GNU OpenMP ends one that was forked after it began
 
 
 def checked_seed(seed: int) -> int:
@@ -49,9 +38,10 @@ def checked_seed(seed: int) -> int:
 @contextmanager
 def threads(alone: bool = False) -> Iterator[None]:
     """Let compiled code use one thread, or those of this worker of a cluster, or numba's number."""
-    if _lost_threads:
+    if _USED_BY - {os.getpid()} and numba.threading_layer() == "omp":
         advice = "start it by spawn, or set NUMBA_THREADING_LAYER=workqueue first"
-        raise RuntimeError(f"a process that was forked after a simulation has none: {advice}")
+        raise RuntimeError(f"a process forked after a simulation has no threads: {advice}")
+    _USED_BY.add(os.getpid())
     before = numba.get_num_threads()
     several = min(cluster.worker_threads() or before, numba.config.NUMBA_NUM_THREADS)
     numba.set_num_threads(1 if alone else several)  # of this thread
@@ -62,13 +52,10 @@ def threads(alone: bool = False) -> Iterator[None]:
         numba.set_num_threads(before)
 
 
-def stoppable(compiled: Callable, *arguments: Any, results: NDArray) -> None:
+def stoppable(compiled: Callable, *arguments: Any, results: Matrix) -> None:
     """Call compiled code that ends when an array after its results says so: Ctrl-C does it."""
     stop = np.zeros(1, np.uint8)
     compiled(*arguments, results[:0], stop)  # which compiles it here, where Ctrl-C ends that
-    if threading.current_thread() is not threading.main_thread():  # no signal comes
-        compiled(*arguments, results, stop)
-        return
     use = numba.set_num_threads, (numba.get_num_threads(),)  # the number is of a thread
     with ThreadPoolExecutor(1, "", *use) as thread:
         try:
@@ -105,7 +92,7 @@ def tally_paths(
         simulate = partial(_tallies, simulation, group, report)
         try:
             for tallies in cluster.in_order(simulate, calls, client):
-                done = reduce(operator.add, tallies, done[0]), min(done[1] + size, end)
+                done = sum(tallies, done[0]), min(done[1] + size, end)
                 bar.update(done[0].all.count * steps - bar.n)
                 if journal and time.perf_counter() - saved_at > CHECKPOINT_EVERY:
                     saved, saved_at = done, time.perf_counter()

@@ -10,13 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from robsmooth._numerics.steps import (
-    check_steps,
-    dividing_step,
-    steps_in,
-    warn_of_long_step,
-    whole_steps,
-)
+from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
 from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support import cluster, validation
 from robsmooth._support.blas import one_thread
@@ -29,7 +23,6 @@ from robsmooth.simulation.kernel import CHUNK
 from robsmooth.systems.augmented import AugmentedSystem
 
 COMPILED, IN_PYTHON = 4_000_000, 200_000  # path-steps between two looks at an interrupt
-MOST_STEPS, LONGEST_LAG = 10**9, 10**6  # steps of a path, and those in memory at once
 MOST_NUMBERS = 4e8  # that `sample_paths` keeps
 RECORDED = 100_000  # path-steps whose signals are in memory at once
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response time
@@ -188,10 +181,8 @@ class _Run:
         default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
         self.step = step = validation.positive("step", default if step is None else step)
         before = WARM_UP_TIME_CONSTANTS / loop.slowest_rate + delay
-        check_steps(before + duration, step, MOST_STEPS)
-        check_steps(delay, step, LONGEST_LAG, "a delay")
-        self.before = CHUNK * math.ceil(before / step / CHUNK)
-        self.averaged, self.lag = steps_in(duration, step), whole_steps(delay, step)
+        self.averaged = steps_in(duration, step, before)
+        self.before, self.lag = CHUNK * math.ceil(before / step / CHUNK), whole_steps(delay, step)
         self.steps = self.before + self.averaged
         growth = loop.growth_rate * step * self.steps
         if growth > MOST_GROWTH:

@@ -119,9 +119,7 @@ class AugmentedSystem(Frozen):
 
     def M(self, multipliers: ArrayLike) -> Matrix:
         """Return M(lambda), the sum of lambda_i M_i."""
-        multipliers = validation.array("multipliers", multipliers, ndim=1)
-        if (given := len(multipliers)) != len(self.M_i):
-            raise ValueError(f"multipliers must have {len(self.M_i)} entries, got {given}")
+        multipliers = validation.matrix("multipliers", multipliers, [len(self.M_i)])
         zero = np.zeros([sum(self.input_sizes)] * 2)
         return sum(map(np.multiply, multipliers, self.M_i), zero)
 
@@ -283,13 +281,11 @@ def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix,
 
 def _blocks(name: str, given: Sequence, sizes: Sequence[tuple[int, int]]) -> list[Matrix]:
     """Return the blocks of a Delta, zeros by default."""
-    values = validation.sequence(name, given, of=f"length {len(sizes)}") or [0.0] * len(sizes)
-    if len(values) != len(sizes):
-        raise ValueError(f"{name} must have {len(sizes)} entries, got {len(values)}")
-    blocks = []
-    for i, (value, size) in enumerate(zip(values, sizes, strict=True)):
-        if validation.is_single(value):
-            blocks.append(validation.real(f"{name}[{i}]", value) * np.eye(*size))
-        else:
-            blocks.append(validation.matrix(f"{name}[{i}]", value, size))
-    return blocks
+    given = validation.sequence(name, given, f"length {len(sizes)}") or [0.0] * len(sizes)
+    values = validation.sequence(name, given, count=len(sizes))
+    return [
+        validation.real(f"{name}[{i}]", value) * np.eye(*size)
+        if validation.is_single(value)
+        else validation.matrix(f"{name}[{i}]", value, size)
+        for i, (value, size) in enumerate(zip(values, sizes, strict=True))
+    ]

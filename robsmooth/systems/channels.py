@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Frozen, Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix, frozen, shown
 from robsmooth.systems.functions import Combination, Function, check_function, compiled, name_of
 
 REFERENCES = ("filtered", "smoothed")
@@ -111,9 +111,7 @@ class Nonlinearity(Channel):
             slopes = validation.array("Nonlinearity sector", sector, ndim=1).tolist()
             if len(slopes) != 2 or not slopes[0] < slopes[1]:
                 rule = "two slopes, the least and the largest"
-                raise ValueError(
-                    f"Nonlinearity sector must be {rule}, got {validation.shown(sector)}"
-                )
+                raise ValueError(f"Nonlinearity sector must be {rule}, got {shown(sector)}")
             sector = tuple(slopes)
             if lipschitz is not None and not np.array_equal(lipschitz, max(map(abs, sector))):
                 raise TypeError("Nonlinearity must have a lipschitz or a sector, got both")

@@ -8,13 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from robsmooth._numerics.steps import (
-    check_steps,
-    dividing_step,
-    steps_in,
-    warn_of_long_step,
-    whole_steps,
-)
+from robsmooth._numerics.steps import dividing_step, steps_in, warn_of_long_step, whole_steps
 from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support import validation
 from robsmooth._support.blas import one_thread
@@ -36,7 +30,6 @@ SILENT_SPLITTING = 1 / 4  # less than one, but 15% of the slips
 STABLE_PART = 0.5  # of the longest stable Euler-Maruyama step: the default
 
 FEWEST_IN_PILOT = BLOCK // 2  # paths in lock, for control variates
-MOST_STEPS = 2_000_000  # of a path: a block of so many takes about two seconds
 PILOT_BLOCK = 2**50  # beyond the blocks of any run
 
 
@@ -108,8 +101,7 @@ class PaperSimulation(Simulation):
         default = min(PAPER_STEP, SILENT_EULER * response, STABLE_PART * longest)
         default = dividing_step(loop.delay, default, duration)
         step = step or default
-        check_steps(duration, step, MOST_STEPS)
-        delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
+        steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
         if step >= longest:
             raise ValueError(
                 f"step must be below {longest:.4g} s, at which the Euler-Maruyama scheme becomes "
@@ -148,9 +140,8 @@ class ErgodicSimulation(Simulation):
         default = dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * response, duration)
         step = step or default
         before = WARM_UP_TIME_CONSTANTS / slowest + loop.delay
-        check_steps(before + duration, step, MOST_STEPS)
-        warm_up = math.ceil(before / step)
-        steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
+        steps = steps_in(duration, step, before)
+        warm_up, delay = math.ceil(before / step), whole_steps(loop.delay, step)
         warn_of_long_step(step, response, SILENT_SPLITTING, default, stacklevel=5)
         filtered, lagged = loop.linear_errors(*slopes)
         simulation = cls(
