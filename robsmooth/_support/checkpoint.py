@@ -12,6 +12,7 @@ import json
 import os
 import sqlite3
 import warnings
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
@@ -89,13 +90,21 @@ class Journal:
             for number, text in enumerate([identity, *records]):
                 self._insert(number, text)
             database.execute("COMMIT")
-        _check_identity(path, self._whole(0), identity)
+        there, here = _texts(json.loads(self._whole(0))), _texts(json.loads(identity))
+        differences = [
+            f"{name} is {_short(there.get(name))} there and {_short(here.get(name))} here"
+            for name in sorted(there | here)
+            if there.get(name) != here.get(name)
+        ]
+        if differences:
+            what = f"is of another computation: {'; '.join(differences)}"
+            raise CheckpointError(f"the checkpoint {path} {what}; {ANEW}")
         # The number of records on opening, and the last of them.
-        self._found = self._value("SELECT max(number) FROM record") or 0
-        numbers = range(self._found + 1)
-        if self._value("PRAGMA quick_check(1)") != "ok" or None in map(self._whole, numbers):
-            raise sqlite3.DatabaseError("a record is damaged")
-        self.last = json.loads(self._whole(self._found)) if self._found else None
+        self._found = self._value("SELECT max(number) FROM record")
+        texts = map(self._whole, range(1, self._found + 1))
+        self.last = json.loads(deque(texts, maxlen=1).pop()) if self._found else None
+        if self._value("PRAGMA quick_check(1)") != "ok":
+            raise sqlite3.DatabaseError("database disk image is malformed")
 
     def records(self) -> Iterator[dict]:
         """Yield the records that there were on opening, in order; only one is in memory."""
@@ -118,9 +127,12 @@ class Journal:
         row = (number, _checksum(number, text, self._identity), text)
         self._database.execute("INSERT INTO record VALUES (?, ?, ?)", row)
 
-    def _whole(self, number: int) -> str | None:
+    def _whole(self, number: int) -> str:
         query = "SELECT * FROM record WHERE number = ?"
-        return _whole(self._database.execute(query, (number,)).fetchone(), self._identity)
+        text = _whole(self._database.execute(query, (number,)).fetchone(), self._identity)
+        if text is None:
+            raise sqlite3.DatabaseError(f"record {number} is damaged")
+        return text
 
     def _value(self, query: str) -> object:
         return self._database.execute(query).fetchone()[0]
@@ -138,25 +150,9 @@ def _set_aside(path: Path, identity: str) -> tuple[Path, list[str]]:
             with suppress(sqlite3.Error, UnicodeDecodeError):
                 for row in database.execute(f"SELECT * FROM record ORDER BY number {order}"):
                     records[row[0]] = _whole(row, identity)
-    _check_identity(path, records.pop(0, None), identity)
     names = (path.with_name(f"{path.name}.damaged-{number}") for number in itertools.count(1))
     aside = path.rename(next(name for name in names if not name.exists()))
-    return aside, [records[number] for number in sorted(records) if records[number]]
-
-
-def _check_identity(path: Path, there: str | None, here: str) -> None:
-    """Refuse the checkpoint of another computation, with the differences; None is not known."""
-    if there is None:
-        return
-    there, here = _texts(json.loads(there)), _texts(json.loads(here))
-    differences = [
-        f"{name} is {_short(there.get(name))} there and {_short(here.get(name))} here"
-        for name in sorted(there | here)
-        if there.get(name) != here.get(name)
-    ]
-    if differences:
-        what = f"is of another computation: {'; '.join(differences)}"
-        raise CheckpointError(f"the checkpoint {path} {what}; {ANEW}")
+    return aside, [text for number, text in sorted(records.items()) if number and text]
 
 
 def _text(value: object) -> str:

@@ -1,7 +1,6 @@
 """Curves in axes of any style, distinct in grey and for the colour-blind."""
 
 import itertools
-import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,7 +49,7 @@ def axes_or_new(axes: Any, *grid: int, **settings: Any) -> Any:
         with extra("plot", "a plot"):
             from matplotlib import pyplot as plt
         return plt.subplots(*grid, layout="constrained", **settings)[1]
-    found = validation.sequence("ax", axes, "axes", math.prod(grid)) if grid else [axes]
+    found = validation.sequence("ax", axes, "axes", int(np.prod(grid))) if grid else [axes]
     if not all(hasattr(each, "imshow") for each in found):
         raise TypeError(f"ax must be axes of matplotlib, got {validation.shown(axes)}")
     return found if grid else axes

@@ -4,7 +4,7 @@ import math
 import numbers
 import os
 import reprlib
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
@@ -19,6 +19,7 @@ Matrix = NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
 _NUMBERS = "{} must be an array of numbers, got entries of type {}"
 _NUMBERS += ": np.array(..., dtype=float) makes numbers of them"
+_RECTANGULAR = "{} must be a rectangular array of numbers, got {}"
 _DEEPEST = 32  # lists in lists: no array of NumPy 1 has more dimensions
 _MOST_NUMBERS = 10**10  # of an array
 _COUNTED = 2**53  # floats, and compiled code, tell integers apart up to here
@@ -58,7 +59,7 @@ def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
     try:
         result = np.asarray(value)
     except (ValueError, TypeError, OverflowError):
-        _refuse_shape(name, value)
+        raise ValueError(_RECTANGULAR.format(name, shown(value))) from None
     if result.size > _MOST_NUMBERS:  # of one number that is broadcast
         raise ValueError(f"{name} must fit into memory, got shape {result.shape}")
     if result.dtype.kind == "c":
@@ -75,14 +76,8 @@ def _parts(name: str, value: ArrayLike, around: tuple[Any, ...] = ()) -> list[An
     if not isinstance(value, list | tuple):
         return [value]
     if len(around) == _DEEPEST or any(value is each for each in around):
-        _refuse_shape(name, value)
-    around = (*around, value)
-    return [value, *(part for each in value for part in _parts(name, each, around))]
-
-
-def _refuse_shape(name: str, value: object) -> Never:
-    given = shown(value)
-    raise ValueError(f"{name} must be a rectangular array of numbers, got {given}") from None
+        raise ValueError(_RECTANGULAR.format(name, shown(value)))
+    return [value, *(part for each in value for part in _parts(name, each, (*around, value)))]
 
 
 def array(name: str, value: ArrayLike, ndim: int) -> Matrix:
@@ -218,9 +213,7 @@ def choice(name: str, value: str, allowed: Sequence[str]) -> str:
         raise ValueError(f"{name} must be one of {words}, got {shown(value)}") from None
 
 
-def sequence(
-    name: str, value: Iterable[Any], of: str = "values", count: int | None = None
-) -> list[Any]:
+def sequence(name: str, value: Any, of: str = "values", count: int | None = None) -> list[Any]:
     """Return the entries of a list, an array or another iterable that has an order and an end."""
     try:
         if isinstance(value, str | bytes | bytearray | memoryview | Set | Mapping):

@@ -11,7 +11,6 @@ from robsmooth._support import tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import CoarseDelayWarning, InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Frozen
 from robsmooth.analysis.constraints import analysis_bound
 from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
@@ -31,7 +30,7 @@ _PAPER = "paper's V, "
 
 
 @dataclass(frozen=True)
-class Judgement(Frozen):
+class Judgement(validation.Frozen):
     """The three errors by which every estimator is judged, as `judge` finds them.
 
     Attributes
@@ -86,7 +85,7 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate(Frozen):
+class Candidate(validation.Frozen):
     """An estimator that `best_smoother` compares; None, and the reason, where it was refused."""
 
     estimator: Estimator | None = None
@@ -99,7 +98,7 @@ class Candidate(Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class Choice(Frozen):
+class Choice(validation.Frozen):
     """The best smoother of a plant, and all candidates: see `best_smoother`.
 
     Attributes

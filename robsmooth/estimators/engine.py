@@ -8,8 +8,7 @@ import numpy as np
 from robsmooth.estimators.copies import Functions
 from robsmooth.estimators.sample_loop import Floats, Memory, Reading, Sampled, advance, step
 
-_UNINTERRUPTED = 1_000_000_000  # multiplications between two looks at an interrupt
-_OF_A_SAMPLE = 20_000  # in whose time a sample after a gap is taken
+_UNINTERRUPTED, _OF_A_SAMPLE = 10**9, 20_000  # multiplications: between two looks at an interrupt
 
 
 class Engine:

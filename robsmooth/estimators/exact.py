@@ -55,9 +55,8 @@ class ExactFilter(Engine):
 
     def _check_ring(self, ring: int, name: str) -> None:
         if ring * self.states**2 > _MOST_NUMBERS:
-            of = "of the delay, too many to keep: take delay='model', or a longer dt"
-            of = of if name == "dt" else "to keep, too many: take a part of the record"
-            raise ValueError(f"{name} makes {ring} samples {of}")
+            advice = "take a longer dt, delay='model', or a part of the record"
+            raise ValueError(f"{name} makes {ring} samples, too many to keep: {advice}")
 
     def _of(self, lags: Any, parts: Any) -> Reading:
         """Return the reading at a lag for each row; a part is (length, time) within its sample."""

@@ -191,9 +191,9 @@ class Exports:
 def _functions(discrete: Any, given: Texts) -> str:
     """Return the nonlinearities of the copies as C functions."""
     psi = [None] * discrete.g if given is None else given
-    psi = validation.sequence("functions", psi, of="expressions of C in x")
-    running, right = discrete._running, len(psi) == discrete.g
-    if not right or not all(re.fullmatch(_EXPRESSION, str(psi[i] or "")) for i in running):
+    psi = validation.sequence("functions", psi, "expressions of C in x", discrete.g)
+    running = discrete._running
+    if not all(re.fullmatch(_EXPRESSION, str(psi[i] or "")) for i in running):
         raise ValueError(
             f"functions must be a list of {discrete.g} expressions of C in x, such as 'sin(x)', or "
             f"None where no copy runs (copies run at {running}), got {validation.shown(given)}"

@@ -114,7 +114,7 @@ class HomodyneParameters:
         slope = self.lower_slope if slope is None else validation.real("slope", slope)
         if not slope < 1.0 <= self.beta + self.gamma:  # fails at zero already
             return 0.0
-        if slope <= 0.0:
+        if slope <= math.sin(math.pi) / math.pi:  # zero but for rounding
             return math.pi
         return float(brentq(lambda e: math.sin(e) / e - slope, 1e-9, math.pi))
 

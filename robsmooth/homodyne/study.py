@@ -135,8 +135,7 @@ def parameter_study(
     array([[[[0.59]]]])
     """
     validation.instance("parameters", parameters, HomodyneParameters)
-    given = zip(AXES, (gammas, noises, orders, lags), strict=True)
-    gammas, noises, orders, lags = (validation.sequence(*each) for each in given)
+    gammas, noises, orders, lags = map(validation.sequence, AXES, (gammas, noises, orders, lags))
     lags = tuple(validation.positive("lags", lag) for lag in lags)
     orders = tuple(checked_order("orders", order) for order in orders)
     gammas = tuple(replace(parameters, gamma=gamma).gamma for gamma in gammas)

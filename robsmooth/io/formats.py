@@ -19,7 +19,7 @@ from numpy.lib import format as npy
 from robsmooth._support import validation
 from robsmooth._support.extras import pyarrow
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Matrix, line
 
 BLOCK = 1 << 18  # bytes of a CSV file at a time; its lines are shorter
 DATE = re.compile(r"\d{4}-\d\d-\d\d(?:[T ][\d:.]*(Z|[-+]\d\d:?\d\d)?)?")
@@ -35,7 +35,7 @@ def delimiter_of(name: str, path: Path, given: str | None) -> str:
     unwritten = found and name == "target" and found[0] == ".parquet"
     if not found or unwritten or (path.exists() and not path.is_file()):
         allowed = "that ends in .csv, .tsv, .csv.gz, .tsv.gz, .npy or, to be read, .parquet"
-        raise ValueError(f"{name} must be a file, no pipe or device, {allowed}, got {path}")
+        raise ValueError(f"{name} must be a file, no pipe or device, {allowed}, got {line(path)}")
     right = isinstance(given, str) and re.fullmatch(r"(?![\w\"'.+-])[\t -~]", given)
     if given is not None and not right:
         allowed = "one character of ASCII, not a quote and in no number"
@@ -105,7 +105,7 @@ class Record:
             if not (own or isinstance(error, wrong) or type(error).__module__ == "pyarrow.lib"):
                 raise
             what = re.sub(r"Row #(\d+)", lambda n: f"line {self.first + int(n[1]) - 1}", str(error))
-            what = validation.line(what, 200)
+            what = line(what, 200)
             raise ValueError(f"{self.path}: {what}{self.advice}") from None
 
 
@@ -118,9 +118,9 @@ class Array(Record):
             self.path, self._map = source, lambda: npy.open_memmap(source, mode="r")
         try:
             array = self._map()
-        except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
+        except (ValueError, TypeError, OverflowError, SyntaxError, TokenError) as error:
             plain = "plain numbers, without Python objects, which are never unpickled"
-            what = f"{plain}: {validation.line(error)}"
+            what = f"{plain}: {line(error)}"
             raise ValueError(f"{self.path} must be an NPY file of {what}") from None
         array = validation.numbers_of(str(self.path), array)
         if array.ndim not in (1, 2):
@@ -247,8 +247,10 @@ class Csv(Record):
         gap = not numbers and len({*given}) == 1 < len(given)  # perhaps a word for a gap
         mixed = 0 < len(numbers) < len(given)
         if mixed or counted or gap or odd or (whole and fractions):
-            line = f"{self.path}, line {self.first}, {','.join(cells)[:60]!r},"
-            raise ValueError(f"{line} may be a header or a sample: say header=True or header=False")
+            where = f"{self.path}, line {self.first}, {','.join(cells)[:60]!r},"
+            raise ValueError(
+                f"{where} may be a header or a sample: say header=True or header=False"
+            )
         return not numbers
 
     def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:  # noqa: D102
@@ -274,9 +276,8 @@ class _Text(io.BufferedReader):
             zipped = file.read(2) == b"\x1f\x8b"
         super().__init__(gzip.GzipFile(path) if zipped else io.FileIO(path))  # type: ignore
         self.lines, self._end = 0, b"\n"  # the number of lines read, and their last line end
-        for _ in range(skip):
-            if not self.readline():
-                break
+        while skip and self.readline():
+            skip -= 1
 
     def read(self, size: int | None = -1) -> bytes:
         text = self._end + (block := super().read(size))

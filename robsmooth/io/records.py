@@ -106,9 +106,8 @@ def smooth_record(
     """
     validation.instance("smoother", smoother, DiscreteSmoother)
     output = validation.choice("output", output, OUTPUTS)
-    validation.boolean("progress", progress)
-    validation.boolean("resume", resume)
-    validation.boolean("regular", regular)
+    for name, flag in (("progress", progress), ("resume", resume), ("regular", regular)):
+        validation.boolean(name, flag)
     chunk = validation.integer("chunk", chunk, low=1)
     record = formats.opened(source, delimiter, decimal, header, skip_rows, missing)
     path, mark = _target(record, target, delimiter, resume)

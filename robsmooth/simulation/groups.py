@@ -18,7 +18,6 @@ from robsmooth._numerics.vectors import BLOCK
 from robsmooth._support import cluster, validation
 from robsmooth._support.checkpoint import Journal
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Matrix
 from robsmooth.simulation.statistics import Tally
 
 BLOCKS_OF_A_GROUP = 256  # at most, for the memory
@@ -52,7 +51,7 @@ def threads(alone: bool = False) -> Iterator[None]:
         numba.set_num_threads(before)
 
 
-def stoppable(compiled: Callable, *arguments: Any, results: Matrix) -> None:
+def stoppable(compiled: Callable, *arguments: Any, results: validation.Matrix) -> None:
     """Call compiled code that ends when an array after its results says so: Ctrl-C does it."""
     stop = np.zeros(1, np.uint8)
     compiled(*arguments, results[:0], stop)  # which compiles it here, where Ctrl-C ends that

@@ -18,8 +18,6 @@ from robsmooth._support.checkpoint import open_journal
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.simulation import groups, kernel, statistics
 from robsmooth.simulation import loop as loops
-from robsmooth.simulation.groups import checked_seed, threads
-from robsmooth.simulation.kernel import CHUNK
 from robsmooth.systems.augmented import AugmentedSystem
 
 COMPILED, IN_PYTHON = 4_000_000, 200_000  # path-steps between two looks at an interrupt
@@ -102,19 +100,11 @@ def simulate(
         errors = groups.tally_paths(run, journal, client, progress).all
     used, allowed, violated = np.reshape(errors.means[2:], (3, -1))
     constraints = np.divide(used, allowed, out=0.0 * used, where=used > 0.0)
-    result = statistics.SimulationResult(
-        smoothed=errors.mean_square(1),
-        filtered=errors.mean_square(0),
-        constraints=constraints,
-        violated=violated,
-        equivalent_delta=run.scheme.loop.delta,
-        runs=run.runs,
-        path_steps=run.runs * run.steps,
-        duration=run.averaged * run.step,
-        warm_up=run.before * run.step,
-        step=run.step,
-        seed=run.seed,
-    )
+    found = errors.mean_square(1), errors.mean_square(0), constraints, violated
+    counts = {"runs": run.runs, "path_steps": run.runs * run.steps, "seed": run.seed}
+    times = {"duration": run.averaged * run.step, "warm_up": run.before * run.step}
+    delta = run.scheme.loop.delta
+    result = statistics.SimulationResult(*found, delta, **counts, **times, step=run.step)
     _warn(run.plant, result)
     return result
 
@@ -171,7 +161,7 @@ class _Run:
         loop = loops.nonlinear_loop(smoother, uncertainties)
         self.plant, delay = smoother.plant, smoother.plant.delay
         self.runs = validation.integer("runs", runs, low=1)
-        self.seed = checked_seed(seed)
+        self.seed = groups.checked_seed(seed)
         if duration is None:
             duration = TIME_CONSTANTS / (5 if measured else 1) / loop.slowest_rate
             if loop.growth_rate:
@@ -181,8 +171,8 @@ class _Run:
         default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
         self.step = step = validation.positive("step", default if step is None else step)
         before = WARM_UP_TIME_CONSTANTS / loop.slowest_rate + delay
-        self.averaged = steps_in(duration, step, before)
-        self.before, self.lag = CHUNK * math.ceil(before / step / CHUNK), whole_steps(delay, step)
+        self.averaged, self.lag = steps_in(duration, step, before), whole_steps(delay, step)
+        self.before = kernel.CHUNK * math.ceil(before / step / kernel.CHUNK)
         self.steps = self.before + self.averaged
         growth = loop.growth_rate * step * self.steps
         if growth > MOST_GROWTH:
@@ -207,13 +197,13 @@ class _Run:
         numbers = (self.step, loop.growth_rate, self.lag, self.before, self.runs)
         constants = scheme.scheme, calls, checks, memory, numbers, loop.stationary_root
         at_once = RECORDED if recorded else IN_PYTHON if functions.in_python else COMPILED
-        most = CHUNK * max(1, at_once // (count * BLOCK * CHUNK))
+        most = kernel.CHUNK * max(1, at_once // (count * BLOCK * kernel.CHUNK))
         for start in range(-self.before, self.averaged, most):
             steps = min(most, self.averaged - start)
             shape = (count, steps, len(scheme.scheme.signals), BLOCK)
             records = np.empty(shape if recorded else (1, 0, 0, 0))
             place = np.uint64(self.seed), first, start, steps
-            with threads(alone=functions.in_python):
+            with groups.threads(alone=functions.in_python):
                 kernel.advance_blocks(*constants, *place, records)
             functions.check()
             diverged = [(step, path) for path, step in memory.diverged.tolist() if path >= 0]
@@ -233,7 +223,7 @@ class _Run:
             averages = sums
             report(path_steps)
         averages[:, :2] /= self.averaged
-        averages[:, 2:] /= -(-self.averaged // CHUNK)
+        averages[:, 2:] /= -(-self.averaged // kernel.CHUNK)
         return averages
 
     def tally(self, path: int, outputs: NDArray) -> statistics.Tally:

@@ -29,9 +29,6 @@ from numpy.typing import ArrayLike, NDArray
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix, frozen
 
-_MOST_ORDER = 100
-_REASON = ": a delay's model of order 10 is as good as exact, and a design takes n^3 operations"
-
 
 class DelayModel(NamedTuple):
     r"""A linear model of the delay of `channels` signals by `delay` seconds.
@@ -61,7 +58,8 @@ class DelayModel(NamedTuple):
 
 def checked_order(name: str, order: int, low: int = 1) -> int:
     """Return an order of the approximation, if a design can be made with it."""
-    return validation.integer(name, order, low=low, high=_MOST_ORDER, why=_REASON)
+    why = ": a delay's model of order 10 is as good as exact, and a design takes n^3 operations"
+    return validation.integer(name, order, low=low, high=100, why=why)
 
 
 def pade_delay(delay: float, order: int, channels: int = 1) -> DelayModel:

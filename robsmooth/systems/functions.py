@@ -73,12 +73,10 @@ def check_function(name: str, function: Function) -> None:
     try:
         values = np.asarray(function(at))
     except Exception as error:
-        cause = validation.line(str(error).partition("\n")[0])
-        raise ValueError(
-            f"{name} must be vectorised: an array of shape (2,) gave {type(error).__name__}: "
-            f"{cause}; NumPy's functions are (np.sin, not math.sin), and numpy.vectorize makes "
-            "any function so"
-        ) from error
+        cause = f"{type(error).__name__}: {validation.line(error)}"
+        hint = "NumPy's functions are (np.sin, not math.sin), and numpy.vectorize makes any so"
+        what = f"an array of shape (2,) gave {cause}; {hint}"
+        raise ValueError(f"{name} must be vectorised: {what}") from error
     if values.shape != np.shape(at):
         given = f"an argument of shape {np.shape(at)} gave shape {values.shape}"
         raise ValueError(f"{name} must be vectorised: {given}")

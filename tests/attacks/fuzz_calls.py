@@ -345,7 +345,7 @@ def changed(rng: random.Random, value: Any) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool):
         factor = rng.choice([0, -1, 0.5, 2, 1e3, 1e-3, 1e9, 1e-9, 1e200, 1e-200])
         ways += [lambda: value * factor, lambda: np.array(value), lambda: str(value)]
-        ways += [lambda: np.float32(value), lambda: Fraction(value), lambda: np.array([value])]
+        ways += [lambda: np.float32(value), lambda: Decimal(value), lambda: np.array([value])]
     if isinstance(value, list | np.ndarray):
         array = np.array(value, dtype=object if callable(next(iter(value), 0)) else None)
         ways += [lambda: iter(value), lambda: dict.fromkeys(map(str, value)), lambda: array.T]

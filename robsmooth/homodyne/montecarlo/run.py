@@ -9,7 +9,6 @@ from typing import Any
 
 from robsmooth._support import cluster, validation
 from robsmooth._support.checkpoint import open_journal
-from robsmooth._support.validation import Frozen
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import homodyne_loop
 from robsmooth.homodyne.montecarlo.protocols import PROTOCOLS, plan
@@ -24,7 +23,7 @@ class LossOfLockWarning(RuntimeWarning):
 
 
 @dataclass(frozen=True)
-class MonteCarloResult(Frozen):
+class MonteCarloResult(validation.Frozen):
     """Mean square errors of the filter and the smoother in the nonlinear loop, by `monte_carlo`.
 
     Attributes
