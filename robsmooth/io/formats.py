@@ -97,7 +97,7 @@ class Record:
     @contextmanager
     def _failures(self) -> Iterator[None]:
         """Turn an error of a library into one that names the file and the line."""
-        wrong = EOFError, zlib.error, csv.Error, OverflowError
+        wrong = EOFError, zlib.error, csv.Error, OverflowError, UnicodeDecodeError
         try:
             yield
         except Exception as error:
@@ -151,7 +151,7 @@ class Table(Record):
                 table = pyarrow().table(_frame(source))
                 self.size, schema = len(table), table.schema
                 self._batches = lambda keys, chunk: table.select(keys).to_batches(chunk)
-        self._keys, self.width = schema.names, len(schema.names)
+            self._keys, self.width = schema.names, len(schema.names)
         self.names = [re.sub("^__index_level_0__$", "time", name) for name in self._keys]
         kept = (schema.pandas_metadata or {}).get("index_columns", [])
         index = [self._keys.index(name) for name in kept if isinstance(name, str)]
