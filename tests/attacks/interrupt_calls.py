@@ -70,16 +70,16 @@ CALLS = {
     ),
     "monte_carlo, long paths": (
         "rs.monte_carlo(PAPER, lagged, runs=128)",
-        "rs.monte_carlo(PAPER, lagged, runs=128, duration=1e3)",
+        "rs.monte_carlo(PAPER, lagged, runs=128, duration=10.0)",
     ),
     "monte_carlo, paper, long paths": (
         "rs.monte_carlo(PAPER, kalman, 'paper', runs=64, duration=1e-4)",
-        "rs.monte_carlo(PAPER, kalman, 'paper', runs=64, duration=1e3)",
+        "rs.monte_carlo(PAPER, kalman, 'paper', runs=64, duration=5.0)",
     ),
     "simulate": ("rs.simulate(lagged, runs=64)", "rs.simulate(lagged, runs=10**9)"),
     "simulate, long paths": (
         "rs.simulate(lagged, runs=64)",
-        "rs.simulate(lagged, runs=64, duration=1e3)",
+        "rs.simulate(lagged, runs=64, duration=100.0)",
     ),
     "simulate, in Python": (
         "rs.simulate(slow, runs=64, duration=20.0)",
