@@ -166,8 +166,8 @@ def _whole(row: tuple | None, identity: str) -> str | None:
 
 
 def _checksum(number: int, text: str | None, identity: str) -> str:
-    of = identity if number else ""
-    return hashlib.sha256(f"{number} {of} {text}".encode()).hexdigest()[:16]
+    content = f"{number} {identity if number else ''} {text}"
+    return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
 def _texts(identity: Mapping, prefix: str = "") -> dict[str, str]:

@@ -326,9 +326,9 @@ class DiscreteSmoother(Exports):
         if intervals is not None and len(y):
             intervals = validation.array("intervals", intervals, ndim=1) / self.dt
             if len(intervals) != len(y) or not (intervals > SHORTEST).all():
+                rule = f"the lengths of {len(y)} intervals, positive and not below {SHORTEST:g} dt"
                 raise ValueError(
-                    f"intervals must be the lengths of {len(y)} intervals, positive and not below "
-                    f"{SHORTEST:g} dt: rows in order of their times have such"
+                    f"intervals must be {rule}: rows in order of their times have such"
                 )
             intervals = np.round(intervals, 9) * self.dt
         y = y - self._offset if self._moved else y

@@ -163,10 +163,8 @@ class Exports:
             raise ValueError(f"path must be NAME.c with a NAME for C, got {path.name!r}")
         real = validation.choice("precision", precision, ("double", "float"))
         if self.exact or self.l > _MOST_CHANNELS:
-            raise ValueError(
-                "to_c is for an estimator with its delay model, discretize(dt, delay='model'), and "
-                f"at most {_MOST_CHANNELS} measurements, got {self!r}"
-            )
+            what = "an estimator with its delay model, discretize(dt, delay='model'), and at most"
+            raise ValueError(f"to_c is for {what} {_MOST_CHANNELS} measurements, got {self!r}")
         name, record = path.stem, _record(copy.deepcopy(self))
         fields = {
             "name": name, "dt": self.dt, "real": real,

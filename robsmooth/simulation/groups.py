@@ -55,8 +55,7 @@ def stoppable(compiled: Callable, *arguments: Any, results: validation.Matrix) -
     """Call compiled code that ends when an array after its results says so: Ctrl-C does it."""
     stop = np.zeros(1, np.uint8)
     compiled(*arguments, results[:0], stop)  # which compiles it here, where Ctrl-C ends that
-    use = numba.set_num_threads, (numba.get_num_threads(),)  # the number is of a thread
-    with ThreadPoolExecutor(1, "", *use) as thread:
+    with ThreadPoolExecutor(1, "", numba.set_num_threads, (numba.get_num_threads(),)) as thread:
         try:
             thread.submit(compiled, *arguments, results, stop).result()
         finally:

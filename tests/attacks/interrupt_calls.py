@@ -95,7 +95,7 @@ CALLS = {
     ),
     "parameter_study, long lag": (
         "rs.parameter_study(PAPER, [1e-6], **grid, runs=64).ratio",
-        "rs.parameter_study(PAPER, [1.0], **grid)",
+        "rs.parameter_study(PAPER, [0.3], **grid)",
     ),
     "lag_sweep": (
         "rs.lag_sweep(system, [1e-6], [1])",

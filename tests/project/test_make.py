@@ -114,6 +114,14 @@ def test_ci_runs_actions_by_their_commits_and_once_for_a_push():
     assert "cancel-in-progress: true" in workflow
 
 
+def test_ci_looks_for_known_faults_of_all_that_is_locked_and_installed():
+    workflow = (ROOT / ".github/workflows/ci.yml").read_text()
+    (command,) = re.findall(r"pip-audit==[\d.]+ pip-audit ([^\n]+\n[^\n]+)", workflow)
+    for lock in ("requirements.lock", "requirements-dev.lock", "requirements-uv.lock"):
+        assert (ROOT / lock).exists()
+        assert f"-r {lock}" in command
+
+
 def test_ci_tests_the_lowest_and_the_newest_versions_of_every_python():
     workflow = (ROOT / ".github/workflows/ci.yml").read_text()
     assert "make test-library PYTHON=python RESOLUTION=lowest-direct" in workflow
