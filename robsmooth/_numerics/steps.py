@@ -19,6 +19,7 @@ from robsmooth._support.errors import LongStepWarning
 from robsmooth._support.validation import Matrix
 
 _RESIDUAL_TOLERANCE = 1e-10  # of the phi functions
+MOST_STEPS, MOST_IN_DELAY = 10**9, 10**6  # of a path, and of what is in memory of it
 MULTIPLE_TOLERANCE = 1e-6  # how far delay / step may be from a whole number
 
 
@@ -42,8 +43,11 @@ def dividing_step(delay: float, longest: float, duration: float) -> float:
     return delay / math.ceil(delay / step - 1e-9) if delay > 0 else step
 
 
-def steps_in(duration: float, step: float) -> int:
-    """Return the number of steps of a duration, rounded; a ValueError says that there is none."""
+def steps_in(duration: float, step: float, before: float = 0.0) -> int:
+    """Return the steps of a duration; a ValueError says that there are none, or too many."""
+    if not (whole := before + duration) / step <= MOST_STEPS:
+        path = f"a path of {whole:.3g} s with its warm-up: more runs average as well as longer ones"
+        raise ValueError(f"step must be at least {whole / MOST_STEPS:.3g} s for {path}")
     steps = round(duration / step)
     if steps < 1:
         raise ValueError(f"duration must be at least one step, {step:g} s, got {duration:g}")
@@ -53,6 +57,10 @@ def steps_in(duration: float, step: float) -> int:
 def whole_steps(delay: float, step: float) -> int:
     """Return delay / step; a ValueError says that it is not whole, and which steps would do."""
     ratio = delay / step
+    if not ratio <= MOST_IN_DELAY:
+        raise ValueError(
+            f"step must be at least {delay / MOST_IN_DELAY:g} s, as for a delay so long"
+        )
     nearest = round(ratio)
     if abs(ratio - nearest) <= MULTIPLE_TOLERANCE and (nearest > 0 or delay == 0):
         return nearest

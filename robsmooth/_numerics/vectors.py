@@ -99,6 +99,18 @@ def fma(typingctx, a, b, c):
 
 
 @intrinsic
+def is_set(typingctx, flag):
+    """Whether the first byte of an array is not zero; another thread may change it at any time."""
+
+    def codegen(context, builder, signature, arguments):
+        data = context.make_array(flag)(context, builder, arguments[0]).data
+        byte = builder.load_atomic(data, "monotonic", align=1)  # a plain load is made only once
+        return builder.icmp_unsigned("!=", byte, ir.Constant(byte.type, 0))
+
+    return types.boolean(flag), codegen
+
+
+@intrinsic
 def root(typingctx, x):
     """The square root of a vector."""
     return x(x), lambda context, builder, signature, arguments: call(builder, "sqrt", *arguments)

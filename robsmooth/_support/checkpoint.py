@@ -7,18 +7,24 @@ two machines of a network file system share none.
 """
 
 import hashlib
+import itertools
 import json
 import os
 import sqlite3
+import warnings
+from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
-from robsmooth._support import files
+from robsmooth._support import files, validation
 
 APPLICATION = int.from_bytes(b"rsmo", "big")  # SQLite's mark of the program that made a database
+_decoded = partial(str, encoding="utf-8", errors="replace")  # a damaged text fails its checksum
 ANEW = "give another path, or delete the file to start anew"
 NOT_ONE = "{} is not a checkpoint of this version of robsmooth: give another path"
+OF_DAMAGE = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_TOOBIG}
 
 
 class CheckpointError(ValueError):
@@ -32,23 +38,31 @@ def open_journal(
     """Open or make a computation's journal, with its folders; without a path, give None.
 
     The identity is all that the records depend on. Another file raises a CheckpointError and stays.
+    A damaged file is renamed, with a warning, and a new one begins with its whole records.
     """
     if path is None:
         yield None
         return
-    if not isinstance(path, str | os.PathLike) or not os.fspath(path):
-        raise TypeError(f"checkpoint must be the path of a file, got {path!r}")
-    path = Path(path)
+    path, identity = validation.path("checkpoint", path).absolute(), _text(dict(identity))
     with ExitStack() as stack:
         try:
             # SQLite would take a file of one byte for an empty database.
             if path.exists() and (not path.is_file() or path.stat().st_size == 1):
                 raise CheckpointError(NOT_ONE.format(path))
-            database = stack.enter_context(files.exclusive_lock(path))
-            journal = Journal(path, database, dict(identity))
+            try:
+                journal = Journal(path, stack.enter_context(files.exclusive_lock(path)), identity)
+            except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the last: of damaged SQL
+                if getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) not in OF_DAMAGE:
+                    raise
+                stack.close()
+                aside, records = _set_aside(path, identity)
+                database = stack.enter_context(files.exclusive_lock(path))
+                journal = Journal(path, database, identity, *records)
+                what = f"is now {aside}: {len(records)} of its records are whole, and kept here"
+                warnings.warn(f"the checkpoint {path} was damaged, and {what}", stacklevel=4)
         except BlockingIOError as error:
             raise CheckpointError(f"the checkpoint {error}, or give another path") from None
-        except (OSError, sqlite3.Error, UnicodeDecodeError) as error:  # the last: of damaged SQL
+        except (OSError, sqlite3.Error) as error:
             if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_NOTADB:
                 raise CheckpointError(NOT_ONE.format(path)) from None
             what = f"cannot be opened: {getattr(error, 'strerror', None) or error}; {ANEW}"
@@ -57,14 +71,13 @@ def open_journal(
 
 
 class Journal:
-    """The records of one computation, in a file that is locked."""
+    """The records of one computation, in a file that is locked; a new one begins with `records`."""
 
-    def __init__(self, path: Path, database: sqlite3.Connection, identity: dict):
-        self.path = path
-        self._database = database
-        # Damaged text is read, too: it fails its checksum.
-        database.text_factory = lambda text: text.decode(errors="replace")
-        is_new = path.stat().st_size == 0
+    def __init__(self, path: Path, database: sqlite3.Connection, identity: str, *records: str):
+        self.path, self._file = path, path.stat()
+        self._database, self._identity = database, identity
+        database.text_factory = _decoded
+        is_new = self._file.st_size == 0
         if not is_new and self._value("PRAGMA application_id") != APPLICATION:
             raise CheckpointError(NOT_ONE.format(path))
         database.execute("PRAGMA journal_mode = DELETE")
@@ -74,11 +87,10 @@ class Journal:
             database.execute("BEGIN")
             database.execute(f"PRAGMA application_id = {APPLICATION}")
             database.execute("CREATE TABLE record (number INTEGER PRIMARY KEY, checksum, text)")
-            self._insert(0, identity)
+            for number, text in enumerate([identity, *records]):
+                self._insert(number, text)
             database.execute("COMMIT")
-        if self._value("PRAGMA quick_check(1)") != "ok":
-            raise sqlite3.DatabaseError("database disk image is malformed")
-        there, here = _texts(self._read(0)), _texts(identity)
+        there, here = _texts(json.loads(self._whole(0))), _texts(json.loads(identity))
         differences = [
             f"{name} is {_short(there.get(name))} there and {_short(here.get(name))} here"
             for name in sorted(there | here)
@@ -89,44 +101,73 @@ class Journal:
             raise CheckpointError(f"the checkpoint {path} {what}; {ANEW}")
         # The number of records on opening, and the last of them.
         self._found = self._value("SELECT max(number) FROM record")
-        self.last = self._read(self._found) if self._found else None
+        texts = map(self._whole, range(1, self._found + 1))
+        self.last = json.loads(deque(texts, maxlen=1).pop()) if self._found else None
+        if self._value("PRAGMA quick_check(1)") != "ok":
+            raise sqlite3.DatabaseError("database disk image is malformed")
 
     def records(self) -> Iterator[dict]:
         """Yield the records that there were on opening, in order; only one is in memory."""
-        yield from map(self._read, range(1, self._found + 1))
+        yield from map(json.loads, map(self._whole, range(1, self._found + 1)))
 
     def append(self, record: Mapping[str, object]) -> None:
         """Add a record of JSON values: it is on the disk on return. OSError where it cannot be."""
+        if not (self.path.exists() and os.path.samestat(self.path.stat(), self._file)):
+            what = "was removed or replaced while this run used it"
+            raise OSError(f"the checkpoint {self.path} {what}: leave it in place until the end")
+        text = _text(dict(record))
         try:
-            self._insert(self._value("SELECT max(number) + 1 FROM record"), dict(record))
+            self._insert(self._value("SELECT max(number) + 1 FROM record"), text)
         except sqlite3.Error as error:
             advice = "what it held before is kept: mend that, and the same run resumes from it"
             what = f"takes no more, as where the disk is full: {error}; {advice}"
             raise OSError(f"the checkpoint {self.path} {what}") from None
 
-    def _insert(self, number: int, record: dict) -> None:
-        text = _text(record)
-        row = (number, _checksum(number, text), text)
+    def _insert(self, number: int, text: str) -> None:
+        row = (number, _checksum(number, text, self._identity), text)
         self._database.execute("INSERT INTO record VALUES (?, ?, ?)", row)
 
-    def _read(self, number: int) -> dict:
-        query = "SELECT checksum, text FROM record WHERE number = ?"
-        checksum, text = self._database.execute(query, (number,)).fetchone() or (None, None)
-        if checksum != _checksum(number, text):
-            what = f"record {number} of the checkpoint {self.path} is damaged"
-            raise CheckpointError(f"{what}: {ANEW}")
-        return json.loads(text)
+    def _whole(self, number: int) -> str:
+        query = "SELECT * FROM record WHERE number = ?"
+        text = _whole(self._database.execute(query, (number,)).fetchone(), self._identity)
+        if text is None:
+            raise sqlite3.DatabaseError(f"record {number} is damaged")
+        return text
 
     def _value(self, query: str) -> object:
         return self._database.execute(query).fetchone()[0]
+
+
+def _set_aside(path: Path, identity: str) -> tuple[Path, list[str]]:
+    """Rename a damaged checkpoint; return its new path and the whole records of a computation."""
+    records = {}
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.text_factory = _decoded
+        database.execute("PRAGMA writable_schema = ON")  # reads a file that was cut off, too
+        if database.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
+            raise CheckpointError(NOT_ONE.format(path))
+        for order in ("ASC", "DESC"):  # from both ends up to what cannot be read
+            with suppress(sqlite3.Error, UnicodeDecodeError):
+                for row in database.execute(f"SELECT * FROM record ORDER BY number {order}"):
+                    records[row[0]] = _whole(row, identity)
+    names = (path.with_name(f"{path.name}.damaged-{number}") for number in itertools.count(1))
+    aside = path.rename(next(name for name in names if not name.exists()))
+    return aside, [text for number, text in sorted(records.items()) if number and text]
 
 
 def _text(value: object) -> str:
     return json.dumps(value, sort_keys=True, ensure_ascii=False)
 
 
-def _checksum(number: int, text: str | None) -> str:
-    return hashlib.sha256(f"{number} {text}".encode()).hexdigest()[:16]
+def _whole(row: tuple | None, identity: str) -> str | None:
+    """Return a record's text as it was written, with this number and identity, or None."""
+    number, checksum, text = row or (0, None, None)
+    return text if checksum == _checksum(number, text, identity) else None
+
+
+def _checksum(number: int, text: str | None, identity: str) -> str:
+    content = f"{number} {identity if number else ''} {text}"
+    return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
 def _texts(identity: Mapping, prefix: str = "") -> dict[str, str]:

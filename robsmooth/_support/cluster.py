@@ -208,7 +208,9 @@ def _result(future: "Future", client: "Client") -> list[Any]:
 def _check_client(client: "Client") -> None:
     distributed = sys.modules.get("distributed")
     if distributed is None or not isinstance(client, distributed.Client):
-        raise TypeError(f"client must be a distributed.Client or None, got {client!r}")
+        raise TypeError(
+            f"client must be a distributed.Client or None, got {validation.shown(client)}"
+        )
     if client.asynchronous:
         raise TypeError("client must be synchronous: make it without asynchronous=True")
     if client.status != "running":

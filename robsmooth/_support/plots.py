@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robsmooth._support import validation
 from robsmooth._support.extras import extra
 
 if TYPE_CHECKING:
@@ -42,18 +43,23 @@ def styles(names: Iterable[str | int]) -> list[dict[str, Any]]:
     ]
 
 
-def new_axes(*grid: int, **settings: Any) -> Any:
-    """Return new axes of pyplot, or a grid of them; the arguments are those of `subplots`."""
-    with extra("plot", "a plot"):
-        from matplotlib import pyplot as plt
-    return plt.subplots(*grid, layout="constrained", **settings)[1]
+def axes_or_new(axes: Any, *grid: int, **settings: Any) -> Any:
+    """Return axes, as many as a grid has, or new ones of pyplot with the settings of `subplots`."""
+    if axes is None:
+        with extra("plot", "a plot"):
+            from matplotlib import pyplot as plt
+        return plt.subplots(*grid, layout="constrained", **settings)[1]
+    found = validation.sequence("ax", axes, "axes", int(np.prod(grid))) if grid else [axes]
+    if not all(hasattr(each, "imshow") for each in found):
+        raise TypeError(f"ax must be axes of matplotlib, got {validation.shown(axes)}")
+    return found if grid else axes
 
 
 def draw_curves(
     axes: "Axes | None", x: ArrayLike, curves: Mapping[str | int, ArrayLike], **labels: str
 ) -> "Axes":
     """Draw curves by name or order, over one x or each over its own; new axes have a legend."""
-    drawn = new_axes() if axes is None else axes
+    drawn = axes_or_new(axes)
     x = np.broadcast_to(x, (len(curves), np.shape(x)[-1]))
     for each, (name, y), look in zip(x, curves.items(), styles(curves), strict=True):
         label, order = name if isinstance(name, str) else f"order {name}", np.argsort(each)

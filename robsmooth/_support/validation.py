@@ -2,8 +2,13 @@
 
 import math
 import numbers
-from collections.abc import Sequence
-from typing import Any, TypeVar
+import os
+import reprlib
+from collections.abc import Mapping, Sequence, Set
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from typing import Any, Never, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +19,37 @@ Matrix = NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
 _NUMBERS = "{} must be an array of numbers, got entries of type {}"
 _NUMBERS += ": np.array(..., dtype=float) makes numbers of them"
+_RECTANGULAR = "{} must be a rectangular array of numbers, got {}"
+_DEEPEST = 32  # lists in lists: no array of NumPy 1 has more dimensions
+_MOST_NUMBERS = 10**10  # of an array
+_COUNTED = 2**53  # floats, and compiled code, tell integers apart up to here
+_MOST_VALUES = 1_000_000  # of a sequence of arguments: more are an error, or have no end
+_SHORT = reprlib.Repr()
+_SHORT.maxother = _SHORT.maxstring = _SHORT.maxlong = 80
+
+
+def shown(value: object) -> str:
+    """Return a value as an error says it: on one line and short, whatever it is."""
+    try:
+        return line(_SHORT.repr(value))
+    except Exception:  # of the value's own, and of an integer with thousands of digits
+        return f"a value of type {type(value).__name__}"
+
+
+def line(text: object, most: int = 240) -> str:
+    """Return a text on one line of at most so many characters."""
+    text = " ".join(str(text).split())
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
+def is_single(value: object) -> bool:
+    """Return whether a value is no array and no list, though perhaps no number either."""
+    return not isinstance(value, list | tuple) and np.ndim(value) == 0  # type: ignore[arg-type]
 
 
 def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
     """Return `value` as an array of real numbers of any type, with NaN where masked."""
-    parts = _parts(value)
+    parts = _parts(name, value)
     for each in parts:
         if isinstance(each, _NO_NUMBERS):
             raise TypeError(_NUMBERS.format(name, type(each).__name__))
@@ -27,9 +58,10 @@ def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
             raise TypeError(f"{name} must be numbers without a unit, got {got}")
     try:
         result = np.asarray(value)
-    except ValueError:
-        rule = f"{name} must be a rectangular array of numbers"
-        raise ValueError(f"{rule}, got {repr(value)[:60]}") from None
+    except (ValueError, TypeError, OverflowError):
+        raise ValueError(_RECTANGULAR.format(name, shown(value))) from None
+    if result.size > _MOST_NUMBERS:  # of one number that is broadcast
+        raise ValueError(f"{name} must fit into memory, got shape {result.shape}")
     if result.dtype.kind == "c":
         raise ValueError(f"{name} must be real, got complex entries: its .real is")
     if result.dtype.kind not in "iuf" and result.size:
@@ -39,15 +71,18 @@ def numbers_of(name: str, value: ArrayLike) -> NDArray[Any]:
     return np.where(np.ma.getmaskarray(np.ma.array(value)), np.nan, result)
 
 
-def _parts(value: ArrayLike) -> list[Any]:
+def _parts(name: str, value: ArrayLike, around: tuple[Any, ...] = ()) -> list[Any]:
     """Return a value and the entries of lists in it, which may have their own masks or units."""
-    nested = value if isinstance(value, list | tuple) else ()
-    return [value, *(part for each in nested for part in _parts(each))]
+    if not isinstance(value, list | tuple):
+        return [value]
+    if len(around) == _DEEPEST or any(value is each for each in around):
+        raise ValueError(_RECTANGULAR.format(name, shown(value)))
+    return [value, *(part for each in value for part in _parts(name, each, (*around, value)))]
 
 
 def array(name: str, value: ArrayLike, ndim: int) -> Matrix:
     """Return `value` as a read-only float array of `ndim` dimensions, finite and real."""
-    if any(map(np.ma.is_masked, _parts(value))):
+    if any(map(np.ma.is_masked, _parts(name, value))):
         raise ValueError(f"{name} must have no masked entries; .filled(...) gives them a value")
     given = numbers_of(name, value)
     if given.ndim != ndim:
@@ -77,7 +112,7 @@ def real(
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, _NO_NUMBERS) or not isinstance(value, numbers.Real):
-        raise TypeError(f"{name} must be a real number, got {value!r}")
+        raise TypeError(f"{name} must be a real number, got {shown(value)}")
     try:
         result = float(value)
     except OverflowError:  # an integer beyond the floats
@@ -92,6 +127,7 @@ def real(
 
 def frozen(value: NDArray[T]) -> NDArray[T]:
     """Return the array as a view of a read-only copy, which cannot be made writeable."""
+    value = np.asarray(value)  # of a subclass: a view of a masked array can be made writeable
     owner = value.base if isinstance(value.base, np.ndarray) else value
     if value.flags.writeable or owner.flags.writeable:
         value = value.copy("K")
@@ -99,24 +135,41 @@ def frozen(value: NDArray[T]) -> NDArray[T]:
     return value.view()
 
 
+class FrozenDict(dict):
+    """A dict that cannot be changed; unlike a `MappingProxyType` it can be pickled, and is JSON."""
+
+    def _refuse(self, *_: Any, **__: Any) -> Never:
+        raise TypeError("a dict of a result is read-only: dict(...) makes a copy to change")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse  # type: ignore[assignment]
+    update = setdefault = pop = popitem = clear = _refuse  # type: ignore[assignment]
+
+    def __reduce__(self) -> tuple[type, tuple[dict]]:
+        return type(self), (dict(self),)
+
+
 class Frozen:
-    """A dataclass with read-only arrays, also in its copies and pickles."""
+    """A dataclass with read-only arrays and dicts, also in its copies and pickles."""
 
     def __post_init__(self) -> None:
         self.__setstate__(vars(self))
 
     def __setstate__(self, state: dict[str, object]) -> None:
-        vars(self).update(_all_frozen(state))
+        try:
+            vars(self).update({name: _all_frozen(part) for name, part in state.items()})
+        except RecursionError:
+            what = f"a {type(self).__name__} must hold no list that is nested without end"
+            raise ValueError(what) from None
 
 
 def _all_frozen(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return frozen(value)
-    if isinstance(value, tuple):
+    if isinstance(value, tuple | list):
         parts = map(_all_frozen, value)
-        return tuple(parts) if type(value) is tuple else type(value)(*parts)
-    if type(value) is dict:
-        return {name: _all_frozen(part) for name, part in value.items()}
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+    if isinstance(value, dict):
+        return FrozenDict({name: _all_frozen(part) for name, part in value.items()})
     return value
 
 
@@ -125,19 +178,21 @@ def positive(name: str, value: float) -> float:
     return real(name, value, low=0.0, without=[0.0])
 
 
-def integer(name: str, value: int, *, low: int) -> int:
-    """Return `value` as an int that is at least `low`."""
+def integer(name: str, value: int, *, low: int, high: int = _COUNTED, why: str = "") -> int:
+    """Return `value` as an int within an interval, whose upper end may have a reason."""
     if isinstance(value, _NO_NUMBERS) or not isinstance(value, numbers.Integral):
-        raise TypeError(f"{name} must be an integer, got {value!r}")
+        raise TypeError(f"{name} must be an integer, got {shown(value)}")
     if value < low:
-        raise ValueError(f"{name} must be an integer of at least {low}, got {value}")
+        raise ValueError(f"{name} must be an integer of at least {low}, got {shown(value)}")
+    if value > high:
+        raise ValueError(f"{name} must be at most {high}{why}, got {shown(value)}")
     return int(value)
 
 
 def boolean(name: str, value: bool) -> bool:
     """Return `value` as a bool."""
     if not isinstance(value, bool | np.bool_):
-        raise TypeError(f"{name} must be True or False, got {value!r}")
+        raise TypeError(f"{name} must be True or False, got {shown(value)}")
     return bool(value)
 
 
@@ -151,7 +206,31 @@ def instance(name: str, value: object, kind: type, hint: str = "") -> None:
 
 def choice(name: str, value: str, allowed: Sequence[str]) -> str:
     """Return `value`, one of the words in `allowed`."""
-    if value not in allowed:
-        words = ", ".join(repr(word) for word in allowed)
-        raise ValueError(f"{name} must be one of {words}, got {value!r}")
-    return value
+    try:
+        return {word: word for word in allowed}[value]
+    except (KeyError, TypeError):  # the latter for an array, or what else has no hash
+        words = ", ".join(map(repr, allowed))
+        raise ValueError(f"{name} must be one of {words}, got {shown(value)}") from None
+
+
+def sequence(name: str, value: Any, of: str = "values", count: int | None = None) -> list[Any]:
+    """Return the entries of a list, an array or another iterable that has an order and an end."""
+    try:
+        if isinstance(value, str | bytes | bytearray | memoryview | Set | Mapping):
+            raise TypeError
+        found = list(islice(value, _MOST_VALUES + 1))
+    except TypeError:  # also of what has no entries
+        raise TypeError(f"{name} must be a sequence of {of}, got {shown(value)}") from None
+    if len(found) > _MOST_VALUES or count not in (None, len(found)):
+        allowed = f"at most {_MOST_VALUES}" if count is None else count
+        raise ValueError(f"{name} must have {allowed} entries, got {len(found)}")
+    return found
+
+
+def path(name: str, value: str | os.PathLike[str]) -> Path:
+    """Return `value` as a path, with the user's folder for ``~``."""
+    with suppress(TypeError, UnicodeError):  # the latter of a name that no file can have
+        found = Path(os.path.expanduser(value))
+        if os.fspath(value) and b"\0" not in os.fsencode(found):
+            return found
+    raise TypeError(f"{name} must be the path of a file, got {shown(value)}")

@@ -30,7 +30,7 @@ _PAPER = "paper's V, "
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Judgement(validation.Frozen):
     """The three errors by which every estimator is judged, as `judge` finds them.
 
     Attributes
@@ -83,7 +83,7 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class Candidate(validation.Frozen):
     """An estimator that `best_smoother` compares; None, and the reason, where it was refused."""
 
     estimator: Estimator | None = None
@@ -96,7 +96,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class Choice(validation.Frozen):
     """The best smoother of a plant, and all candidates: see `best_smoother`.
 
     Attributes

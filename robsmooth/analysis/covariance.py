@@ -164,7 +164,7 @@ class DeltaSweep(Frozen, NDArrayOperatorsMixin):
     def plot(self, ax: "plots.Axes | None" = None, label: str | None = None) -> "plots.Axes":
         """Draw the mean square errors over the slopes; matplotlib is needed."""
         labels = {"xlabel": r"slope $\Delta_2$", "ylabel": plots.MEAN_SQUARE}
-        curve = {str(label or self.output): self.mean_square}
+        curve = {self.output if label is None else validation.line(label): self.mean_square}
         return plots.draw_curves(ax, self.nonlinearities, curve, **labels)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[np.float64]:
@@ -250,7 +250,7 @@ class WorstCase(Frozen):
 
     def plot(self, ax: "plots.Axes | None" = None) -> "plots.Axes":
         """Draw the entries of Delta, whose blocks are the channels; matplotlib is needed."""
-        ax, most = ax or plots.new_axes(), np.abs(self.Delta).max(initial=0.0) or 1.0
+        ax, most = plots.axes_or_new(ax), np.abs(self.Delta).max(initial=0.0) or 1.0
         entries = ax.imshow(self.Delta, cmap="PuOr", vmin=-most, vmax=most)
         ax.figure.colorbar(entries, ax=ax, label=r"entry of $\Delta$")
         ax.set(xlabel=r"row of $\tilde\zeta$", ylabel=r"row of $\tilde\xi$")

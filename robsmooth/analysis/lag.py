@@ -18,10 +18,11 @@ from robsmooth._support import plots, tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Frozen, Matrix
+from robsmooth._support.validation import Frozen, Matrix, shown
 from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.estimator import Estimator
+from robsmooth.systems.delay import checked_order
 from robsmooth.systems.system import UncertainSystem
 
 Design = Callable[[UncertainSystem, float, int], Estimator]
@@ -105,13 +106,15 @@ def lag_sweep(
            [0.0594, 0.0496]])
     """
     validation.instance("system", system, UncertainSystem)
+    lags = validation.sequence("lags", lags)
     lags = np.array([validation.real("lags", lag, low=0.0) for lag in lags])
-    orders = np.array([validation.integer("orders", order, low=1) for order in orders], dtype=int)
+    orders = validation.sequence("orders", orders, of="integers")
+    orders = np.array([checked_order("orders", order) for order in orders], dtype=int)
     if not lags.size * orders.size:
         raise ValueError(f"{'orders' if lags.size else 'lags'} must have at least one value")
     design = _classical if design is None else design
     if not callable(design):
-        raise TypeError(f"design must be a function of system, lag and order, got {design!r}")
+        raise TypeError(f"design must be a function of system, lag and order, got {shown(design)}")
     validation.boolean("progress", progress)
     grid = [(lag, int(order)) for order in orders for lag in lags]
     bar = progress_bar(grid, unit="design", shown=progress)
@@ -146,14 +149,14 @@ def best_lag(system: UncertainSystem, order: int) -> tuple[float, float]:
     >>> round(lag, 8), round(error, 4)
     (4.01e-06, 0.0453)
     """
-    order = validation.integer("order", order, low=1)
+    order = checked_order("order", order)
     lags, errors = _errors_of_lags(system, order, _longest_lag(system))
     best = errors.argmin()
     return float(lags[best]), float(errors[best])
 
 
 @dataclass(frozen=True)
-class LagChoice:
+class LagChoice(Frozen):
     """The lag and the order that `choose_lag` chooses; both are zero where the filter suffices.
 
     Attributes

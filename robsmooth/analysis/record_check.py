@@ -69,7 +69,7 @@ class RecordCheck(Frozen):
 
     def plot(self, ax: "tuple[plots.Axes, ...] | None" = None) -> "tuple[plots.Axes, ...]":
         """Draw mean squares along the record, and correlations, into two axes, new by default."""
-        along, between = plots.new_axes(1, 2, figsize=(7.0, 3.0)) if ax is None else ax
+        along, between = plots.axes_or_new(ax, 1, 2, figsize=(7.0, 3.0))
         squares = np.array_split(self.innovations**2, min(50, len(self.innovations)))
         counts = np.array([np.isfinite(part).sum() for part in squares], dtype=float)
         counts[counts == 0.0] = np.nan

@@ -71,7 +71,7 @@ def fixed_lag_smoother(
     >>> rs.baselines.fixed_lag_smoother(rs.homodyne.PAPER.uncertain_system(), 3.1e-6, order=2)
     Estimator(3 states, 1 measurements, 1 outputs, 1 copies, delay=3.1e-06 s, order=2)
     """
-    return classical(augment(system, delay, order), copies)
+    return classical(augment(system, delay, order), validation.boolean("copies", copies))
 
 
 def ngcf(system: UncertainSystem) -> RobustSmoother:
@@ -126,7 +126,7 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     array([[0.0453]])
     """
     validation.instance("system", system, UncertainSystem)
-    two_sided = np.ndim(delay) == 0 and delay == np.inf
+    two_sided = isinstance(delay, float) and delay == np.inf
     if not two_sided:
         delay = validation.real("delay", delay, low=0.0)
     P, gain = kalman_gain(system)

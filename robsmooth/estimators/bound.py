@@ -73,7 +73,8 @@ def minimize_bound(
     conditions.check_plant(plant, "filtered" if cost is None else cost)
     if cost is None:
         cost = "smoothed" if plant.delay > 0.0 else "filtered"
-    starts = validation.integer("starts", starts, low=1)
+    most = {"high": 1000, "why": ": each takes a second, and more than 16 rarely find better"}
+    starts = validation.integer("starts", starts, low=1, **most)
     conditions.check_stable(plant)
     search, alone = _Search.of(plant, cost), conditions.of_measurements(plant)
     value, tau, multipliers = search.least(starts)

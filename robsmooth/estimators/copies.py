@@ -18,6 +18,7 @@ from numba.core.errors import NumbaError
 from numba.extending import intrinsic, is_jitted, overload
 from numpy.typing import NDArray
 
+from robsmooth._support import validation
 from robsmooth.systems.channels import Nonlinearity
 from robsmooth.systems.functions import Combination, compiled, name_of
 
@@ -43,14 +44,8 @@ def running_functions(
     running: Sequence[int],
 ) -> tuple[Function, ...]:
     """Return the functions of the running copies: the given one, or by default the plant's."""
-    if callable(given):
-        raise TypeError("functions must be a sequence of callables, got a single one")
-    given = [None] * len(nonlinearities) if given is None else list(given)
-    if len(given) != len(nonlinearities):
-        raise ValueError(
-            f"functions must have {len(nonlinearities)} entries, one for each nonlinearity, got "
-            f"{len(given)}"
-        )
+    given = [None] * len(nonlinearities) if given is None else given
+    given = validation.sequence("functions", given, "callables", len(nonlinearities))
     functions = [
         own.function if f is None else replace(own, function=f).function
         for own, f in zip(nonlinearities, given, strict=True)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
 from robsmooth.estimators.copies import Functions, running_copies, running_functions
+from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.exact import ExactFilter
 from robsmooth.estimators.exports import Exports
 from robsmooth.estimators.held import HeldEstimator
@@ -20,7 +21,7 @@ Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
 _FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of the samples of `step`'s short way
 SHORTEST = 1e-6  # interval, times dt
-_ROWS = 4096  # of samples with their own intervals, whose matrices are in memory at a time
+_ROWS = 4096  # of samples at a time: between two looks at Ctrl-C, and with matrices in memory
 
 
 class Beside(TypedDict, total=False):
@@ -62,7 +63,7 @@ class DiscreteSmoother(Exports):
 
     def __init__(
         self,
-        estimator: Any,  # an Estimator, which imports this module
+        estimator: Estimator,
         dt: float,
         functions: Iterable[Callable[[Any], Any] | None] | None = None,
         delay: str | None = None,
@@ -70,6 +71,7 @@ class DiscreteSmoother(Exports):
         offset: ArrayLike | None = None,
         samples: str = "means",
     ) -> None:
+        validation.instance("estimator", estimator, Estimator)
         self.dt: float = validation.positive("dt", dt)
         self.delay: float = estimator.plant.delay
         self.lag: float = self.delay
@@ -292,13 +294,12 @@ class DiscreteSmoother(Exports):
         )
 
     def _take(self, given: Samples, output: str, spread: bool) -> Pair:
-        rows = len(given.y) if given.intervals is None else _ROWS
         with self._lock:
             before = self._engine.memory
             try:
                 parts = (
-                    Samples(*(None if each is None else each[i : i + rows] for each in given))
-                    for i in range(0, len(given.y) or 1, rows or 1)
+                    Samples(*(None if each is None else each[i : i + _ROWS] for each in given))
+                    for i in range(0, len(given.y) or 1, _ROWS)
                 )
                 found = [self._engine.take(part, output, spread) for part in parts]
             except BaseException:
@@ -323,9 +324,9 @@ class DiscreteSmoother(Exports):
         if intervals is not None and len(y):
             intervals = validation.array("intervals", intervals, ndim=1) / self.dt
             if len(intervals) != len(y) or not (intervals > SHORTEST).all():
+                rule = f"the lengths of {len(y)} intervals, positive and not below {SHORTEST:g} dt"
                 raise ValueError(
-                    f"intervals must be the lengths of {len(y)} intervals, positive and not below "
-                    f"{SHORTEST:g} dt: rows in order of their times have such"
+                    f"intervals must be {rule}: rows in order of their times have such"
                 )
             intervals = np.round(intervals, 9) * self.dt
         y = y - self._offset if self._moved else y

@@ -8,6 +8,8 @@ import numpy as np
 from robsmooth.estimators.copies import Functions
 from robsmooth.estimators.sample_loop import Floats, Memory, Reading, Sampled, advance, step
 
+_UNINTERRUPTED, _OF_A_SAMPLE = 10**9, 20_000  # multiplications: between two looks at an interrupt
+
 
 class Engine:
     """An estimator in samples: `step` is the fast way for most, a subclass's `take` is for all."""
@@ -56,9 +58,14 @@ class Engine:
 
     def _advance(self, sampled: Sampled, kinds: Any, memory: Memory, *of: Any) -> None:
         """Take samples into a memory; where this raises an ArithmeticError, drop the memory."""
+        reading, (y, *_), (_, spread, _) = of
+        size, back = len(sampled.model[0]), len(memory.states) * bool(reading.lags.any())
+        cost = size**2 * (size + back) * (size if len(spread) else 1)
+        rows, finite = 1 + _UNINTERRUPTED // (_OF_A_SAMPLE + cost), True
         try:
-            addresses = self._functions.addresses
-            finite = advance(addresses, self._arguments, sampled, kinds, memory, *of)
+            given = self._functions.addresses, self._arguments, sampled, kinds, memory, *of
+            for i in range(0, len(y), rows):
+                finite = finite and advance(*given, i, min(i + rows, len(y)))
         except np.linalg.LinAlgError:
             finite = False
         what = "the estimate, or with too few samples for a mode that grows its covariance,"

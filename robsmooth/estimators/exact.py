@@ -24,7 +24,7 @@ from robsmooth.systems.system import UncertainSystem
 
 _STANDING = 1e-13  # of the fastest mode's rate: a mode that decays slower counts as constant
 _APART = 1e-7  # of that rate: modes that decay faster are separated from the constant ones
-_MOST_NUMBERS = 2e8  # in the ring of a delay
+_MOST_NUMBERS = 1e8  # in the ring of a delay
 
 
 class ExactFilter(Engine):
@@ -49,16 +49,14 @@ class ExactFilter(Engine):
         ratio = self._delay / dt
         self.samples_back = math.ceil(ratio - MULTIPLE_TOLERANCE)
         part = (self.samples_back - ratio) * dt
-        self._check_ring(self.samples_back)
+        self._check_ring(self.samples_back, "dt")
         self._reading = self._of([self.samples_back], [(dt, part)])
         self._prior, self._unknown, self._stationary = _before(estimator.nominal[1], bool(running))
 
-    def _check_ring(self, ring: int) -> None:
+    def _check_ring(self, ring: int, name: str) -> None:
         if ring * self.states**2 > _MOST_NUMBERS:
-            raise ValueError(
-                f"dt makes {ring} samples of the delay, too many to keep: take delay='model', or a "
-                "longer dt"
-            )
+            advice = "take a longer dt, delay='model', or a part of the record"
+            raise ValueError(f"{name} makes {ring} samples, too many to keep: {advice}")
 
     def _of(self, lags: Any, parts: Any) -> Reading:
         """Return the reading at a lag for each row; a part is (length, time) within its sample."""
@@ -110,6 +108,7 @@ class ExactFilter(Engine):
     def two_sided(self, given: Samples) -> tuple[Floats, Floats]:
         """Return the estimates and deviations that use the whole record."""
         rows, m = len(given.y), len(self._C0)
+        self._check_ring(rows, "y")
         memory, reading = self._fresh(rows), self._at(range(rows))
         none = np.empty((rows, 0, m))
         self._run(memory, self._at([]), given, (none, none[:0], given.y[:0]))
@@ -149,7 +148,7 @@ class ExactFilter(Engine):
         parts[inside, 0] = (times[1:] - times[:-1])[begins[inside]]
         parts[inside, 1] = (wanted - times[begins])[inside]
         ring = int(lags.max(initial=self.samples_back, where=known))
-        self._check_ring(ring)
+        self._check_ring(ring, "dt")
         return _grown(memory, ring), self._of(lags, parts)
 
     def estimate(self, output: str) -> Floats:

@@ -158,15 +158,13 @@ class Exports:
         functions : sequence of g str, expressions of C in x such as "sin(x)", for the copies
         precision : {"double", "float"}
         """
-        path = Path(path).expanduser()
+        path = validation.path("path", path)
         if path.suffix != ".c" or not re.fullmatch(r"[A-Za-z]\w*", path.stem, flags=re.ASCII):
             raise ValueError(f"path must be NAME.c with a NAME for C, got {path.name!r}")
         real = validation.choice("precision", precision, ("double", "float"))
         if self.exact or self.l > _MOST_CHANNELS:
-            raise ValueError(
-                "to_c is for an estimator with its delay model, discretize(dt, delay='model'), and "
-                f"at most {_MOST_CHANNELS} measurements, got {self!r}"
-            )
+            what = "an estimator with its delay model, discretize(dt, delay='model'), and at most"
+            raise ValueError(f"to_c is for {what} {_MOST_CHANNELS} measurements, got {self!r}")
         name, record = path.stem, _record(copy.deepcopy(self))
         fields = {
             "name": name, "dt": self.dt, "real": real,
@@ -190,12 +188,13 @@ class Exports:
 
 def _functions(discrete: Any, given: Texts) -> str:
     """Return the nonlinearities of the copies as C functions."""
-    psi, running = [None] * discrete.g if given is None else given, discrete._running
-    right = not isinstance(psi, str) and len(psi) == discrete.g
-    if not right or not all(re.fullmatch(_EXPRESSION, str(psi[i] or "")) for i in running):
+    psi = [None] * discrete.g if given is None else given
+    psi = validation.sequence("functions", psi, "expressions of C in x", discrete.g)
+    running = discrete._running
+    if not all(re.fullmatch(_EXPRESSION, str(psi[i] or "")) for i in running):
         raise ValueError(
             f"functions must be a list of {discrete.g} expressions of C in x, such as 'sin(x)', or "
-            f"None where no copy runs (copies run at {running}), got {given!r}"
+            f"None where no copy runs (copies run at {running}), got {validation.shown(given)}"
         )
     return "".join(_PSI.format(i, psi[i]) for i in running)
 

@@ -170,8 +170,8 @@ def _predict(functions, arguments, model, state, inputs, reference, k, following
 
 
 @kept()
-def advance(functions, arguments, sampled, kinds, memory, reading, given, results):
-    """Take samples; write estimates, (rows, lags, m), their deviations and normalised innovations.
+def advance(functions, arguments, sampled, kinds, memory, reading, given, results, first, last):
+    """Take some rows; write estimates, (rows, lags, m), their deviations, normalised innovations.
 
     Deviations and innovations without rows are not written. Return False before a sample that makes
     the state infinite: the memory is then as the sample before left it.
@@ -185,7 +185,7 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
     closed, seen, after, lost = memory.closed[now], memory.seen[now], P, memory.lost[now]
     kind, model = 0, sampled.model[0]
     only_now = reading.lags.shape == (1, 1) and reading.lags[0, 0] == 0 and counts[2] == 0
-    for k in range(len(y)):
+    for k in range(first, last):
         if len(kinds):
             kind = kinds[k]
             model = sampled.model[kind]
@@ -302,7 +302,7 @@ def step(
     reading = Reading(readout, lags, times, Within(within_model, within_gain, within_noise))
     kinds = np.empty(0, dtype=np.int64)
     given, results = (y, inputs, reference), (result, result[:0], y[:0])
-    return advance(functions, arguments, sampled, kinds, memory, reading, given, results)
+    return advance(functions, arguments, sampled, kinds, memory, reading, given, results, 0, 1)
 
 
 @kept()

@@ -26,7 +26,7 @@ from scipy.sparse.linalg import expm_multiply, splu
 from robsmooth._numerics.hermite import HermiteBasis, multiplication_matrix
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import UnstableLoopError
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne.loop import Loop, homodyne_loop
 from robsmooth.homodyne.parameters import HomodyneParameters
@@ -46,7 +46,7 @@ _NEGLIGIBLE_DEVIATION = 1e-10  # of a direction without noise, relative
 
 
 @dataclass(frozen=True)
-class StationaryErrors:
+class StationaryErrors(Frozen):
     """Mean square errors of the nonlinear loop in lock, computed by `stationary_errors`.
 
     Attributes

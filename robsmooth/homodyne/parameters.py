@@ -85,7 +85,8 @@ class HomodyneParameters:
 
     def remainder(self, error: ArrayLike) -> NDArray[np.float64]:
         r"""Return :math:`f(e) = \sin e - \beta e` at errors in rad."""
-        return np.sin(error) - self.beta * np.asarray(error)
+        error = validation.numbers_of("error", error)
+        return np.sin(error) - self.beta * error
 
     @property
     def channel(self) -> Combination:
@@ -112,7 +113,7 @@ class HomodyneParameters:
         slope = self.lower_slope if slope is None else validation.real("slope", slope)
         if not slope < 1.0 <= self.beta + self.gamma:  # fails at zero already
             return 0.0
-        if slope <= 0.0:
+        if slope <= math.sin(math.pi) / math.pi:  # zero but for rounding
             return math.pi
         return float(brentq(lambda e: math.sin(e) / e - slope, 1e-9, math.pi))
 

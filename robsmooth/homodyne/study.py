@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from operator import itemgetter
 from warnings import catch_warnings
 
 import numpy as np
@@ -20,14 +21,16 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.checkpoint import open_journal
 from robsmooth._support.errors import InfeasibleDesignError, UnstableLoopError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Frozen
+from robsmooth._support.validation import Frozen, shown
 from robsmooth.analysis.covariance import delta_sweep
 from robsmooth.estimators import baselines
 from robsmooth.estimators.bound import minimize_bound
 from robsmooth.estimators.smoother import design_smoother
 from robsmooth.homodyne.montecarlo import LossOfLockWarning, monte_carlo
 from robsmooth.homodyne.parameters import HomodyneParameters
+from robsmooth.simulation.groups import checked_seed
 from robsmooth.systems.augmented import augment
+from robsmooth.systems.delay import checked_order
 
 Axis = Sequence[float] | NDArray[np.float64]
 
@@ -130,30 +133,35 @@ def parameter_study(
     array([[[[0.59]]]])
     """
     validation.instance("parameters", parameters, HomodyneParameters)
+    gammas, noises, orders, lags = map(validation.sequence, AXES, (gammas, noises, orders, lags))
     lags = tuple(validation.positive("lags", lag) for lag in lags)
-    orders = tuple(validation.integer("orders", order, low=1) for order in orders)
+    orders = tuple(checked_order("orders", order) for order in orders)
     gammas = tuple(replace(parameters, gamma=gamma).gamma for gamma in gammas)
     noises = tuple(validation.positive("noises", noise) for noise in noises)
     axes = dict(zip(AXES, (gammas, noises, orders, lags), strict=True))
     for name, axis in axes.items():
         if not axis or len(set(axis)) < len(axis):
-            raise ValueError(f"{name} must be one or more different values, got {axis}")
-    runs, seed = validation.integer("runs", runs, low=2), validation.integer("seed", seed, low=0)
+            raise ValueError(f"{name} must be one or more different values, got {shown(axis)}")
+    runs, seed = validation.integer("runs", runs, low=2), checked_seed(seed)
     validation.boolean("progress", progress)
 
     study = {**axes, "parameters": vars(parameters), "runs": runs, "seed": seed}
     columns = list(product(gammas, noises))
-    loops = [(replace(parameters, gamma=g, alpha=parameters.alpha / s**0.5),) for g, s in columns]
+    changes = ({"gamma": g, "alpha": parameters.alpha / s**0.5} for g, s in columns)
+    loops = [(number, replace(parameters, **each)) for number, each in enumerate(changes)]
     compute = partial(_column, lags=lags, orders=orders, runs=runs, seed=seed)
     with open_journal(checkpoint, {"study": study, "software": cluster.software()}) as journal:
         results = list(journal.records()) if journal else []
-        computed = cluster.in_order(compute, loops[len(results) :], client)
+        done = [result["column"] for result in results]
+        missing = (loop for loop in loops if loop[0] not in done)
+        computed = cluster.in_order(compute, missing, client)
         # columns of a former run count as progress, not for the rate
         extent = {"total": len(loops), "initial": len(results), "unit": "column"}
         for result in progress_bar(computed, **extent, shown=progress):
             if journal:
                 journal.append(result)
             results.append(result)
+    results.sort(key=itemgetter("column"))
 
     nothing, shape = [{}] * (len(orders) * len(lags)), tuple(map(len, axes.values()))
     points = [point for result in results for point in result.get("points", nothing)]
@@ -165,20 +173,22 @@ def parameter_study(
 
 
 @one_thread
-def _column(loop: HomodyneParameters, lags: Axis, orders: Axis, runs: int, seed: int) -> dict:
+def _column(
+    column: int, loop: HomodyneParameters, lags: Axis, orders: Axis, runs: int, seed: int
+) -> dict:
     """Search for tau and the multipliers, then design and measure for each order and lag."""
     system = loop.uncertain_system()
     try:
         best = minimize_bound(augment(system, 0.0, 0))
     except InfeasibleDesignError as error:
-        return {"failure": str(error)}
+        return {"column": column, "failure": str(error)}
     points, optimal = [], baselines.optimal_fixed_lag_error
     optimum = {"optimal_filtered": optimal(system, 0.0).item()}
     for order, lag in product(orders, lags):
         smoother = design_smoother(augment(system, lag, order), best.tau, best.multipliers)
         optimum["optimal"] = optimal(system, lag).item()
         points.append(_measure(loop, smoother, runs, seed) | optimum)
-    return {"points": points}
+    return {"column": column, "points": points}
 
 
 def _measure(loop: HomodyneParameters, smoother, runs: int, seed: int) -> dict[str, float]:

@@ -20,7 +20,6 @@ import json
 import math
 import os
 import re
-import reprlib
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
@@ -40,6 +39,8 @@ from robsmooth.systems.augmented import AugmentedSystem, augment
 from robsmooth.systems.channels import Nonlinearity, Uncertainty
 from robsmooth.systems.functions import name_of
 from robsmooth.systems.system import UncertainSystem
+
+_LARGEST = 1 << 26  # bytes of a file: its designs have some thousand states
 
 if TYPE_CHECKING:
     from robsmooth.estimators.discrete import DiscreteSmoother
@@ -120,6 +121,8 @@ def load(
     1
     """
     path, language = _language(path)
+    if path.exists() and not (path.is_file() and path.stat().st_size <= _LARGEST):
+        raise ValueError(f"path must be a file of at most {_LARGEST} bytes, no pipe, got {path}")
     functions = {} if functions is None else functions
     validation.instance("functions", functions, Mapping)
     try:
@@ -127,14 +130,14 @@ def load(
     except RecursionError:
         raise ValueError(f"{path.name}: its brackets are nested too deeply") from None
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{path.name}: {' '.join(str(error).split())}") from None
+        raise ValueError(f"{path.name}: {validation.line(error, 400)}") from None
 
 
 def _language(path: str | os.PathLike[str]) -> tuple[Path, str]:
-    path = Path(os.path.expanduser(path))
+    path = validation.path("path", path)
     language = path.suffix[1:].lower()
     if language not in _READERS:
-        raise ValueError(f"path must end in .toml or .json, got {path.name!r}")
+        raise ValueError(f"path must end in .toml or .json, got {validation.shown(path.name)}")
     return path, language
 
 
@@ -151,7 +154,7 @@ _READERS = {"toml": tomllib.loads, "json": partial(json.loads, object_pairs_hook
 def _object(content: object, functions: Mapping[str, Callable]) -> Any:
     """Return the object that the content of a file describes."""
     if not isinstance(content, dict):
-        raise ValueError(f"its content must be a table, got {reprlib.repr(content)}")
+        raise ValueError(f"its content must be a table, got {validation.shown(content)}")
     header = {"format": (1,), "kind": tuple(_KINDS), "units": ("SI",)}
     validation.integer("format", content.get("format", 1), low=1)  # True is none
     for name, allowed in header.items():
@@ -162,7 +165,7 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
         make, names = _TABLES[name]
         known = names.split()
         if not isinstance(table, dict):
-            raise ValueError(f"{path[:-1]} must be a table, got {reprlib.repr(table)}")
+            raise ValueError(f"{path[:-1]} must be a table, got {validation.shown(table)}")
         for field in table:
             if field not in known:
                 raise ValueError(f"{path}{field} is not a field: these are {', '.join(known)}")
@@ -176,13 +179,13 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
     def of_field(name: str, value: object, path: str) -> Any:
         if name in ("uncertainties", "nonlinearities", "nominal"):
             if not isinstance(value, list):
-                raise ValueError(f"{path} must be a list of tables, got {reprlib.repr(value)}")
+                raise ValueError(f"{path} must be a list of tables, got {validation.shown(value)}")
             return [of_table(name, table, f"{path}[{i}].") for i, table in enumerate(value)]
         if name in _TABLES:
             return of_table(name, value, f"{path}.")
         if name == "function":
             if not isinstance(value, str):
-                raise ValueError(f"{path} must be a name, got {reprlib.repr(value)}")
+                raise ValueError(f"{path} must be a name, got {validation.shown(value)}")
             named[value] = None
             return functions.get(value)
         return _numbers(value, path) if isinstance(value, list) else value
@@ -198,7 +201,7 @@ def _object(content: object, functions: Mapping[str, Callable]) -> Any:
     for name in functions:
         if name not in named:
             known = ", ".join(map(repr, named)) or "none"
-            raise ValueError(f"functions has {name!r}, but the file names {known}")
+            raise ValueError(f"functions has {validation.shown(name)}, but the file names {known}")
     return result
 
 
@@ -207,7 +210,7 @@ def _numbers(value: object, path: str) -> Any:
     if isinstance(value, list):
         return [_numbers(member, f"{path}[{i}]") for i, member in enumerate(value)]
     if type(value) not in (int, float) or not abs(value) <= sys.float_info.max:
-        raise ValueError(f"{path} must be a finite number, got {reprlib.repr(value)}")
+        raise ValueError(f"{path} must be a finite number, got {validation.shown(value)}")
     return float(value)
 
 

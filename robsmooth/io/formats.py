@@ -19,7 +19,7 @@ from numpy.lib import format as npy
 from robsmooth._support import validation
 from robsmooth._support.extras import pyarrow
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Matrix, line
 
 BLOCK = 1 << 18  # bytes of a CSV file at a time; its lines are shorter
 DATE = re.compile(r"\d{4}-\d\d-\d\d(?:[T ][\d:.]*(Z|[-+]\d\d:?\d\d)?)?")
@@ -35,10 +35,11 @@ def delimiter_of(name: str, path: Path, given: str | None) -> str:
     unwritten = found and name == "target" and found[0] == ".parquet"
     if not found or unwritten or (path.exists() and not path.is_file()):
         allowed = "that ends in .csv, .tsv, .csv.gz, .tsv.gz, .npy or, to be read, .parquet"
-        raise ValueError(f"{name} must be a file, no pipe or device, {allowed}, got {path}")
-    if given is not None and not re.fullmatch(r"(?![\w\"'.+-])[\t -~]", str(given)):
+        raise ValueError(f"{name} must be a file, no pipe or device, {allowed}, got {line(path)}")
+    right = isinstance(given, str) and re.fullmatch(r"(?![\w\"'.+-])[\t -~]", given)
+    if given is not None and not right:
         allowed = "one character of ASCII, not a quote and in no number"
-        raise ValueError(f"delimiter must be {allowed}, got {given!r}")
+        raise ValueError(f"delimiter must be {allowed}, got {validation.shown(given)}")
     return {".csv": given or ",", ".tsv": given or "\t"}.get(found[1], "")
 
 
@@ -96,14 +97,16 @@ class Record:
     @contextmanager
     def _failures(self) -> Iterator[None]:
         """Turn an error of a library into one that names the file and the line."""
-        wrong = EOFError, zlib.error, gzip.BadGzipFile, csv.Error, OverflowError
+        wrong = EOFError, zlib.error, csv.Error, OverflowError, UnicodeDecodeError
         try:
             yield
         except Exception as error:
-            if not isinstance(error, wrong) and type(error).__module__ != "pyarrow.lib":
+            own = isinstance(error, OSError) and error.errno is None  # of gzip and of PyArrow
+            if not (own or isinstance(error, wrong) or type(error).__module__ == "pyarrow.lib"):
                 raise
             what = re.sub(r"Row #(\d+)", lambda n: f"line {self.first + int(n[1]) - 1}", str(error))
-            raise ValueError(f"{self.path}: {what[:200]}{self.advice}") from None
+            what = line(what, 200)
+            raise ValueError(f"{self.path}: {what}{self.advice}") from None
 
 
 class Array(Record):
@@ -115,9 +118,10 @@ class Array(Record):
             self.path, self._map = source, lambda: npy.open_memmap(source, mode="r")
         try:
             array = self._map()
-        except (ValueError, SyntaxError, TokenError) as error:  # the last two for a header
+        except (ValueError, TypeError, OverflowError, SyntaxError, TokenError) as error:
             plain = "plain numbers, without Python objects, which are never unpickled"
-            raise ValueError(f"{self.path} must be an NPY file of {plain}: {error}") from None
+            what = f"{plain}: {line(error)}"
+            raise ValueError(f"{self.path} must be an NPY file of {what}") from None
         array = validation.numbers_of(str(self.path), array)
         if array.ndim not in (1, 2):
             shape = array.shape
@@ -147,7 +151,7 @@ class Table(Record):
                 table = pyarrow().table(_frame(source))
                 self.size, schema = len(table), table.schema
                 self._batches = lambda keys, chunk: table.select(keys).to_batches(chunk)
-        self._keys, self.width = schema.names, len(schema.names)
+            self._keys, self.width = schema.names, len(schema.names)
         self.names = [re.sub("^__index_level_0__$", "time", name) for name in self._keys]
         kept = (schema.pandas_metadata or {}).get("index_columns", [])
         index = [self._keys.index(name) for name in kept if isinstance(name, str)]
@@ -208,18 +212,16 @@ class Csv(Record):
     advice = "; header=, skip_rows=, columns=, delimiter=, decimal= and missing= say how to read it"
 
     def __init__(self, path: Path, delimiter: str, *dialect: Any) -> None:
-        decimal, header, skip, missing = dialect
-        if validation.choice("decimal", decimal, (".", ",")) == delimiter:
+        decimal, header, skip, gaps = dialect
+        if decimal == delimiter:
             raise ValueError(f"delimiter and decimal must differ, got {decimal!r} for both")
-        gaps = [missing] if isinstance(missing, str) else missing
-        if not (isinstance(gaps, Sequence) and all(isinstance(word, str) for word in gaps)):
-            raise TypeError(f"missing must be the words for a gap, got {missing!r}")
         self._parse = pyarrow().csv.ParseOptions(delimiter=delimiter)
         self.path, self.size = path, path.stat().st_size
-        self.first = 1 + validation.integer("skip_rows", skip, low=0)
+        self.first = 1 + skip
         with self._failures(), _Text(path, skip) as text:
             lines = [text.readline(BLOCK) for _ in range(2)]
-            if not lines[0].strip() or re.search(rb"[\0-\10]|\r(?!\n)", lines[0]):
+            given = lines[0].replace(delimiter.encode(), b".").strip()  # a tab is no space here
+            if not given or re.search(rb"[\0-\10]|\r(?!\n)", lines[0]):
                 rule = "begin with names or numbers, in UTF-8 with line ends of LF"
                 raise ValueError(f"{path} must {rule}, got {lines[0][:20]!r}")
             decoded = [line.decode("utf-8-sig", "replace") for line in lines]
@@ -228,7 +230,7 @@ class Csv(Record):
         gaps = [*gaps, *(f" {word}" for word in gaps if word or len(head) > 1)]
         self._values = {"decimal_point": decimal, "null_values": gaps}
         self.width = len(head)
-        if self._has_names(head, below) if header is None else validation.boolean("header", header):
+        if self._has_names(head, below) if header is None else header:
             self.names, self.first, head = head, self.first + 1, below
         dates = [(i, date) for i, cell in enumerate(head) if (date := DATE.fullmatch(cell))]
         self.dates = {i: pyarrow().timestamp("ns", date[1] and "UTC") for i, date in dates}
@@ -245,8 +247,10 @@ class Csv(Record):
         gap = not numbers and len({*given}) == 1 < len(given)  # perhaps a word for a gap
         mixed = 0 < len(numbers) < len(given)
         if mixed or counted or gap or odd or (whole and fractions):
-            line = f"{self.path}, line {self.first}, {','.join(cells)[:60]!r},"
-            raise ValueError(f"{line} may be a header or a sample: say header=True or header=False")
+            where = f"{self.path}, line {self.first}, {','.join(cells)[:60]!r},"
+            raise ValueError(
+                f"{where} may be a header or a sample: say header=True or header=False"
+            )
         return not numbers
 
     def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:  # noqa: D102
@@ -272,8 +276,8 @@ class _Text(io.BufferedReader):
             zipped = file.read(2) == b"\x1f\x8b"
         super().__init__(gzip.GzipFile(path) if zipped else io.FileIO(path))  # type: ignore
         self.lines, self._end = 0, b"\n"  # the number of lines read, and their last line end
-        for _ in range(skip):
-            self.readline()
+        while skip and self.readline():
+            skip -= 1
 
     def read(self, size: int | None = -1) -> bytes:
         text = self._end + (block := super().read(size))
@@ -301,7 +305,14 @@ def in_memory(source: Any) -> Record:
 
 def opened(source: Any, delimiter: str | None, *dialect: Any) -> Record:
     """Open a record; the dialect is that of `Csv`."""
-    path = Path(os.path.expanduser(source)) if isinstance(source, str | os.PathLike) else None
+    decimal, header, skip, missing = dialect
+    gaps = [missing] if isinstance(missing, str) else validation.sequence("missing", missing)
+    if not all(isinstance(word, str) for word in gaps):
+        raise TypeError(f"missing must be the words for a gap, got {validation.shown(missing)}")
+    header = header if header is None else validation.boolean("header", header)
+    decimal = validation.choice("decimal", decimal, (".", ","))
+    dialect = decimal, header, validation.integer("skip_rows", skip, low=0), (*gaps,)
+    path = validation.path("source", source) if isinstance(source, str | os.PathLike) else None
     mark = delimiter_of("source", path, delimiter) if path else ""
     if path and mark:
         return Csv(path, mark, *dialect)

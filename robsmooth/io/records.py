@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from robsmooth._support import validation
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Matrix, shown
 from robsmooth.estimators.discrete import OUTPUTS, SHORTEST, DiscreteSmoother
 from robsmooth.io import formats, targets
 from robsmooth.io.formats import Record
@@ -104,9 +104,8 @@ def smooth_record(
     """
     validation.instance("smoother", smoother, DiscreteSmoother)
     output = validation.choice("output", output, OUTPUTS)
-    validation.boolean("progress", progress)
-    validation.boolean("resume", resume)
-    validation.boolean("regular", regular)
+    for name, flag in (("progress", progress), ("resume", resume), ("regular", regular)):
+        validation.boolean(name, flag)
     chunk = validation.integer("chunk", chunk, low=1)
     record = formats.opened(source, delimiter, decimal, header, skip_rows, missing)
     path, mark = _target(record, target, delimiter, resume)
@@ -155,7 +154,7 @@ def _target(record: Record, target: Any, delimiter: str | None, resume: bool) ->
         if resume or isinstance(record.path, Path):
             raise TypeError("target must be given where source is a file, and for resume=True")
         return Path(), ""
-    path = Path(os.path.expanduser(target))
+    path = validation.path("target", target)
     mark = formats.delimiter_of("target", path, delimiter)
     if isinstance(record.path, Path) and path.exists() and path.samefile(record.path):
         raise ValueError(f"target must be another file than source, got {path} for both")
@@ -194,12 +193,13 @@ def _positions(record: Record, name: str, chosen: Columns, wanted: int) -> list[
     if chosen is None or (chosen is False and name == "time"):
         return []
     path, names, found = record.path, list(record.names), []
-    for column in [chosen] if isinstance(chosen, str) or not np.iterable(chosen) else chosen:
+    single = isinstance(chosen, str) or validation.is_single(chosen)
+    for column in [chosen] if single else validation.sequence(name, chosen, of="columns"):
         named = isinstance(column, str)
         if named and names.count(column) != 1:
             there = "twice" if column in names else "not"
             known = ", ".join(map(repr, names)) or "no header"
-            raise ValueError(f"{name}: {column!r} is {there} in {path}, which has {known}")
+            raise ValueError(f"{name}: {shown(column)} is {there} in {path}, which has {known}")
         index = validation.integer(name, names.index(column) if named else column, low=0)
         if index >= record.width:
             raise ValueError(f"{name}: {path} has {record.width} columns, there is no {index}")

@@ -83,11 +83,13 @@ def verdicts(data_dir: Path | str | None = None, kinds: Sequence[str] = KINDS) -
     ValueError
         For another kind, or where monte_carlo.json is missing or corrupt.
     """
+    kinds = validation.sequence("kinds", kinds, of="words")
     for kind in kinds:
         validation.choice("kinds", kind, KINDS)
+    folder = published.data_folder() if data_dir is None else validation.path("data_dir", data_dir)
     simulation, recompute = None, {"model": _model, "optimum": _optimum, "design": _design}
     if "simulation" in kinds:
-        simulation = published.read_simulation(Path(data_dir or published.data_folder()))
+        simulation = published.read_simulation(folder)
         names = "error covariance, smoother", "error covariance, NGCF"
         errors = statements.simulated_errors(simulation)
         recompute["simulation"] = lambda: [dict(zip(names, errors, strict=True))]

@@ -153,11 +153,8 @@ def check_constraints(checks, zeta, subtracted, values, sums):
     The second has the reference `subtracted` added to zeta again; the third compares without.
     """
     K, paths = len(checks.used), zeta.shape[1]
-    xi, used, left = (
-        np.zeros((len(checks.delta), paths)),
-        np.zeros((K, paths)),
-        np.zeros((K, paths)),
-    )
+    xi, used = np.zeros((len(checks.delta), paths)), np.zeros((K, paths))
+    left = np.zeros_like(used)
     add_product(checks.delta, zeta, xi)
     for i in range(len(checks.driven)):
         xi[checks.driven[i]] += values[i]
@@ -251,21 +248,15 @@ def advance_blocks(
     number of paths that count; `root` is one of the covariance at the start. `records`, (blocks,
     count, rows, BLOCK) or (1, 0, 0, 0), takes the signals after each step.
     """
-    for index in prange(memory.states.shape[0]):
-        block = np.int64(index)  # an index is unsigned
-        mine = Memory(
-            memory.generators[block],
-            memory.states[block],
-            memory.past[block],
-            memory.sizes[block],
-            memory.averages[block],
-            memory.diverged[block],
-        )
-        path = (first + block) * BLOCK
+    generators, states, past, sizes, averages, diverged = memory
+    for index in prange(len(states)):
+        b = np.int64(index)  # an index is unsigned
+        mine = Memory(generators[b], states[b], past[b], sizes[b], averages[b], diverged[b])
+        path = (first + b) * BLOCK
         if start == -run[3]:
             begin_block(mine, root, seed, path)
         if mine.diverged[0] < 0:
-            record = records[block if records.size else 0]
+            record = records[b if records.size else 0]
             advance_block(scheme, calls, checks, mine, run, path, start, count, record)
 
 

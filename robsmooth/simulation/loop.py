@@ -188,9 +188,9 @@ def _linearised(loop: NonlinearLoop) -> NonlinearLoop:
 
 def _uncertainties(plant: AugmentedSystem, given: Uncertainties) -> tuple[Matrix, list[Function]]:
     """Return the Delta of the constant uncertainties, and the functions of the others."""
-    values = list(given) if np.iterable(given) else []
+    values = validation.sequence("uncertainties", given, f"length {plant.system.k}")
     constants = [0.0 if callable(value) else value for value in values]
-    delta, functions = plant.structured_delta(constants or given), []
+    delta, functions = plant.structured_delta(constants), []
     for s, (value, block) in enumerate(zip(values, blocks_of(plant), strict=False)):
         inputs, outputs = (np.r_[each].tolist() for each in block.places[0])
         if callable(value):

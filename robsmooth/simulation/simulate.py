@@ -18,11 +18,10 @@ from robsmooth._support.checkpoint import open_journal
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.simulation import groups, kernel, statistics
 from robsmooth.simulation import loop as loops
-from robsmooth.simulation.groups import checked_seed, threads
-from robsmooth.simulation.kernel import CHUNK
 from robsmooth.systems.augmented import AugmentedSystem
 
 COMPILED, IN_PYTHON = 4_000_000, 200_000  # path-steps between two looks at an interrupt
+MOST_NUMBERS = 4e8  # that `sample_paths` keeps
 RECORDED = 100_000  # path-steps whose signals are in memory at once
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response time
 SILENT = 1 / 4  # the longest step without a warning, in these units
@@ -100,19 +99,11 @@ def simulate(
         errors = groups.tally_paths(run, journal, client, progress).all
     used, allowed, violated = np.reshape(errors.means[2:], (3, -1))
     constraints = np.divide(used, allowed, out=0.0 * used, where=used > 0.0)
-    result = statistics.SimulationResult(
-        smoothed=errors.mean_square(1),
-        filtered=errors.mean_square(0),
-        constraints=constraints,
-        violated=violated,
-        equivalent_delta=run.scheme.loop.delta,
-        runs=run.runs,
-        path_steps=run.runs * run.steps,
-        duration=run.averaged * run.step,
-        warm_up=run.before * run.step,
-        step=run.step,
-        seed=run.seed,
-    )
+    found = errors.mean_square(1), errors.mean_square(0), constraints, violated
+    counts = {"runs": run.runs, "path_steps": run.runs * run.steps, "seed": run.seed}
+    times = {"duration": run.averaged * run.step, "warm_up": run.before * run.step}
+    delta = run.scheme.loop.delta
+    result = statistics.SimulationResult(*found, delta, **counts, **times, step=run.step)
     _warn(run.plant, result)
     return result
 
@@ -142,7 +133,11 @@ def sample_paths(
     """
     run = _Run(smoother, uncertainties, runs, duration, step, seed, measured=True)
     m, g, arguments = run.plant.system.m, run.plant.system.g, len(run.scheme.loop.arguments)
-    parts = run.parts(0, -(-run.runs // BLOCK), recorded=True)
+    blocks, signals = -(-run.runs // BLOCK), len(run.scheme.scheme.signals)
+    if blocks * BLOCK * run.steps * signals > MOST_NUMBERS:
+        given = f"{run.runs} paths of {run.steps} steps with {signals} signals"
+        raise ValueError(f"runs and duration must make fewer numbers to keep, got {given}")
+    parts = run.parts(0, blocks, recorded=True)
     signals = np.concatenate([np.concatenate(each, axis=2)[..., : run.runs] for *_, each in parts])
     rows = np.cumsum([m, m, m, arguments, arguments])
     signals = np.split(np.moveaxis(signals, 2, 0), rows, axis=2)  # the warm-up comes first
@@ -164,7 +159,7 @@ class _Run:
         loop = loops.nonlinear_loop(smoother, uncertainties)
         self.plant, delay = smoother.plant, smoother.plant.delay
         self.runs = validation.integer("runs", runs, low=1)
-        self.seed = checked_seed(seed)
+        self.seed = groups.checked_seed(seed)
         if duration is None:
             duration = TIME_CONSTANTS / (5 if measured else 1) / loop.slowest_rate
             if loop.growth_rate:
@@ -173,9 +168,9 @@ class _Run:
         response_time = 1.0 / loop.argument_rate()
         default = dividing_step(delay, STEP_OF_TIME_CONSTANT * response_time, duration)
         self.step = step = validation.positive("step", default if step is None else step)
-        before = (WARM_UP_TIME_CONSTANTS / loop.slowest_rate + delay) / step
-        self.before = CHUNK * math.ceil(before / CHUNK)
-        self.averaged, self.lag = steps_in(duration, step), whole_steps(delay, step)
+        before = WARM_UP_TIME_CONSTANTS / loop.slowest_rate + delay
+        self.averaged, self.lag = steps_in(duration, step, before), whole_steps(delay, step)
+        self.before = kernel.CHUNK * math.ceil(before / step / kernel.CHUNK)
         self.steps = self.before + self.averaged
         growth = loop.growth_rate * step * self.steps
         if growth > MOST_GROWTH:
@@ -200,13 +195,13 @@ class _Run:
         numbers = (self.step, loop.growth_rate, self.lag, self.before, self.runs)
         constants = scheme.scheme, calls, checks, memory, numbers, loop.stationary_root
         at_once = RECORDED if recorded else IN_PYTHON if functions.in_python else COMPILED
-        most = CHUNK * max(1, at_once // (count * BLOCK * CHUNK))
+        most = kernel.CHUNK * max(1, at_once // (count * BLOCK * kernel.CHUNK))
         for start in range(-self.before, self.averaged, most):
             steps = min(most, self.averaged - start)
             shape = (count, steps, len(scheme.scheme.signals), BLOCK)
             records = np.empty(shape if recorded else (1, 0, 0, 0))
             place = np.uint64(self.seed), first, start, steps
-            with threads(alone=functions.in_python):
+            with groups.threads(alone=functions.in_python):
                 kernel.advance_blocks(*constants, *place, records)
             functions.check()
             diverged = [(step, path) for path, step in memory.diverged.tolist() if path >= 0]
@@ -226,7 +221,7 @@ class _Run:
             averages = sums
             report(path_steps)
         averages[:, :2] /= self.averaged
-        averages[:, 2:] /= -(-self.averaged // CHUNK)
+        averages[:, 2:] /= -(-self.averaged // kernel.CHUNK)
         return averages
 
     def tally(self, path: int, outputs: NDArray) -> statistics.Tally:

@@ -19,7 +19,7 @@ from robsmooth._support.validation import Frozen, Matrix
 
 
 @dataclass(frozen=True)
-class MeanSquare:
+class MeanSquare(Frozen):
     """A mean square error over independent paths.
 
     Attributes

@@ -82,7 +82,12 @@ class AugmentedSystem(Frozen):
     N_i: tuple[Matrix, ...] = field(init=False)
 
     def __post_init__(self) -> None:
+        validation.instance("system", self.system, UncertainSystem)
+        validation.instance("delay_model", self.delay_model, DelayModel)
         system, model, g = self.system, self.delay_model, self.system.g
+        shapes = {"J_21": (g, g), "growth": (system.m, system.n)}
+        for name, shape in (shapes | {"taken_off": (system.n + system.l, g)}).items():
+            vars(self)[name] = validation.matrix(name, getattr(self, name), shape)
         n, ones = system.n + len(model.F), (1,) * (2 * g)
         input_sizes = (*(u.B.shape[1] for u in system.uncertainties), *ones)
         output_sizes = (*(u.C.shape[0] for u in system.uncertainties), *ones)
@@ -113,8 +118,7 @@ class AugmentedSystem(Frozen):
 
     def M(self, multipliers: ArrayLike) -> Matrix:
         """Return M(lambda), the sum of lambda_i M_i."""
-        if (given := len(multipliers)) != len(self.M_i):
-            raise ValueError(f"multipliers must have {len(self.M_i)} entries, got {given}")
+        multipliers = validation.matrix("multipliers", multipliers, [len(self.M_i)])
         zero = np.zeros([sum(self.input_sizes)] * 2)
         return sum(map(np.multiply, multipliers, self.M_i), zero)
 
@@ -199,7 +203,7 @@ def augment(
     (3.1e-06, 2, 3)
     """
     validation.instance("system", system, UncertainSystem)
-    if np.ndim(J_21) == 0:
+    if validation.is_single(J_21):
         J_21 = validation.positive("J_21", J_21) * np.eye(system.g)
     J_21 = validation.matrix("J_21", J_21, (system.g, system.g))
     if system.g and not np.linalg.eigvalsh((J_21 + J_21.T) / 2).min() > 0.0:
@@ -274,17 +278,11 @@ def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix,
 
 def _blocks(name: str, given: Sequence, sizes: Sequence[tuple[int, int]]) -> list[Matrix]:
     """Return the blocks of a Delta, zeros by default."""
-    try:
-        values = list(given) or [0.0] * len(sizes)
-    except TypeError:
-        rule = f"{name} must be a sequence of length {len(sizes)}"
-        raise TypeError(f"{rule}, got {given!r}") from None
-    if len(values) != len(sizes):
-        raise ValueError(f"{name} must have {len(sizes)} entries, got {len(values)}")
-    blocks = []
-    for i, (value, size) in enumerate(zip(values, sizes, strict=True)):
-        if isinstance(value, list | tuple) or np.ndim(value) > 0:
-            blocks.append(validation.matrix(f"{name}[{i}]", value, size))
-        else:
-            blocks.append(validation.real(f"{name}[{i}]", value) * np.eye(*size))
-    return blocks
+    given = validation.sequence(name, given, f"length {len(sizes)}") or [0.0] * len(sizes)
+    values = validation.sequence(name, given, count=len(sizes))
+    return [
+        validation.real(f"{name}[{i}]", value) * np.eye(*size)
+        if validation.is_single(value)
+        else validation.matrix(f"{name}[{i}]", value, size)
+        for i, (value, size) in enumerate(zip(values, sizes, strict=True))
+    ]

@@ -3,10 +3,11 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import notation, validation
-from robsmooth._support.validation import Frozen, Matrix, frozen
+from robsmooth._support.validation import Frozen, Matrix, frozen, shown
 from robsmooth.systems.functions import Combination, Function, check_function, compiled, name_of
 
 REFERENCES = ("filtered", "smoothed")
@@ -107,9 +108,9 @@ class Nonlinearity(Channel):
             slopes = validation.array("Nonlinearity sector", sector, ndim=1).tolist()
             if len(slopes) != 2 or not slopes[0] < slopes[1]:
                 rule = "two slopes, the least and the largest"
-                raise ValueError(f"Nonlinearity sector must be {rule}, got {sector!r}")
+                raise ValueError(f"Nonlinearity sector must be {rule}, got {shown(sector)}")
             sector = tuple(slopes)
-            if lipschitz not in (None, max(map(abs, sector))):
+            if lipschitz is not None and not np.array_equal(lipschitz, max(map(abs, sector))):
                 raise TypeError("Nonlinearity must have a lipschitz or a sector, got both")
             lipschitz = max(map(abs, sector))
         lipschitz = validation.positive("Nonlinearity lipschitz", lipschitz)
@@ -122,8 +123,9 @@ class Nonlinearity(Channel):
                     f"Nonlinearity sector must be around zero, got {sector}, where B is not zero "
                     "and there is a reference, which would drive the state: give lipschitz instead"
                 )
-        own = {"lipschitz": lipschitz, "function": function}
-        vars(self).update(own, reference=reference, sector=sector)
+        vars(self).update(
+            lipschitz=lipschitz, function=function, reference=reference, sector=sector
+        )
 
     def __repr__(self) -> str:
         slopes = f"lipschitz={self.lipschitz:.5g}"
@@ -162,10 +164,7 @@ def fitting(
     name: str, values: Iterable, kind: type[Channel], states: int, measurements: int
 ) -> tuple[Channel, ...]:
     """Return channels of one kind, their shapes checked against the system's."""
-    try:
-        channels = tuple(values)
-    except TypeError:
-        raise TypeError(f"{name} must be a sequence of {kind.__name__}, got {values!r}") from None
+    channels = tuple(validation.sequence(name, values, of=kind.__name__))
     for index, channel in enumerate(channels):
         validation.instance(f"{name}[{index}]", channel, kind)
         inputs, outputs = (1, 1) if kind is Nonlinearity else (channel.B.shape[1], None)

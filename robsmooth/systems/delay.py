@@ -39,15 +39,21 @@ class DelayModel(NamedTuple):
 
     def response(self, omega: ArrayLike) -> NDArray[np.complex128]:
         """Return the transfer matrix at the angular frequencies `omega` (rad/s): (..., m, m)."""
-        s = 1j * np.asarray(omega)[..., None, None]
+        s = 1j * validation.numbers_of("omega", omega)[..., None, None]
         identity = np.eye(self.F.shape[0])
         return self.H @ np.linalg.solve(s * identity - self.F, self.G + 0j * s) + self.J
+
+
+def checked_order(name: str, order: int, low: int = 1) -> int:
+    """Return an order of the approximation, if a design can be made with it."""
+    why = ": a delay's model of order 10 is as good as exact, and a design takes n^3 operations"
+    return validation.integer(name, order, low=low, high=100, why=why)
 
 
 def pade_delay(delay: float, order: int, channels: int = 1) -> DelayModel:
     """Realise the Pade approximation of the delay (s) of some signals, (eqdelay)."""
     delay = validation.real("delay", delay, low=0.0)
-    order = validation.integer("order", order, low=0)
+    order = checked_order("order", order, low=0)
     each = np.eye(validation.integer("channels", channels, low=1))
     N = order if delay > 0.0 else 0
     elements = np.sqrt(2.0 * np.arange(1, N + 1) - 1.0)

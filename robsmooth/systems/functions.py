@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from robsmooth._support import validation
+
 Function = Callable[[Any], Any]
 
 
@@ -62,7 +64,7 @@ def name_of(function: Function) -> str:
 def check_function(name: str, function: Function) -> None:
     """Check that a function is vectorised, and zero at zero."""
     if not callable(function):
-        raise TypeError(f"{name} must be callable, got {function!r}")
+        raise TypeError(f"{name} must be callable, got {validation.shown(function)}")
     at = np.zeros(2)
     if hasattr(function, "py_func"):  # compiled by numba: it may be for scalars only
         with suppress(Exception):
@@ -71,12 +73,10 @@ def check_function(name: str, function: Function) -> None:
     try:
         values = np.asarray(function(at))
     except Exception as error:
-        cause = str(error).partition("\n")[0]
-        raise ValueError(
-            f"{name} must be vectorised: an array of shape (2,) gave {type(error).__name__}: "
-            f"{cause}; NumPy's functions are (np.sin, not math.sin), and numpy.vectorize makes "
-            "any function so"
-        ) from error
+        cause = f"{type(error).__name__}: {validation.line(error)}"
+        hint = "NumPy's functions are (np.sin, not math.sin), and numpy.vectorize makes any so"
+        what = f"an array of shape (2,) gave {cause}; {hint}"
+        raise ValueError(f"{name} must be vectorised: {what}") from error
     if values.shape != np.shape(at):
         given = f"an argument of shape {np.shape(at)} gave shape {values.shape}"
         raise ValueError(f"{name} must be vectorised: {given}")

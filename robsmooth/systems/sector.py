@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robsmooth._support import validation
-from robsmooth._support.validation import Matrix
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.systems.channels import Nonlinearity
 from robsmooth.systems.functions import Combination, Function, check_function, compiled, on_arrays
 
@@ -18,7 +18,7 @@ _FLAT = 1e-9  # of the slopes: a smaller range of them is rounding
 
 
 @dataclass(frozen=True)
-class Sector:
+class Sector(Frozen):
     """A function f and its slopes from -reach to reach, as `sector` finds them.
 
     Attributes

@@ -182,7 +182,8 @@ class UncertainSystem(Frozen):
         C_1 = none if measurement_uncertainty is None else measurement_uncertainty
         channels = [Uncertainty(B, C_0, D), Uncertainty(no_B, C_1, measurement)]
         if gain_uncertainty is not None:
-            each = [gain_uncertainty] * l if np.ndim(gain_uncertainty) == 0 else gain_uncertainty
+            single = validation.is_single(gain_uncertainty)
+            each = [gain_uncertainty] * l if single else gain_uncertainty
             (sizes,) = validation.matrix("gain_uncertainty", [each], (1, l))
             gains = zip(sizes[:, None] * C, np.eye(l), strict=True)
             channels += [Uncertainty(no_B[:, :1], c[None], d[:, None]) for c, d in gains]
@@ -269,7 +270,7 @@ class UncertainSystem(Frozen):
 
 def covariance_root(name: str, intensity: ArrayLike, size: int) -> Matrix:
     """Return the symmetric square root of a covariance, or of a noise's intensity."""
-    if np.ndim(intensity) == 0:
+    if validation.is_single(intensity):
         return np.sqrt(validation.real(name, intensity, low=0.0)) * np.eye(size)
     intensity = validation.matrix(name, intensity, (size, size))
     unit = np.sqrt(np.abs(np.diag(intensity)))

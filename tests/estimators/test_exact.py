@@ -427,7 +427,7 @@ def test_a_robust_design_runs_with_its_delay_model():
 
 def test_more_samples_in_a_delay_than_can_be_kept_are_refused():
     estimator = baselines.fixed_lag_smoother(PAIR, 1.0, 2)
-    with pytest.raises(ValueError, match="samples of the delay, too many to keep: take delay='mod"):
+    with pytest.raises(ValueError, match="samples, too many to keep: take a longer dt"):
         estimator.discretize(1e-9)
     assert not estimator.discretize(1e-9, delay="model").exact
 

@@ -88,11 +88,11 @@ def test_interrupted_study_resumes_to_the_same_bits(found, tmp_path, monkeypatch
     path = tmp_path / "study.txt"
     column, calls = study_module._column, []
 
-    def interrupted(loop, **arguments):
+    def interrupted(number, loop, **arguments):
         calls.append(loop)
         if len(calls) == 2:
             raise KeyboardInterrupt
-        return column(loop, **arguments)
+        return column(number, loop, **arguments)
 
     monkeypatch.setattr(study_module, "_column", interrupted)
     with pytest.raises(KeyboardInterrupt):

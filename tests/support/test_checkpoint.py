@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import tracemalloc
+import warnings
 from contextlib import closing
 
 import pytest
@@ -160,26 +161,82 @@ def test_no_single_flipped_bit_passes_for_a_record(path):
     for position in [*used, *range(0, len(whole), 97)]:
         damaged = bytearray(whole)
         damaged[position] ^= 1 << position % 8
-        path.write_bytes(damaged)
+        read_damaged(path, bytes(damaged))
+
+
+def read_damaged(path, content):
+    """Read a damaged file; return whether it was refused, set aside or read as if it were whole."""
+    path.write_bytes(content)
+    aside = path.with_name(f"{path.name}.damaged-1")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
         try:
             found = read(path)
         except CheckpointError as error:
             assert "\n" not in str(error)
-            assert path.read_bytes() == damaged
-        else:
-            assert found == RECORDS
+            assert path.read_bytes() == content
+            return "refused"
+    if not caught:
+        assert found == RECORDS
+        return "read"
+    assert f"was damaged, and is now {aside}: {len(found)} of its" in str(caught[0].message)
+    assert [each for each in RECORDS if each in found] == found
+    assert aside.read_bytes() == content
+    assert read(path) == found, "the new file is whole"
+    aside.unlink()
+    return "set aside"
 
 
-def test_a_file_that_is_cut_off_or_overwritten_is_refused(path):
+def test_a_file_that_is_cut_off_or_overwritten_is_kept(path):
     write(path)
     whole = path.read_bytes()
     damaged = [whole[:size] for size in range(1, len(whole), 1000)]
     damaged += [whole[:size] + b"\xff" * 1000 + whole[size + 1000 :] for size in (0, 3500, 7192)]
-    for content in damaged:
-        path.write_bytes(content)
-        with pytest.raises(CheckpointError, match=r"not a checkpoint|damaged|cannot be opened"):
-            read(path)
-        assert path.read_bytes() == content
+    found = [read_damaged(path, content) for content in damaged]
+    assert set(found) == {"refused", "set aside"}
+
+
+def test_a_damaged_record_in_the_middle_leaves_the_others(path):
+    write(path)
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE record SET text = replace(text, 'word', 'work') WHERE number = 2")
+    with pytest.warns(UserWarning, match="2 of its records are whole"):
+        assert read(path) == [RECORDS[0], RECORDS[2]]
+
+
+def test_two_records_that_were_swapped_are_no_records(path):
+    write(path)
+    with closing(sqlite3.connect(path)) as database, database:
+        for old, new in ((1, 9), (3, 1), (9, 3)):
+            database.execute("UPDATE record SET number = ? WHERE number = ?", (new, old))
+    with pytest.warns(UserWarning, match="1 of its records are whole"):
+        assert read(path) == [RECORDS[1]]
+
+
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_file_that_is_taken_away_while_in_use_is_noticed(path, replaced):
+    with open_journal(path, IDENTITY) as journal:
+        journal.append(RECORDS[0])
+        path.rename(path.with_name("other"))
+        if replaced:
+            path.write_bytes(b"other")
+        with pytest.raises(OSError, match="was removed or replaced while this run used it"):
+            journal.append(RECORDS[1])
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+def test_a_forked_process_does_not_keep_the_lock(path):
+    with open_journal(path, IDENTITY):
+        ended, end = os.pipe()
+        if (child := os.fork()) == 0:
+            os.close(end)
+            os.read(ended, 1)
+            os._exit(0)
+    try:
+        assert read(path) == []
+    finally:
+        os.close(end)
+        os.waitpid(child, 0)
 
 
 def test_garbage_behind_the_end_is_no_part_of_the_file(path):

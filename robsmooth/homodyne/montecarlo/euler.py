@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit, prange
 from numba.extending import register_jitable
 
-from robsmooth._numerics.vectors import BLOCK, LANES, add_product, fma, load, store
+from robsmooth._numerics.vectors import BLOCK, LANES, add_product, fma, is_set, load, store
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
 from robsmooth.simulation import noise
@@ -78,10 +78,10 @@ def euler_steps(order, coefficients, steps, state, gaussians):
 
 
 @njit(inline="always")
-def advance(order, coefficients, readout, steps, state, generator, gaussians, result):
-    """Advance a block by `steps` steps, and count its cycle slips."""
+def advance(order, coefficients, readout, steps, state, generator, gaussians, result, stop):
+    """Advance a block by `steps` steps, or to the `stop`, and count its cycle slips."""
     done = 0
-    while done < steps:
+    while done < steps and not is_set(stop):
         count = min(CHUNK, steps - done)
         noise.fill_gaussians(generator, count, gaussians)
         euler_steps(order, coefficients, count, state, gaussians)
@@ -103,7 +103,7 @@ def collect(order, readout, state, delayed, result):
 
 
 @njit(inline="always")
-def simulate_block(order, coefficients, readout, schedule, seed, first_path, result):
+def simulate_block(order, coefficients, readout, schedule, seed, first_path, result, stop):
     """Simulate paths `first_path` to `first_path + BLOCK - 1`, from zero to the end."""
     before, delay = schedule
     generator = noise.aligned(WORDS * BLOCK, np.uint32)
@@ -113,14 +113,16 @@ def simulate_block(order, coefficients, readout, schedule, seed, first_path, res
     state[:] = 0
     noise.seed_paths(seed, first_path, generator)
     result[:] = 0
-    advance(order, coefficients, readout, before, state, generator, gaussians, result)
+    advance(order, coefficients, readout, before, state, generator, gaussians, result, stop)
     delayed[:] = state[:BLOCK]
-    advance(order, coefficients, readout, delay, state, generator, gaussians, result)
+    advance(order, coefficients, readout, delay, state, generator, gaussians, result, stop)
     collect(order, readout, state, delayed, result)
 
 
 @kept(parallel=True, nogil=True)
-def simulate_blocks(order, coefficients, readout, schedule, seed, first, results, code=SOURCES):
+def simulate_blocks(
+    order, coefficients, readout, schedule, seed, first, results, stop, code=SOURCES
+):
     """Simulate consecutive blocks: block b has the paths from b BLOCK on.
 
     The rows of the readout are filtered and smoothed estimate and oscillator's phase, all negative.
@@ -129,4 +131,4 @@ def simulate_blocks(order, coefficients, readout, schedule, seed, first, results
     """
     for block in prange(results.shape[0]):
         path = np.uint64(first + block) * np.uint64(BLOCK)
-        simulate_block(order, coefficients, readout, schedule, seed, path, results[block])
+        simulate_block(order, coefficients, readout, schedule, seed, path, results[block], stop)

@@ -15,7 +15,7 @@ from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Matrix
 from robsmooth.homodyne.loop import Loop, decay_rate
 from robsmooth.homodyne.montecarlo import euler, splitting
-from robsmooth.simulation.groups import checked_seed, threads
+from robsmooth.simulation.groups import checked_seed, stoppable, threads
 from robsmooth.simulation.statistics import Tally, control_weights
 
 PRECISIONS = {"mixed": np.float64, "single": np.float32}
@@ -58,7 +58,8 @@ class Simulation:
         real, n = PRECISIONS[self.precision], self.readout.shape[1]
         results = np.empty((count, self.kernel.OUTPUTS, BLOCK))
         with threads():
-            self.kernel.simulate_blocks(
+            stoppable(
+                self.kernel.simulate_blocks,
                 (real(0),) * n,
                 *((real(0),) * count for count in self.compiled_for),
                 np.concatenate([np.ravel(part) for part in self.coefficients]).astype(real),
@@ -66,7 +67,7 @@ class Simulation:
                 self.schedule,
                 np.uint64(self.seed),
                 first,
-                results.reshape(count, -1),
+                results=results.reshape(count, -1),
             )
         return results[:, : self.kernel.SLIPS + 1]
 
@@ -100,7 +101,7 @@ class PaperSimulation(Simulation):
         default = min(PAPER_STEP, SILENT_EULER * response, STABLE_PART * longest)
         default = dividing_step(loop.delay, default, duration)
         step = step or default
-        delay, steps = whole_steps(loop.delay, step), steps_in(duration, step)
+        steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
         if step >= longest:
             raise ValueError(
                 f"step must be below {longest:.4g} s, at which the Euler-Maruyama scheme becomes "
@@ -138,8 +139,9 @@ class ErgodicSimulation(Simulation):
         response = loop.response_time()
         default = dividing_step(loop.delay, STEP_OF_TIME_CONSTANT * response, duration)
         step = step or default
-        warm_up = math.ceil((WARM_UP_TIME_CONSTANTS / slowest + loop.delay) / step)
-        steps, delay = steps_in(duration, step), whole_steps(loop.delay, step)
+        before = WARM_UP_TIME_CONSTANTS / slowest + loop.delay
+        steps = steps_in(duration, step, before)
+        warm_up, delay = math.ceil(before / step), whole_steps(loop.delay, step)
         warn_of_long_step(step, response, SILENT_SPLITTING, default, stacklevel=5)
         filtered, lagged = loop.linear_errors(*slopes)
         simulation = cls(

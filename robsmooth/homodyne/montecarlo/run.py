@@ -23,7 +23,7 @@ class LossOfLockWarning(RuntimeWarning):
 
 
 @dataclass(frozen=True)
-class MonteCarloResult:
+class MonteCarloResult(validation.Frozen):
     """Mean square errors of the filter and the smoother in the nonlinear loop, by `monte_carlo`.
 
     Attributes

@@ -22,7 +22,7 @@ from numba.extending import register_jitable
 
 from robsmooth._numerics.lyapunov import noise_root, square_root
 from robsmooth._numerics.steps import responses
-from robsmooth._numerics.vectors import BLOCK, LANES, add_product, fma, load, store
+from robsmooth._numerics.vectors import BLOCK, LANES, add_product, fma, is_set, load, store
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.kernels import kept
 from robsmooth.homodyne.loop import Loop
@@ -131,7 +131,7 @@ def take_step(model, gaussians, path, state, delayed, sample, result):
 
 
 @njit
-def simulate_block(order, pair, coefficients, readout, schedule, seed, first_path, result):
+def simulate_block(order, pair, coefficients, readout, schedule, seed, first_path, result, stop):
     """Simulate paths `first_path` to `first_path + BLOCK - 1`, from a stationary start."""
     warm_up, delay, steps = schedule
     n, m = len(order), len(pair)
@@ -151,6 +151,8 @@ def simulate_block(order, pair, coefficients, readout, schedule, seed, first_pat
 
     last = warm_up + steps
     for chunk in range(1 + last // CHUNK):
+        if is_set(stop):
+            break
         noise.fill_gaussians(generator, CHUNK * (m // DRAWS), gaussians)
         # The last sample is at the start of a step, whose end is not used.
         for step in range(min(CHUNK, 1 + last - chunk * CHUNK)):
@@ -166,7 +168,7 @@ def simulate_block(order, pair, coefficients, readout, schedule, seed, first_pat
 
 @kept(parallel=True, nogil=True)
 def simulate_blocks(
-    order, pair, coefficients, readout, schedule, seed, first, results, code=SOURCES
+    order, pair, coefficients, readout, schedule, seed, first, results, stop, code=SOURCES
 ):
     """Simulate consecutive blocks, as `euler.simulate_blocks` does.
 
@@ -175,4 +177,5 @@ def simulate_blocks(
     """
     for block in prange(results.shape[0]):
         path = np.uint64(first + block) * np.uint64(BLOCK)
-        simulate_block(order, pair, coefficients, readout, schedule, seed, path, results[block])
+        result = results[block]
+        simulate_block(order, pair, coefficients, readout, schedule, seed, path, result, stop)
