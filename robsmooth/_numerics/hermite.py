@@ -1,8 +1,7 @@
 r"""Normalised Hermite polynomials of several variables, and operators between them.
 
-They are orthonormal under :math:`N(0, I)`: with :math:`a_i = \partial/\partial\xi_i` and
-:math:`a_i^*` its adjoint, :math:`a_ih_\alpha = \sqrt{\alpha_i}\,h_{\alpha - e_i}`, and
-multiplication with :math:`\xi_i` is :math:`a_i + a_i^*`.
+With :math:`a_i = \partial/\partial\xi_i` and its adjoint :math:`a_i^*` under :math:`N(0, I)`,
+:math:`a_ih_\alpha = \sqrt{\alpha_i}\,h_{\alpha - e_i}`; :math:`\xi_i` is :math:`a_i + a_i^*`.
 """
 
 import itertools

@@ -1,9 +1,7 @@
 r"""Statistical linearisation: a slope stands for each nonlinearity of a loop.
 
-For a Gaussian argument v, :math:`E(\psi(v) - sv)^2` is least at :math:`s = E[\psi(v)v]/E[v^2]`.
-This slope depends on the variance of v in the stationary linear loop, which depends on the slopes:
-an iteration finds both. See A. Gelb and W. E. Vander Velde, "Multiple-Input Describing Functions
-and Nonlinear System Design", McGraw-Hill, 1968, Chapter 7.
+For a Gaussian argument v, :math:`E(\psi(v) - sv)^2` is least at :math:`s = E[\psi(v)v]/E[v^2]`. The
+variance of v depends on the slopes: an iteration finds both (`docs/source/methods.md`).
 """
 
 import math

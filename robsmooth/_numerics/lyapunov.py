@@ -1,12 +1,8 @@
 r"""Covariances of linear stochastic systems, and their roots, by doubling of time.
 
-.. math::
-
-    W(2t) = W(t) + E(t)\,W(t)\,E(t)', \qquad R(2t) = [R(t)\;\; E(t)R(t)], \qquad E(2t) = E(t)^2,
-
-where :math:`W = RR'` is the covariance of :math:`dx = A x\,dt + B\,dW`, started at zero, and `E`
-the transition matrix. Slow modes keep their digits, as :math:`F = E - I` is doubled:
-:math:`F(2t) = 2F + F^2`. `docs/source/methods.md` says more.
+For :math:`dx = A x\,dt + B\,dW`, started at zero, :math:`W(2t) = W(t) + E(t)\,W(t)\,E(t)'` is the
+covariance and `E` the transition matrix. Slow modes keep their digits, as :math:`F = E - I` is
+doubled: :math:`F(2t) = 2F + F^2` (`docs/source/methods.md`).
 """
 
 import itertools

@@ -1,14 +1,7 @@
 r"""Closed loop, stationary error covariance, and the worst constant uncertainty (Section III-A).
 
-The terms of (eqCo) nearly cancel where the estimate is good. Here it is a sum that cannot cancel,
-
-.. math::
-
-    P_{sa} = (C - C_s e^{\mathbf A\delta})\,\mathbf P\,(C - C_s e^{\mathbf A\delta})'
-             + C_s \mathbf W C_s', \qquad
-    \mathbf W = \mathbf P - e^{\mathbf A\delta}\mathbf P e^{\mathbf A'\delta},
-
-of the state :math:`[x_p;\; x_p - \hat x_p]`.
+The terms of (eqCo) nearly cancel where the estimate is good. Here they are those of the state
+:math:`[x_p;\; x_p - \hat x_p]`, in a sum that cannot cancel (`docs/source/methods.md`).
 """
 
 from collections.abc import Iterable

@@ -1,11 +1,6 @@
 r"""What every estimator here has in common: the form of (eqcontrol).
 
-.. math::
-
-    d\hat x_p = A_c \hat x_p\,dt + \tilde B_c\,d\tilde y, \qquad \tilde u = \tilde C_c \hat x_p,
-    \qquad \tilde y = [y; \tilde\mu],\quad \tilde u = [\hat w; \tilde\nu],
-
-and the copies :math:`\tilde\mu_i = \psi_i(\tilde\nu_i)`. A linear filter has zero gains for them.
+The copies are :math:`\tilde\mu_i = \psi_i(\tilde\nu_i)`. A linear filter has zero gains for them.
 """
 
 from collections.abc import Callable, Iterable

@@ -1,22 +1,9 @@
 r"""The time-varying Kalman filter in discrete time, and the fixed-lag smoother of its innovations.
 
-`docs/source/methods.md` has the equations, with the letters of the code: the model of a sample,
-
-.. math::
-
-    x_{k+1} = \Phi x_k + d_k + w_k, \qquad y_k = H x_k + h_k + v_k, \qquad
-    \operatorname{cov}\begin{bmatrix}w\\v\end{bmatrix} = \begin{bmatrix}Q & S\\ S' & R\end{bmatrix},
-
-the innovation e with the covariance :math:`\Sigma = LL'`, :math:`K = (\Phi PH' + S)\Sigma^{-1}`,
-:math:`\Psi = \Phi - KH`, and, from k back to j,
-
-.. math::
-
-    r \leftarrow H'\Sigma^{-1}e_i + \Psi_i'r, \qquad N \leftarrow H'\Sigma^{-1}H + \Psi_i'N\Psi_i ,
-
-with which the smoothed state is :math:`\hat x_j + P_jr` and its covariance :math:`P_j - P_jNP_j`.
-Modes V may be unknown at the start: :math:`x_0 = \hat x_0 + V\delta`, with
-:math:`V \leftarrow \Psi V`.
+`docs/source/methods.md` has the equations, with the letters of the code. In short,
+:math:`x_{k+1} = \Phi x_k + d_k + w_k`, :math:`y_k = H x_k + h_k + v_k`, the innovation e has the
+covariance :math:`\Sigma = LL'`, :math:`\Psi = \Phi - KH`, and the smoothed state is
+:math:`\hat x_j + P_jr` with the covariance :math:`P_j - P_jNP_j`.
 """
 
 from typing import NamedTuple

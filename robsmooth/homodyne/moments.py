@@ -1,17 +1,8 @@
-r"""Stationary mean square errors of the nonlinear loop in lock, without sampling.
+"""Stationary mean square errors of the nonlinear loop in lock, without sampling.
 
-The stationary moments :math:`m_\alpha = E\,h_\alpha(\xi)` of Hermite polynomials up to the degree N
-solve :math:`\sum_\alpha m_\alpha L_{\alpha\beta} = 0`, where L is the backward Kolmogorov operator
-of the loop in the coordinates :math:`z = S\xi` in which its linear part has the covariance I:
-
-.. math::
-
-    L = \sum_{ij}\tilde A_{ij}\,a_j^*a_i
-        + \sum_k\bigl(\sin s_kS\xi - \rho_k s_kS\xi\bigr)\,\tilde b_k\cdot a,
-    \qquad \tilde A = S^{-1}AS,\quad \tilde b_k = S^{-1}b_k .
-
-`docs/source/methods.md` derives it. All terms are odd: odd moments are zero, read-outs stay odd.
-The error in lock is defined to about the probability of a slip.
+Moments of Hermite polynomials up to the degree N solve linear equations, of the backward Kolmogorov
+operator L of the loop (`docs/source/methods.md`). All terms are odd: odd moments are zero, and
+read-outs stay odd. The error in lock is defined to about the probability of a slip.
 """
 
 import math

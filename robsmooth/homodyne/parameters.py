@@ -1,14 +1,7 @@
 r"""The example of Section IV: adaptive homodyne estimation of a varying optical phase.
 
-.. math::
-
-    d\phi = -\lambda_\phi\,\phi\,dt + \sqrt\kappa\,dW_1, \qquad
-    I\,dt = 2\alpha\sin(\phi - \hat\phi)\,dt + dW_2,
-
-with the phase of the local oscillator at :math:`\hat\phi + \pi/2`. With :math:`e = \phi-\hat\phi`
-and :math:`\sin e = \beta e + f(e)`, the measurement
-:math:`\bar y = (I + 2\alpha\beta\hat\phi)/2\alpha\beta` is linear in :math:`\phi` except for
-:math:`f(e)/\beta`. In the sector, :math:`|f(e)| \le \gamma|e|`.
+The phase is (eqdphi), the photocurrent (eqIt). With :math:`e = \phi-\hat\phi` and
+:math:`\sin e = \beta e + f(e)` the measurement is (eqyt), with :math:`|f(e)| \le \gamma|e|`.
 """
 
 import math

@@ -1,10 +1,7 @@
-r"""The results of simulations, from independent paths: errors, standard errors, slips.
+"""The results of simulations, from independent paths: errors, standard errors, slips.
 
-The standard error of a mean over N paths is their standard deviation over the root of N. With
-control variates :math:`c_i` of known mean :math:`\mu` the results of the paths are
-:math:`v_i - \beta'(c_i - \mu)` instead of :math:`v_i`. The weights :math:`\beta` are regressed on
-the paths of a pilot: on the same paths they would bias the mean (S. Asmussen and P. W. Glynn,
-"Stochastic Simulation", Springer, 2007, Section V.2).
+The standard error of a mean over N paths is their standard deviation over the root of N.
+`docs/source/methods.md` has the control variates.
 """
 
 import math

@@ -1,12 +1,7 @@
 r"""The finite-dimensional model of the delay, (eqdelay).
 
 Its transfer function is the Pade approximation :math:`[N/N]` of :math:`e^{-s\delta}`, for each
-output of `w`. A ladder of N lossless elements 1, 3, 5, ... realises it, with
-
-.. math:: F_a + F_a' = -\tfrac{1}{\delta} b b', \qquad G_a = \tfrac{1}{\delta} b,
-          \qquad H_a = -J_a b', \qquad J_a = (-1)^N .
-
-Both Gramians are the identity (up to the unit of time). `docs/source/methods.md` derives it.
+output of `w`. A ladder of N lossless elements 1, 3, 5, ... realises it (`docs/source/methods.md`).
 """
 
 from typing import NamedTuple

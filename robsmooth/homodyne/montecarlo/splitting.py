@@ -1,17 +1,9 @@
 r"""The compiled loop of the ergodic protocol: a second-order scheme with a linear control.
 
 A step is :math:`L_hK_h`: the exact step of the statistically linearised loop, then the kick of the
-sines less their slopes,
-
-.. math::
-
-    L_h: z \leftarrow \Phi z + \eta,\qquad
-    K_h: \hat x \leftarrow \hat x + h F + \tfrac12 h^2 DF\,F,\qquad
-    F = b_s(\sin e - \rho_s e) + b_c(\sin v - \rho_c v) .
-
-`docs/source/methods.md` has the composition, slips and the control variate: the linear loop
-:math:`y \leftarrow \Phi y + \eta`. The state of a block is :math:`\varphi`, the estimator's part of
-y, and :math:`d = \hat x - y`, which starts at zero and has no noise of its own.
+sines less their slopes; `docs/source/methods.md` has both, and slips and the control variate. The
+state of a block is :math:`\varphi`, the estimator's part of the control y, and
+:math:`d = \hat x - y`, which starts at zero and has no noise of its own.
 """
 
 from collections import namedtuple
