@@ -39,12 +39,6 @@ class Judgement(validation.Frozen):
         Mean square errors in a real loop, in the squared unit of w: without uncertainty, under the
         worst constant one, and the least upper bound under all admissible ones. Infinity where the
         error grows without bound, or no bound is found.
-
-    Examples
-    --------
-    >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
-    >>> rs.judge(ngcf, "filtered")
-    Judgement(nominal=0.084404, worst_constant=0.13881, certified=0.13881)
     """
 
     nominal: float
@@ -106,13 +100,6 @@ class Choice(validation.Frozen):
     candidates : dict of str to `Candidate`
         Each with its `estimator` and `judgement`; `refused` says why there is no estimator.
     against, output : str, as given
-
-    Examples
-    --------
-    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-    >>> choice = rs.best_smoother(plant)
-    >>> choice.name, len(choice.table.rows)
-    ('classical', 6)
     """
 
     estimator: Estimator

@@ -22,7 +22,7 @@ _DELAY_ORDER = 10
 
 @dataclass(frozen=True, eq=False)
 class AnalysisBound(Frozen):
-    """The least bound on an estimator's error, and the input that attains it.
+    """The least bound on an error that `analysis_bound` finds, and the input that attains it.
 
     Attributes
     ----------
@@ -34,12 +34,6 @@ class AnalysisBound(Frozen):
         theta, s (unit of w)^2; infinity for a constraint that allows its input no energy.
     feedback : (r + 2g, N) array, empty without a bound
         The worst input as a feedback of the states X, those of the delay's model included.
-
-    Examples
-    --------
-    >>> bound = rs.analysis_bound(rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system()))
-    >>> bound.gap < 1e-6  # an admissible input reaches it
-    True
     """
 
     mean_square: float

@@ -224,14 +224,6 @@ class WorstCase(Frozen):
     Delta : (r + 2g, h + 2g) array, with zero blocks for channels without an effect
     mean_square, nominal : float, in the squared unit of w
         The mean square error under it and without uncertainty; infinity in an unstable loop.
-
-    Examples
-    --------
-    >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
-    >>> rs.worst_case(ngcf, "filtered").Delta
-    array([[ 0.,  0.,  0.],
-           [ 0., -1.,  0.],
-           [ 0.,  0., -1.]])
     """
 
     Delta: Matrix

@@ -43,12 +43,6 @@ class LagSweep(Frozen):
     nominal, worst : (O, L) arrays
         Without uncertainty, and under the worst constant one; infinity where that is not stable.
     optimal : (L,) array, the least nominal error of any linear smoother
-
-    Examples
-    --------
-    >>> sweep = rs.lag_sweep(rs.homodyne.PAPER.uncertain_system(), lags=[1e-6, 2e-6], orders=[2])
-    >>> sweep.nominal.round(4), sweep.optimal.round(4)  # the model of the delay costs little
-    (array([[0.0594, 0.0496]]), array([0.0593, 0.0495]))
     """
 
     lags: Matrix
@@ -164,12 +158,6 @@ class LagChoice(Frozen):
     lag, order : float, s, and int, of the delay's Pade model
     error, target : float
         The classical smoother's nominal mean square error, and its limit, in the squared unit of w.
-
-    Examples
-    --------
-    >>> choice = rs.choose_lag(rs.homodyne.PAPER.uncertain_system(), target=0.05)
-    >>> round(choice.lag, 8), choice.order, choice.target
-    (2.08e-06, 1, 0.05)
     """
 
     lag: float

@@ -32,12 +32,6 @@ class RecordCheck(Frozen):
         p-values of the innovations' mean, mean square and correlations: the probability that a
         record of the model is at least as far off. NaN where the record is too short.
     dt : float, s
-
-    Examples
-    --------
-    >>> discrete = rs.baselines.kalman_bucy(rs.examples.random_walk()).discretize(dt=0.1)
-    >>> rs.check_record(discrete, np.zeros((100, 1))).mean_square
-    0.0
     """
 
     innovations: Matrix

@@ -36,7 +36,7 @@ _STARTS = 16  # of the search for the worst Delta
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ConstantMinimaxSmoother(Estimator):
-    """An estimator with the least largest error over constant uncertainties.
+    """The estimator that `constant_minimax_smoother` designs.
 
     Attributes
     ----------
@@ -44,12 +44,6 @@ class ConstantMinimaxSmoother(Estimator):
         The largest mean square error against the truly delayed w that was found under a constant
         admissible uncertainty, in the squared unit of w.
     cost : {"smoothed", "filtered"}, which error it is
-
-    Examples
-    --------
-    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-    >>> rs.constant_minimax_smoother(plant)
-    ConstantMinimaxSmoother(worst_constant=0.083689, cost='smoothed', delay=3.1e-06 s, order=2)
     """
 
     worst_constant: float

@@ -36,7 +36,7 @@ _ROUNDS = 3  # of descent, each from coordinates balanced anew
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MinimaxSmoother(Estimator):
-    """An estimator with the least certified error.
+    """The estimator with the least certified error, as `minimax_smoother` designs it.
 
     Attributes
     ----------
@@ -49,12 +49,6 @@ class MinimaxSmoother(Estimator):
     route : {"semidefinite programme", "descent"}
         The programme finds the least error of all linear estimators, with copies in the limit where
         the multipliers of mu and mu-tilde vanish. The descent finds a local minimum.
-
-    Examples
-    --------
-    >>> plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), delay=3.1e-6, order=2)
-    >>> rs.minimax_smoother(plant)
-    MinimaxSmoother(certified=0.088669, cost='smoothed', delay=3.1e-06 s, order=2)
     """
 
     certified: float

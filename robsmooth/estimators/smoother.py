@@ -16,7 +16,7 @@ from robsmooth.systems.augmented import AugmentedSystem
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class RobustSmoother(Estimator):
-    """A robust fixed-lag smoother with its guarantee.
+    """A robust fixed-lag smoother with its guarantee, as `design_smoother` makes it.
 
     Attributes
     ----------
@@ -30,12 +30,6 @@ class RobustSmoother(Estimator):
     bound_infimum, limit : float and RobustSmoother, or None
         The infimum and the limiting design, where `minimize_bound` found no least bound.
     spectral_radius : float, rho(YX), below tau
-
-    Examples
-    --------
-    >>> ngcf = rs.baselines.ngcf(rs.homodyne.PAPER.uncertain_system())
-    >>> ngcf.A_c.shape, round(ngcf.mean_square_bound, 4), round(2.0 * ngcf.bound_infimum, 4)
-    ((1, 1), 0.2434, 0.2433)
     """
 
     tau: float

@@ -45,12 +45,6 @@ class StationaryErrors(Frozen):
     smoothed, filtered : float, mean square errors, rad^2
     smoothed_truncation, filtered_truncation : float, estimates of their numerical errors, rad^2
     degree : int, total, of the polynomials
-
-    Examples
-    --------
-    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
-    >>> rs.stationary_errors(rs.homodyne.PAPER, kalman).degree
-    14
     """
 
     smoothed: float

@@ -52,11 +52,6 @@ class Study(Frozen):
         the tangent. Nonlinear loop, paths in lock: "filtered", "smoothed", with the standard errors
         "filtered_error", "smoothed_error". "slip_rate": 1/s. NaN without a design or path in lock.
     failures : dict of (gamma, noise) to str, why there is no design
-
-    Examples
-    --------
-    >>> rs.Study((0.4,), (1.0,), (2,), (1e-6, 3e-6), {"bound": [[[[0.1, 0.1]]]]}, failures={})
-    Study(1 gammas x 1 noises x 1 orders x 2 lags: 2 designs, 0 columns without)
     """
 
     gammas: tuple[float, ...]

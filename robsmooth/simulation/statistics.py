@@ -63,13 +63,6 @@ class SimulationResult(Frozen):
     runs, path_steps, seed : int
         Independent paths, and the steps of all of them, the warm-up included.
     duration, warm_up, step : float, the time averaged, the time before, and a step, s
-
-    Examples
-    --------
-    >>> system = rs.UncertainSystem([[-1]], [[1, 0]], [[1]], [[1]], [[0, 0.1]])
-    >>> result = rs.simulate(rs.baselines.kalman_bucy(system), runs=8, duration=5.0)
-    >>> result.filtered.standard_error < result.filtered.mean_square, result.runs
-    (True, 8)
     """
 
     smoothed: MeanSquare
@@ -107,12 +100,6 @@ class SamplePaths(Frozen):
     w, delayed : (paths, N, m) arrays, the outputs at `time`, and one lag before
     filtered, smoothed : (paths, N, m) arrays, their estimates, made at `time`
     step, delay : float, s; the second is the lag of the smoothed estimates
-
-    Examples
-    --------
-    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
-    >>> rs.sample_paths(kalman, runs=2, duration=1e-4).y.shape
-    (2, 223, 1)
     """
 
     time: Matrix

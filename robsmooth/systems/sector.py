@@ -27,12 +27,6 @@ class Sector(Frozen):
     reach, lower, upper : float
         The largest argument, and the least and the largest slope up to it.
     slope, half_width : float, the slope in the middle, the Lipschitz constant of f less its line
-
-    Examples
-    --------
-    >>> tanh = rs.sector(np.tanh, reach=0.6)
-    >>> round(tanh.lower, 6), round(tanh.upper, 6)
-    (0.711578, 1.0)
     """
 
     function: Function

@@ -38,13 +38,6 @@ class MonteCarloResult(validation.Frozen):
     duration, warm_up, step, wall_time : float
         Time of a path that is sampled, time before, step, and computing time, s.
     provenance : dict, everything else that the numbers depend on, in a JSON form
-
-    Examples
-    --------
-    >>> kalman = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
-    >>> result = rs.monte_carlo(rs.homodyne.PAPER, kalman, runs=64)
-    >>> result.filtered.standard_error < 0.01 * result.filtered.mean_square
-    True
     """
 
     smoothed: MeanSquare
