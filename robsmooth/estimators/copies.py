@@ -52,10 +52,9 @@ def running_functions(
     ]
     for i in running:
         if functions[i] is None:
-            raise ValueError(
-                f"nonlinearities[{i}] must have a function, because the estimator runs a copy of "
-                "it: give Nonlinearity(..., function=psi), or discretize(dt, functions=[psi])"
-            )
+            how = "give Nonlinearity(..., function=psi), or discretize(dt, functions=[psi])"
+            why = "because the estimator runs a copy of it"
+            raise ValueError(f"nonlinearities[{i}] must have a function, {why}: {how}")
     return tuple(functions[i] for i in running)
 
 

@@ -325,9 +325,7 @@ class DiscreteSmoother(Exports):
             intervals = validation.array("intervals", intervals, ndim=1) / self.dt
             if len(intervals) != len(y) or not (intervals > SHORTEST).all():
                 rule = f"the lengths of {len(y)} intervals, positive and not below {SHORTEST:g} dt"
-                raise ValueError(
-                    f"intervals must be {rule}: rows in order of their times have such"
-                )
+                raise ValueError(f"intervals must be {rule}: rows in order of times have such")
             intervals = np.round(intervals, 9) * self.dt
         y = y - self._offset if self._moved else y
         return Samples(y, reference, inputs, intervals if len(y) else None)

@@ -126,7 +126,10 @@ def load(
     functions = {} if functions is None else functions
     validation.instance("functions", functions, Mapping)
     try:
-        return _object(_READERS[language](path.read_bytes().decode("utf-8-sig")), functions)
+        text = path.read_bytes().decode("utf-8-sig")
+        if max(part.count(".") for part in re.split("[=,\n]", text)) > 99:  # a.a.a.a = 1
+            raise RecursionError
+        return _object(_READERS[language](text), functions)
     except RecursionError:
         raise ValueError(f"{path.name}: its brackets are nested too deeply") from None
     except (ValueError, TypeError) as error:

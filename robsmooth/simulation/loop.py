@@ -203,10 +203,8 @@ def _uncertainties(plant: AugmentedSystem, given: Uncertainties) -> tuple[Matrix
             functions.append(Function(inputs, outputs, value, elementwise=False))
         norm = np.linalg.norm(delta[np.ix_(inputs, outputs)], 2)
         if norm > 1.0 + 1e-12:
-            raise ValueError(
-                f"uncertainties[{s}] must have norm at most 1 to be admissible, got {norm:.6g}; a "
-                "function (t, zeta) -> xi may have any"
-            )
+            got = f"got {norm:.6g}; a function (t, zeta) -> xi may have any"
+            raise ValueError(f"uncertainties[{s}] must have norm at most 1 to be admissible, {got}")
     return delta, functions
 
 
@@ -217,10 +215,8 @@ def _nonlinearities(smoother: Estimator, arguments: Matrix) -> list[Function]:
     r, h = sum(plant.input_sizes) - 2 * g, sum(plant.output_sizes) - 2 * g
     for i, nonlinearity in enumerate(system.nonlinearities):
         if nonlinearity.function is None:
-            raise ValueError(
-                f"nonlinearities[{i}] has no function: a design does without, but a simulation "
-                "needs Nonlinearity(..., function=psi)"
-            )
+            what = "a design does without, but a simulation needs Nonlinearity(..., function=psi)"
+            raise ValueError(f"nonlinearities[{i}] has no function: {what}")
         copied = arguments[h + g + i].any() and smoother.B_c[:, system.l + i].any()
         places = [i, g + i] if copied else [i]
         inputs, outputs = [r + j for j in places], [h + j for j in places]

@@ -123,9 +123,8 @@ class Nonlinearity(Channel):
                     f"Nonlinearity sector must be around zero, got {sector}, where B is not zero "
                     "and there is a reference, which would drive the state: give lipschitz instead"
                 )
-        vars(self).update(
-            lipschitz=lipschitz, function=function, reference=reference, sector=sector
-        )
+        own = {"lipschitz": lipschitz, "function": function}
+        vars(self).update(own, reference=reference, sector=sector)
 
     def __repr__(self) -> str:
         slopes = f"lipschitz={self.lipschitz:.5g}"

@@ -17,7 +17,8 @@ from tests.helpers.tries import Attack, command
 LIMIT = 2.0  # s
 PATIENCE = 60.0  # s, after which a process counts as hanging
 BEGIN = """
-import os, sys, tempfile, threading, warnings
+import os, signal, sys, tempfile, threading, warnings
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where a shell runs this with &
 import numpy as np
 import robsmooth as rs
 from tests.helpers.strategies import random_system

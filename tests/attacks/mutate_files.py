@@ -199,7 +199,7 @@ def nested(rng: random.Random, content: Any) -> Any:
         del holder[last]
     elif what == 1 and isinstance(holder, list):
         holder.append(holder[last])
-    elif what == 2 and isinstance(holder[last], int | float):
+    elif what == 2 and isinstance(holder[last], int | float) and abs(holder[last]) < 1e300:
         holder[last] *= rng.choice([0, -1, 1e-9, 1e9, 2, 0.5, 1e300])
     else:
         holder[last] = rng.choice(VALUES)

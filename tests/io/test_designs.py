@@ -536,6 +536,7 @@ def test_a_certificate_that_does_not_hold_is_refused(folder, minimax_smoothers, 
         ("file.json", b"[1, 2]", r"its content must be a table, got \[1, 2\]"),
         ("file.json", b"[" * 100_000, "nested too deeply"),
         ("file.toml", b"A = " + b"[" * 100_000, "nested too deeply"),
+        ("file.toml", b"a." * 20_000 + b"a = 1", "nested too deeply"),
         ("file.json", b'{"format": ' + b"9" * 5000 + b"}", "Exceeds the limit"),
         (
             "file.toml",
