@@ -24,7 +24,7 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 unexport PYTHONDONTWRITEBYTECODE
 
 .NOTPARALLEL:
-.PHONY: help setup figures lab test test-library test-browser report bench format lock upgrade clean distclean
+.PHONY: help setup figures lab explore test test-library test-browser report bench format lock upgrade clean distclean
 
 help:  ## list the targets and variables
 	@echo 'Targets:'
@@ -35,7 +35,7 @@ help:  ## list the targets and variables
 	@echo '  DASK        a Dask scheduler to compute on, for example DASK=tls://10.0.0.1:8786'
 	@echo '  PYTHON      the Python, 3.11 or newer, to make .venv with (default: python3)'
 	@echo '  RESOLUTION  what test-library installs: highest (default) or lowest-direct'
-	@echo '  LAB         more options of JupyterLab, for example LAB=--no-browser'
+	@echo '  LAB         more options of lab and explore, for example LAB=--no-browser'
 
 setup: $(ENVIRONMENT)  ## make .venv from the lock, hash-checked (the other targets do it as needed)
 
@@ -48,6 +48,9 @@ figures: $(if $(DASK),$(DEVELOPMENT),$(ENVIRONMENT))  ## run the notebooks that 
 lab: $(ENVIRONMENT)  ## open the notebooks in JupyterLab (beside others that run: it takes a free port)
 	@JUPYTERLAB_WORKSPACES_DIR='$(CURDIR)/build/lab' $(BIN)/jupyter lab \
 	  $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB) notebooks
+
+explore: $(ENVIRONMENT)  ## open the sliders and the page for your own system in a browser tab
+	@$(BIN)/python -m robsmooth.explorer $(LAB)
 
 # A file's tests run in one process, in the order of tests/conftest.py: the longest files first.
 PARALLEL = -n 2 --dist loadfile --no-loadscope-reorder

@@ -1,4 +1,4 @@
-"""The explorer: sliders, and the figure, the sentence and the code at their settings."""
+"""The explorer: sliders with the verdict and figures at their settings, and a page for a system."""
 
 import asyncio
 import base64
@@ -9,26 +9,27 @@ from html import escape
 
 import ipywidgets as widgets
 from IPython import get_ipython
+from traitlets import link
 
 from robsmooth.estimators.conditions import COSTS
-from robsmooth.explorer.panels import png
+from robsmooth.explorer.own_system import OwnSystem
+from robsmooth.explorer.panels import overview, png, theory
 from robsmooth.explorer.snapshot import DESIGNS, SLIDERS, Settings, Snapshot, take_snapshot
 
 DEBOUNCE = 0.004  # s without an event before the settings are drawn
-REST = 0.2  # s more before the certified errors are computed
-JUDGING = "being prepared"
+REST = 0.2  # s more before the other designs are made, and all are judged
+JUDGING = "The designs are being compared."
 _COLUMNS = {
-    "The smoother": ("lag", "order", "design", "cost"),
-    "The light and the uncertainty": ("noise", "lam", "kappa", "gamma"),
+    "The smoother": ("lag", "order", "gamma"),
+    "The light": ("noise", "lam", "kappa"),
     "A design by hand": ("tau", "lambda1", "lambda2", "lambda3", "lambda4"),
 }
-_CHOICES = {"design": DESIGNS, "cost": COSTS}
-_LABELS = {"design": "design", "cost": "error to keep low"}
-_LABELS |= {name: slider.label for name, slider in SLIDERS.items()}
+_CHOICES = {"design": ("design", DESIGNS), "cost": ("error to keep low", COSTS)}
+_PAGES = ("The paper's loop", "For theorists", "The code", "Your own system")
 
 
 class Explorer:
-    """What a design does at some settings, for a notebook; with sliders where they can be moved."""
+    """What designs do at some settings, for a notebook; with sliders where they can be moved."""
 
     def __init__(self, settings: Settings | None = None):
         self._start = settings or Settings()
@@ -53,38 +54,55 @@ class Explorer:
         request = kernel.get_parent("shell").get("content", {}) if kernel else {}
         # A frontend in a batch run takes no input.
         live = self.widget._repr_mimebundle_() if request.get("allow_stdin") else {}
-        found = self.snapshot
-        image = base64.b64encode(png(found)).decode()
-        return {**live, "image/png": image, "text/plain": summary(found)}
+        image = base64.b64encode(png(self.snapshot, overview)).decode()
+        return {**live, "image/png": image, "text/plain": " ".join(verdict(self.snapshot))}
 
     @cached_property
     def widget(self) -> widgets.Widget:
-        """The sliders and all that follows them."""
-        self.inputs = {name: _input(name) for names in _COLUMNS.values() for name in names}
-        self._image = widgets.Image(format="png", layout={"width": "auto"})
-        self._summary = widgets.HTML(layout={"min_height": "4.5em"})  # the figure stays in place
+        """The sliders and all that follows them, on pages."""
+        columns = [self._column(*column) for column in _COLUMNS.items()]
+        self._by_hand = columns[-1]
+        self._image, self._theory = (
+            widgets.Image(format="png", layout={"width": "auto"}) for _ in range(2)
+        )
+        self._verdict = widgets.HTML(layout={"min_height": "7em"})  # the figure stays in place
         self._code = widgets.Textarea(layout={"width": "auto", "height": "24em"})
         reset = widgets.Button(description="Reset", tooltip="back to the settings at the start")
         reset.on_click(self._reset)
-        columns = [self._column(title) for title in _COLUMNS]
-        self._by_hand = columns[-1]
-        parts = {"panels": self._image, "summary": self._summary, "code": self._code}
-        for name, part in {**self.inputs, **parts, "reset": reset}.items():
+        for name, (label, options) in _CHOICES.items():
+            wide = {"description": label, "style": {"description_width": "initial"}}
+            self.inputs[name] = widgets.Dropdown(options=options, **wide)
+        own = OwnSystem().widget
+        parts = {"panels": self._image, "verdict": self._verdict, "code": self._code}
+        parts |= {"theory": self._theory, "own-system": own, "reset": reset}
+        for name, part in {**self.inputs, **parts}.items():
             part.add_class(f"robsmooth-{name}")
         self._reset()
         self._show(self._start, self.snapshot)
         for each in self.inputs.values():
             each.observe(self._follow_soon, "value")
-        row = widgets.HBox(columns, layout={"flex_flow": "row wrap", "min_height": "196px"})
-        whole = [row, reset, self._summary, self._image, self._code]
-        return widgets.VBox(whole, layout={"max_width": "1000px"}).add_class("robsmooth-explorer")
+        wrapped = {"layout": {"flex_flow": "row wrap"}}
+        top = widgets.HBox([*(self.inputs[name] for name in _CHOICES), reset], **wrapped)
+        controls = widgets.VBox([top, widgets.HBox(columns, **wrapped), self._verdict])
+        pages = widgets.Tab([self._image, self._theory, self._code, own], titles=_PAGES)
 
-    def _column(self, title: str) -> widgets.Widget:
-        labels = {name: widgets.Label(_LABELS[name]) for name in _COLUMNS[title]}
-        cells = [cell for name in labels for cell in (labels[name], self.inputs[name])]
-        grid = {"grid_template_columns": "max-content minmax(12em, 1fr)"}  # in any font
-        parts = [widgets.HTML(f"<b>{title}</b>"), widgets.GridBox(cells, layout=grid)]
-        return widgets.VBox(parts, layout={"flex": "1 1 0", "min_width": "min-content"})
+        def without_sliders(change: dict) -> None:
+            controls.layout.display = "none" if change["new"] == len(_PAGES) - 1 else ""
+
+        pages.observe(without_sliders, "selected_index")
+        whole = widgets.VBox([controls, pages], layout={"max_width": "1000px"})
+        return whole.add_class("robsmooth-explorer")
+
+    def _column(self, title: str, names: tuple[str, ...]) -> widgets.Widget:
+        cells = [widgets.HTML(f"<b>{title}</b>"), widgets.HTML(), widgets.HTML()]
+        for name in names:
+            slider, number = _slider(name)
+            self.inputs[name] = slider
+            cells += [widgets.Label(SLIDERS[name].label), slider, number]
+        grid = {"grid_template_columns": "max-content minmax(8em, 1fr) 6em"}  # in any font
+        return widgets.GridBox(
+            cells, layout={**grid, "flex": "1 1 22em", "align_content": "flex-start"}
+        )
 
     def _reset(self, _=None) -> None:
         for name, value in asdict(self._start).items():
@@ -99,38 +117,63 @@ class Explorer:
         """Show the quick results, then all; newer settings cancel this."""
         await asyncio.sleep(DEBOUNCE)
         settings = self.settings
-        self._show(settings, take_snapshot(settings, certified=False))
+        self._show(settings, take_snapshot(settings, complete=False))
         await asyncio.sleep(REST)
         self._show(settings, await asyncio.to_thread(take_snapshot, settings))
 
     def _show(self, settings: Settings, found: Snapshot | str) -> None:
-        self._image.value, self._summary.value = png(found), escape(summary(found))
+        self._image.value = png(found, overview)
+        if isinstance(found, str) or found.is_complete:
+            self._theory.value = png(found, theory)
+        sentences = "</p><p>".join(map(escape, verdict(found)))
+        self._verdict.value = f'<div style="line-height: 1.3"><p>{sentences}</p></div>'
         self._code.value = settings.code()
-        self._by_hand.layout.display = "flex" if settings.design == "by hand" else "none"
+        self._by_hand.layout.display = "grid" if settings.design == "by hand" else "none"
 
 
-def summary(found: Snapshot | str) -> str:
-    """Return the errors in a sentence."""
+def verdict(found: Snapshot | str) -> list[str]:
+    """Return what waiting buys, what a guarantee costs, and which design is ahead, in sentences."""
     if isinstance(found, str):
-        return f"There is no design. {found}"
-    filtered, smoothed = found.own.with_sine.filtered, found.own.with_sine.smoothed
-    share = f"{abs(1.0 - smoothed / filtered):.1%} {'below' if smoothed < filtered else 'above'}"
-    own, classical = found.own.judged.certified, found.classical.judged.certified
-    certified = f"at most {own:.4f} rad², and the classical smoother's at most {classical:.4f} rad²"
-    return (
-        f"With the sine in the loop, smoothing has a mean square error of {smoothed:.4f} rad², "
-        f"{share} the filter's {filtered:.4f} rad²; whatever the uncertainty in the sector, the "
-        f"{found.settings.cost} error is {JUDGING if math.isnan(own) else certified}."
-    )
+        return [f"There is no design. {found}"]
+    cost, with_sine = found.settings.cost, found.own.with_sine
+    change = with_sine.smoothed / with_sine.filtered - 1.0
+    sentences = [
+        f"With the sine in the loop, waiting {1e6 * found.settings.lag:.3g} µs "
+        f"{'lowers' if change < 0.0 else 'raises'} the mean square error from "
+        f"{with_sine.filtered:.4f} rad² to {with_sine.smoothed:.4f} rad², by {abs(change):.1%}."
+    ]
+    if not found.is_complete:
+        return [*sentences, JUDGING]
+    certified = {name: each.judged.certified for name, each in found.found.items()}
+    errors = {name: getattr(each.with_sine, cost) for name, each in found.found.items()}
+    safest, best = min(certified, key=certified.get), min(errors, key=errors.get)
+    if math.isinf(certified[safest]):
+        sentences.append("No design has a guarantee for this uncertainty.")
+    else:
+        plain = found.found.get("classical", found.own).judged
+        nominal = found.found[safest].judged.nominal / plain.nominal - 1.0
+        none = "has no guarantee" if math.isinf(plain.certified) else "guarantees {:.4f} rad²"
+        sentences.append(
+            f"The lowest guarantee is that of the {safest} design: whatever the uncertainty, the "
+            f"{cost} error is at most {certified[safest]:.4f} rad². The classical design "
+            f"{none.format(plain.certified)}. The price, without uncertainty, is {nominal:+.1%}."
+        )
+    sentences.append(f"With the sine itself, the {best} design has the least error here.")
+    return sentences
 
 
-def _input(name: str) -> widgets.Widget:
-    common = {"layout": {"width": "auto"}}
-    if name in _CHOICES:
-        return widgets.Dropdown(options=_CHOICES[name], **common)
+def _slider(name: str) -> tuple[widgets.Widget, widgets.Widget]:
+    """Return a slider, and a field in which its number can be typed."""
     _, tooltip, low, high, step, _ = SLIDERS[name]
-    common |= {"tooltip": tooltip, "min": low, "max": high, "step": step}
+    limits = {"tooltip": tooltip, "min": low, "max": high, "step": step}
+    kinds = widgets.FloatSlider, widgets.BoundedFloatText
     if name == "order":
-        return widgets.IntSlider(**common)
-    decimals = len(f"{step:g}".partition(".")[2])
-    return widgets.FloatSlider(readout_format=f".{decimals}f", **common)
+        kinds = widgets.IntSlider, widgets.BoundedIntText
+    slider = kinds[0](**limits, readout=False, layout={"width": "auto"})
+    number = kinds[1](**limits, layout={"width": "auto"})
+    digits = len(f"{step:g}".partition(".")[2])  # a browser's 0.4 may be 0.39999999999999997
+    rounded = (lambda value: round(value, digits)), (lambda value: value)
+    link((slider, "value"), (number, "value"), rounded)
+    slider.add_class(f"robsmooth-{name}")
+    number.add_class(f"robsmooth-{name}-number")
+    return slider, number

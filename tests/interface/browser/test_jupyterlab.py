@@ -136,13 +136,11 @@ def test_explore_follows_its_settings(lab, page, complaints, screenshot, record_
 
     by_hand = page.locator(".robsmooth-design option", has_text="by hand").inner_text()
     page.locator(".robsmooth-design select").select_option(label=by_hand)
-    expect(panels.summary).to_contain_text("Assumption 3.2")
-    assert panels.picture() != first
-    assert panels.place() == place
+    eventually(page, lambda: panels.picture() != first, True)
     for fonts in in_each_font(page):
         assert faults(page, ".jp-Notebook") == [], fonts
         panels.scroll()
-        screenshot(f"infeasible-{fonts}")
+        screenshot(f"by-hand-{fonts}")
 
     page.locator(".robsmooth-reset").click()
     assert eventually(page, panels.picture, first) == first
