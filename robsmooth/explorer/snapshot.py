@@ -12,6 +12,7 @@ import numpy as np
 import robsmooth as rs
 from robsmooth._support import validation
 from robsmooth._support.validation import Matrix
+from robsmooth.analysis.lag import classical_error, optimal_error
 from robsmooth.estimators.bound import best_tau
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.homodyne.loop import StatisticalLinearisation
@@ -158,21 +159,12 @@ class Snapshot:
     """What there is to see at some settings."""
 
     settings: Settings
-    filtering: float  # the Kalman-Bucy filter's error without uncertainty, rad^2
     optimum: Matrix  # at each of `LAGS`, the least error of any smoother, without uncertainty
     modelled: Matrix  # at each, the classical smoother's, with a delay model of this order
-    found: dict[str, Findings]  # by design; the others are the last to be computed
+    own: Findings  # of the design that was chosen
+    found: dict[str, Findings]  # by design: the classical and the chosen one, then the others
     path: Matrix  # rows: the phase, its filtered and its smoothed estimate each `STEP`, rad
-
-    @property
-    def own(self) -> Findings:
-        """What is found of the design that was chosen."""
-        return self.found[self.settings.design]
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether all designs are judged."""
-        return not any(math.isnan(each.judged.certified) for each in self.found.values())
+    is_complete: bool  # whether all designs are there, and judged
 
 
 @lru_cache(maxsize=8)
@@ -180,16 +172,16 @@ def take_snapshot(settings: Settings, complete: bool = True) -> Snapshot | str:
     """Return what there is to see, or the sentence that says why there is nothing."""
     refusals, found = (ValueError, ArithmeticError, RuntimeError), {}
     try:
-        own = _findings(settings, complete)
-        optimum, modelled = _over_lags(settings.parameters, settings.order)
+        for name in (DESIGNS[0], settings.design):
+            found[name] = own = _findings(replace(settings, design=name), complete)
+        curves = _over_lags(settings.parameters, settings.order)
         path = _path(own.estimator)
     except refusals as refusal:
         return f"{refusal}."
-    for name in DESIGNS[:4] if complete else DESIGNS[:1]:
+    for name in set(DESIGNS[:4]) - set(found) if complete else ():
         with suppress(*refusals):
             found[name] = _findings(replace(settings, design=name), complete)
-    found[settings.design] = own
-    return Snapshot(settings, optimum[0], optimum, modelled, found, path)
+    return Snapshot(settings, *curves, own, found, path, complete)
 
 
 def _findings(settings: Settings, complete: bool) -> Findings:
@@ -197,22 +189,17 @@ def _findings(settings: Settings, complete: bool) -> Findings:
     with_sine = rs.statistical_linearisation(settings.parameters, estimator)
     if complete:
         return Findings(estimator, with_sine, rs.judge(estimator, settings.cost))
-    judged = rs.Judgement(_nominal(estimator, settings.cost), math.nan, math.nan)
-    return Findings(estimator, with_sine, judged)
-
-
-def _nominal(estimator: rs.Estimator, output: str) -> float:
-    return rs.delta_sweep(estimator, [0.0], output, loop="real").mean_square.item()
+    certain = estimator.plant.structured_delta()
+    nominal = rs.error_covariance(estimator, certain, settings.cost, loop="real").item()
+    return Findings(estimator, with_sine, rs.Judgement(nominal, math.nan, math.nan))
 
 
 @lru_cache(maxsize=8)
-def _over_lags(parameters: rs.homodyne.HomodyneParameters, order: int) -> tuple[Matrix, Matrix]:
+def _over_lags(parameters: rs.homodyne.HomodyneParameters, order: int) -> Matrix:
     """Return the optimum and the classical smoother's nominal error at each of `LAGS`."""
     system = parameters.uncertain_system()
-    optimum = [rs.baselines.optimal_fixed_lag_error(system, lag).item() for lag in LAGS]
-    designs = [rs.baselines.fixed_lag_smoother(system, lag, order, copies=True) for lag in LAGS[1:]]
-    modelled = [_nominal(design, "smoothed") for design in designs]
-    return np.array(optimum), np.array([optimum[0], *modelled])
+    errors = [(optimal_error(system, lag), classical_error(system, order, lag)) for lag in LAGS]
+    return np.array(errors).T
 
 
 def _path(estimator: rs.Estimator) -> Matrix:
