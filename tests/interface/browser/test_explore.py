@@ -31,7 +31,7 @@ def test_the_sliders_are_there_at_once(address, page, complaints, screenshot, re
     screenshot("start", whole=True)
     delays = [panels.press(".robsmooth-lag .noUi-handle", "ArrowRight") for _ in range(10)]
     record_property("from a key to another picture, ms", sorted(round(delay) for delay in delays))
-    number = page.locator(".robsmooth-gamma-number input")
+    number = page.locator(".robsmooth-gamma .widget-readout")
     number.fill("0.6")
     number.press("Enter")
     eventually(page, lambda: panels.picture() != first, True)
@@ -59,9 +59,9 @@ def test_a_system_of_ones_own_is_judged(address, page, complaints, screenshot):
     code = page.locator(".robsmooth-own-code textarea").input_value()
     assert "rs.best_smoother(plant)" in code
     screenshot("clock", whole=True)
-    page.locator(".robsmooth-own-delay input").fill("soon")
+    page.locator(".robsmooth-own-B1 textarea").fill("soon")
     page.locator(".robsmooth-own-compare").click()
-    expect(answer).to_contain_text("delay must be a number of seconds, got 'soon'")
+    expect(answer).to_contain_text("B1 must be rows of as many numbers each")
     assert ours(complaints) == []
 
 
