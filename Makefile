@@ -50,7 +50,7 @@ lab: $(ENVIRONMENT)  ## open the notebooks in JupyterLab (beside others that run
 	  $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB) notebooks
 
 explore: $(ENVIRONMENT)  ## open the sliders and the page for your own system in a browser tab
-	@$(BIN)/python -m robsmooth.explorer $(LAB)
+	@$(BIN)/voila --token $(LAB) notebooks/pages/explore.ipynb
 
 # A file's tests run in one process, in the order of tests/conftest.py: the longest files first.
 PARALLEL = -n 2 --dist loadfile --no-loadscope-reorder
@@ -85,7 +85,7 @@ bench: .venv/bench.stamp  ## measure the speed against NumPy, JAX, C++ and other
 format: $(DEVELOPMENT)  ## format code and notebooks; take out notebook outputs
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
-	$(BIN)/nbstripout --keep-id --extra-keys metadata.papermill $(wildcard notebooks/*.ipynb)
+	$(BIN)/nbstripout --keep-id --extra-keys metadata.papermill $(wildcard notebooks/*.ipynb notebooks/pages/*.ipynb)
 
 clean:  ## remove build/ and caches; figures/ and data/ stay
 	rm -rf build .pytest_cache .ruff_cache .hypothesis

@@ -63,29 +63,28 @@ class Explorer:
         reset = widgets.Button(description="Reset", tooltip="back to the settings at the start")
         reset.on_click(self._reset)
         parts = {"panels": self._image, "theory": self._theory, "code": self._code}
-        parts |= {"verdict": self._verdict, "reset": reset}
-        for name, part in {**self.inputs, **parts}.items():
+        for name, part in {
+            **self.inputs,
+            **parts,
+            "verdict": self._verdict,
+            "reset": reset,
+        }.items():
             part.add_class(f"robsmooth-{name}")
-        *columns, self._by_hand = (
-            widgets.VBox(
-                [widgets.HTML(f"<b>{title}</b>"), *(self.inputs[name] for name in names)],
-                layout={"flex": "1 1 22em"},
-            )
-            for title, names in _COLUMNS.items()
-        )
-        columns[-1].children += (reset,)
+        columns = [widgets.VBox(layout={"flex": "1 1 22em"}) for _ in _COLUMNS]
+        for column, (title, names) in zip(columns, _COLUMNS.items(), strict=True):
+            column.children = [widgets.HTML(f"<b>{title}</b>"), *map(self.inputs.get, names)]
+        _, light, self._by_hand = columns
+        light.children += (reset,)
         self._reset()
         self._show(self._start, take_snapshot(self._start))
         for each in self.inputs.values():
             each.observe(self._follow_soon, "value")
-        row = widgets.HBox([*columns, self._by_hand], layout={"flex_flow": "row wrap"})
+        row = widgets.HBox(columns, layout={"flex_flow": "row wrap"})
         views = widgets.Tab([self._image, self._theory, self._code])
         views.titles = "Figures", "For theorists", "The code"
         loop = widgets.VBox([widgets.HTML(_STYLE), row, self._verdict, views])
-        titles = "The paper's loop", "Your own system"
-        pages = widgets.Tab(
-            [loop, OwnSystem().widget], titles=titles, layout={"max_width": "1000px"}
-        )
+        pages = widgets.Tab([loop, OwnSystem().widget], layout={"max_width": "1000px"})
+        pages.titles = "The paper's loop", "Your own system"
         return pages.add_class("robsmooth-explorer")
 
     def _reset(self, _=None) -> None:

@@ -19,7 +19,7 @@ _FIELDS = {
     "C0": "what to estimate, from states",
     "C2": "measurements from states",
     "D21": "measurements from noises",
-    "uncertain": f"entries: {_RULE}",
+    "uncertain": "entries of A and C2, counted from zero: A[0,0] 10%",
     "delay": "s",
     "order": "states of the delay's model",
 }
@@ -70,13 +70,10 @@ def _channel(line: str, values: dict[str, Matrix]) -> str:
     name, row, column = found[1], int(found[2]), int(found[3])
     entry = values[name][row : row + 1, column : column + 1]
     if not entry.any():
-        shape = "x".join(map(str, values[name].shape))
-        raise ValueError(
-            f"{name}, which is {shape}, must have a number other than zero there, got {line!r}"
-        )
-    B, D = (
-        f"{float(each == name)} * np.eye({len(values[each])}, 1, {-row})" for each in ("A", "C2")
-    )
+        rule = f"an entry of {name}, of shape {values[name].shape}, that is not zero"
+        raise ValueError(f"an uncertain entry must be {rule}, got {line!r}")
+    unit = "{:.1f} * np.eye({}, 1, {})".format
+    B, D = (unit(each == name, len(values[each]), -row) for each in ("A", "C2"))
     size = f"{float(found[4]) / 100.0} * {entry.item()}"
     return f"rs.Uncertainty({B}, {size} * np.eye(1, {len(values['A'])}, {column}), {D})"
 

@@ -2,10 +2,10 @@
 
 import os
 import re
+import shlex
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import psutil
 
+from tests.helpers.labs import ROOT, STAMPS
 from tests.helpers.waiting import PATIENCE
 
 URL = re.compile(r"http://(?:localhost|127\.0\.0\.1):\d+/\S*")
@@ -24,11 +25,16 @@ def running_explorer(folder: Path) -> Iterator[tuple[str, psutil.Popen]]:
     log = folder / "log.txt"
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    command = [sys.executable, "-m", "robsmooth.explorer", "--no-browser", f"--port={port}"]
-    environment = {**os.environ, "JUPYTER_RUNTIME_DIR": str(folder / "runtime")}
+    options = f"LAB=--no-browser --port={port}"
+    # without what a make around us has set
+    environment = {name: each for name, each in os.environ.items() if not name.startswith("MAKE")}
+    environment["JUPYTER_RUNTIME_DIR"] = str(folder / "runtime")
+    asked = ["make", "-s", "-n", *STAMPS, "explore", options]
+    command = shlex.split(subprocess.check_output(asked, cwd=ROOT, env=environment, text=True))
     with open(log, "wb") as output:
         server = psutil.Popen(
             command,
+            cwd=ROOT,
             env=environment,
             stdin=subprocess.DEVNULL,
             stdout=output,

@@ -9,6 +9,7 @@ from urllib.parse import urlsplit, urlunsplit
 import psutil
 
 from tests.helpers.explorers import running_explorer
+from tests.helpers.sockets import listening
 from tests.helpers.waiting import PATIENCE
 
 
@@ -28,14 +29,7 @@ def test_the_explorer_is_served_to_who_has_its_token_and_ends_without_a_trace(tm
         with suppress(HTTPError):
             assert "widget-view" not in page(urlunsplit(parts._replace(query="")))
         family = [server, *server.children(recursive=True)]
-        ports = []
-        for process in family:
-            with suppress(psutil.NoSuchProcess):
-                ports += [
-                    each.laddr
-                    for each in process.net_connections("inet")
-                    if each.status == psutil.CONN_LISTEN
-                ]
+        ports = listening(server)
         assert parts.port in {address.port for address in ports}
         assert all(ipaddress.ip_address(address.ip).is_loopback for address in ports)
     assert server.returncode == 0
