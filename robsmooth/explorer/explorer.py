@@ -24,8 +24,11 @@ _COLUMNS = {
     "A design by hand": ("tau", "lambda1", "lambda2", "lambda3", "lambda4"),
 }
 _CHOICES = {"design": ("design", DESIGNS), "cost": ("error to keep low", COSTS)}
-# A slider's number can be typed, and looks like it.
-_STYLE = "<style>.robsmooth-explorer .widget-readout { border: 1px solid #bbb; }</style>"
+# A slider's number can be typed, and looks like it; a tab is as wide as its title.
+_STYLE = """<style>
+.robsmooth-explorer .widget-readout { border: 1px solid #bbb; }
+.robsmooth-explorer .lm-TabBar-tab { flex: none !important; }
+</style>"""
 
 
 class Explorer:
@@ -58,7 +61,7 @@ class Explorer:
         """The sliders and all that follows them, and the page for a system."""
         self.inputs = {name: _input(name) for names in _COLUMNS.values() for name in names}
         self._image, self._theory = (widgets.Image(layout={"width": "auto"}) for _ in range(2))
-        self._verdict = widgets.HTML(layout={"min_height": "7em"})  # the figure stays in place
+        self._verdict = widgets.HTML(layout={"min_height": "9.5em"})  # the figure stays in place
         self._code = widgets.Textarea(layout={"width": "auto", "height": "24em"})
         reset = widgets.Button(description="Reset", tooltip="back to the settings at the start")
         reset.on_click(self._reset)
@@ -148,7 +151,7 @@ def verdict(found: Snapshot | str) -> list[str]:
 
 
 def _input(name: str) -> widgets.Widget:
-    look = {"layout": {"width": "auto"}, "style": {"description_width": "11em"}}
+    look = {"layout": {"width": "auto"}, "style": {"description_width": "13em"}}
     if name in _CHOICES:
         label, options = _CHOICES[name]
         return widgets.Dropdown(description=label, options=options, **look)
