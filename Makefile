@@ -25,7 +25,7 @@ unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 unexport PYTHONDONTWRITEBYTECODE
 
 .NOTPARALLEL:
-.PHONY: help setup figures lab test test-library test-browser attack report bench format lock upgrade audit clean distclean
+.PHONY: help setup figures lab explore test test-library test-browser attack report bench format lock upgrade audit clean distclean
 
 help:  ## list the targets and variables
 	@echo 'Targets:'
@@ -38,7 +38,7 @@ help:  ## list the targets and variables
 	@echo '  TRIES       how often make attack makes each attack (default: as each script says)'
 	@echo '  PYTHON      the Python, 3.11 or newer, to make .venv with (default: python3)'
 	@echo '  RESOLUTION  what test-library installs: highest (default) or lowest-direct'
-	@echo '  LAB         more options of JupyterLab, for example LAB=--no-browser'
+	@echo '  LAB         more options of lab and explore, for example LAB=--no-browser'
 
 setup: $(ENVIRONMENT)  ## make .venv from the lock, hash-checked (the other targets do it as needed)
 
@@ -51,6 +51,9 @@ figures: $(if $(DASK),$(DEVELOPMENT),$(ENVIRONMENT))  ## run the notebooks that 
 lab: $(ENVIRONMENT)  ## open the notebooks in JupyterLab (beside others that run: it takes a free port)
 	@JUPYTERLAB_WORKSPACES_DIR='$(CURDIR)/build/lab' $(BIN)/jupyter lab \
 	  $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB) notebooks
+
+explore: $(ENVIRONMENT)  ## open the sliders and the page for your own system in a browser tab
+	@$(BIN)/voila --token $(LAB) notebooks/pages/explore.ipynb
 
 # A file's tests run in one process, in the order of tests/conftest.py: the longest files first.
 PARALLEL = -n 2 --dist loadfile --no-loadscope-reorder
@@ -88,7 +91,7 @@ bench: .venv/bench.stamp  ## measure the speed against NumPy, JAX, C++ and other
 format: $(DEVELOPMENT)  ## format code and notebooks; take out notebook outputs
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
-	$(BIN)/nbstripout --keep-id --extra-keys metadata.papermill $(wildcard notebooks/*.ipynb)
+	$(BIN)/nbstripout --keep-id --extra-keys metadata.papermill $(wildcard notebooks/*.ipynb notebooks/pages/*.ipynb)
 
 clean:  ## remove build/ and caches; figures/ and data/ stay
 	rm -rf build .pytest_cache .ruff_cache .hypothesis

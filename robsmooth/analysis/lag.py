@@ -115,7 +115,7 @@ def lag_sweep(
     cases = [worst_case(design(system, lag, order), loop="real") for lag, order in bar]
     errors = np.array([(case.nominal, case.mean_square) for case in cases]).T
     errors = errors.reshape(2, len(orders), len(lags))
-    optimal = np.array([_optimal_error(system, lag) for lag in lags])
+    optimal = np.array([optimal_error(system, lag) for lag in lags])
     return LagSweep(lags, orders, *errors, optimal)
 
 
@@ -193,7 +193,7 @@ def choose_lag(
     (2.58e-06, 2)
     """
     target = _target(system, target, fraction)
-    filtered = _classical_error(system, 0, 0.0)
+    filtered = classical_error(system, 0, 0.0)
     if filtered <= target:
         return LagChoice(0.0, 0, filtered, target)
     longest, least = _longest_lag(system), math.inf
@@ -206,19 +206,19 @@ def choose_lag(
         none = f"no order up to {_MOST_ORDER} has an error of at most {target:.6g} at any lag"
         detail = f"{none}; the least that was found is {least:.6g}"
         raise InfeasibleDesignError("The target", detail)
-    error, first = partial(_classical_error, system, order), (errors <= target).argmax()
+    error, first = partial(classical_error, system, order), (errors <= target).argmax()
     low, high = lags[first - 1 : first + 1]
     tolerance = {"xtol": 1e-12 * high, "rtol": 1e-12}
     lag = brentq(lambda lag: error(lag) / target - 1.0, low, high, **tolerance)
     return LagChoice(lag, order, error(lag), target)
 
 
-def _optimal_error(system: UncertainSystem, lag: float) -> float:
+def optimal_error(system: UncertainSystem, lag: float) -> float:
     """Return the least mean square error of any linear smoother with an exact lag."""
     return float(np.trace(baselines.optimal_fixed_lag_error(system, lag)))
 
 
-def _classical_error(system: UncertainSystem, order: int, lag: float) -> float:
+def classical_error(system: UncertainSystem, order: int, lag: float) -> float:
     """Return the nominal mean square error of the classical smoother."""
     smoother = _classical(system, lag, order)
     Delta = smoother.plant.structured_delta()
@@ -229,7 +229,7 @@ def _target(system: UncertainSystem, target: float | None, fraction: float | Non
     """Return the mean square error to meet; refuse one that no smoother meets."""
     if (target is None) == (fraction is None):
         raise ValueError("choose_lag takes either a target or a fraction of the possible gain")
-    filtering, two_sided = _optimal_error(system, 0.0), _optimal_error(system, math.inf)
+    filtering, two_sided = optimal_error(system, 0.0), optimal_error(system, math.inf)
     if fraction is not None:
         fraction = validation.real("fraction", fraction, low=0.0, high=1.0, without=[1.0])
         target = filtering - fraction * (filtering - two_sided)
@@ -243,19 +243,19 @@ def _target(system: UncertainSystem, target: float | None, fraction: float | Non
 
 def _longest_lag(system: UncertainSystem) -> float:
     """Return a lag, up to a factor of two, beyond which the optimum falls by next to nothing."""
-    filtering, two_sided = _optimal_error(system, 0.0), _optimal_error(system, math.inf)
+    filtering, two_sided = optimal_error(system, 0.0), optimal_error(system, math.inf)
     if not two_sided < (1.0 - _LEAST_GAIN) * filtering:
         detail = f"it gains nothing: the error is {filtering:.6g} with any lag"
         raise InfeasibleDesignError("Smoothing", detail)
     lag = 1.0 / np.abs(baselines.kalman_bucy(system).poles).max()
-    while _optimal_error(system, lag) - two_sided > _LEAST_GAIN * (filtering - two_sided):
+    while optimal_error(system, lag) - two_sided > _LEAST_GAIN * (filtering - two_sided):
         lag *= 2.0
     return lag
 
 
 def _errors_of_lags(system: UncertainSystem, order: int, longest: float) -> tuple[Matrix, Matrix]:
     """Return lags from zero on, the best one included, and the classical errors."""
-    error = partial(_classical_error, system, order)
+    error = partial(classical_error, system, order)
     lags = np.append(0.0, _LAGS * longest)
     errors = np.array([error(lag) for lag in lags])
     best = int(errors.argmin())

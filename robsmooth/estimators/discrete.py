@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
 from robsmooth.estimators.copies import Functions, running_copies, running_functions
-from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.exact import ExactFilter
 from robsmooth.estimators.exports import Exports
 from robsmooth.estimators.held import HeldEstimator
@@ -63,7 +62,7 @@ class DiscreteSmoother(Exports):
 
     def __init__(
         self,
-        estimator: Estimator,
+        estimator: Any,  # an Estimator, which imports this module
         dt: float,
         functions: Iterable[Callable[[Any], Any] | None] | None = None,
         delay: str | None = None,
@@ -71,7 +70,8 @@ class DiscreteSmoother(Exports):
         offset: ArrayLike | None = None,
         samples: str = "means",
     ) -> None:
-        validation.instance("estimator", estimator, Estimator)
+        if not hasattr(type(estimator), "discretize"):
+            raise TypeError(f"estimator must be an Estimator, got {validation.shown(estimator)}")
         self.dt: float = validation.positive("dt", dt)
         self.delay: float = estimator.plant.delay
         self.lag: float = self.delay

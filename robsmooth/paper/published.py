@@ -147,7 +147,8 @@ def read_simulation(folder: Path) -> SimulatedErrors:
     """Return the mean square errors in a folder; ValueError where they are missing or corrupt."""
     try:
         cases = json.loads((folder / RESULTS).read_text(encoding="utf-8"))["cases"]
-        return {name: _errors(cases[name]) for name in (*LITERAL, *AVERAGED)}
+        outputs, names = ("smoothed", "filtered"), (*LITERAL, *AVERAGED)
+        return {name: {each: _error(cases[name][each]) for each in outputs} for name in names}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
             f"{RESULTS} in {folder.name}/ cannot be used ({type(error).__name__}: {error}); "
@@ -155,12 +156,9 @@ def read_simulation(folder: Path) -> SimulatedErrors:
         ) from None
 
 
-def _errors(stored: Mapping[str, Mapping[str, float]]) -> Mapping[str, MeanSquare]:
-    found, fields = {}, ("mean_square", "standard_error")
-    for output in ("smoothed", "filtered"):
-        values = (validation.real(name, stored[output][name], low=0.0) for name in fields)
-        found[output] = MeanSquare(*values)
-    return found
+def _error(stored: Mapping[str, float]) -> MeanSquare:
+    fields = ("mean_square", "standard_error")
+    return MeanSquare(*(validation.real(name, stored[name], low=0.0) for name in fields))
 
 
 def write_simulation(data: Path | str, results: Mapping[str, Any], seed: int) -> None:

@@ -140,20 +140,30 @@ def candidates(
 ) -> Figure:
     """Draw estimators' errors in rows, those beyond the limits as numbers, and floors as lines."""
     figure, axes = plt.subplots(figsize=(3.4, 1.3 + 0.34 * len(errors)))
-    legend = {}
-    for row, each in zip(label_rows(axes, errors), errors.values(), strict=True):
-        seen = [min(value, limits[1]) for value in each.values()]
-        axes.plot([min(seen), max(seen)], [row, row], "-", color="0.85", linewidth=2.5, zorder=1)
-        for number, (name, value) in enumerate(each.items()):
-            look = LOOSE | {"marker": "o^|x"[number], "color": ("C0", "C1", "k", "k")[number]}
-            if value <= limits[1]:
-                (legend[name],) = axes.plot(value, row, **look)
-            else:
-                axes.annotate(f"{value:.3g} →", (limits[1], row + 0.2), ha="right", color="0.3")
+    draw_candidates(axes, errors, limits)
     for dashes, (name, floor) in zip(("-", "--", ":"), floors.items(), strict=False):
-        legend[name] = axes.axvline(floor, color="0.45", linestyle=dashes, linewidth=0.9, zorder=0)
-    axes.set(xlabel=f"mean square error ({unit})", xlim=limits)
-    return with_legend(figure, handles=legend.values(), labels=legend.keys())
+        axes.axvline(floor, color="0.45", linestyle=dashes, linewidth=0.9, zorder=0, label=name)
+    axes.set(xlabel=f"mean square error ({unit})")
+    return with_legend(figure)
+
+
+def draw_candidates(axes: Axes, errors: Mapping[str, Errors], limits: tuple[float, float]) -> None:
+    """Draw a row for each estimator, of the errors that are known, with labels for a legend."""
+    heights, kinds = (
+        label_rows(axes, errors),
+        list(dict.fromkeys(itertools.chain(*errors.values()))),
+    )
+    found = np.array([[each.get(kind, np.nan) for kind in kinds] for each in errors.values()])
+    shown = {"color": "0.85", "linestyle": "-", "linewidth": 2.5, "zorder": 1}
+    axes.plot(np.minimum(found, limits[1]).T, np.tile(heights, (len(kinds), 1)), **shown)
+    looks = zip("o^|x", ("C0", "C1", "k", "k"), kinds, found.T, strict=False)
+    for marker, color, kind, values in looks:
+        values = np.where(values > limits[1], np.nan, values)
+        axes.plot(values, heights, marker=marker, color=color, label=kind, **LOOSE)
+    for height, values in zip(heights, found, strict=True):
+        if beyond := ", ".join(f"{value:.3g}" for value in values if value > limits[1]):
+            axes.annotate(f"{beyond} →", (limits[1], height + 0.2), ha="right", color="0.3")
+    axes.set(xlim=limits)
 
 
 def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Figure:

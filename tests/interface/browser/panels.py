@@ -38,11 +38,15 @@ class Panels:
     def __init__(self, page: Page) -> None:
         self.page = page
         self.image = page.locator("img.robsmooth-panels, .robsmooth-panels img")
-        self.summary = page.locator(".robsmooth-summary")
+        self.verdict = page.locator(".robsmooth-verdict")
         self.code = page.locator(".robsmooth-code textarea")
         expect(self.image).to_be_visible()
-        expect(self.summary).not_to_contain_text("being prepared")
+        self.wait()
         self.scroll()
+
+    def wait(self) -> None:
+        """Wait until all designs are compared."""
+        expect(self.verdict).not_to_contain_text("being compared")
 
     def scroll(self) -> None:
         """Bring all of it into sight."""

@@ -120,9 +120,8 @@ def test_a_second_lab_in_the_same_browser_leaves_the_first_alone(lab, page, tmp_
 def test_explore_follows_its_settings(lab, page, complaints, screenshot, record_property):
     notebook.open_notebook(page, lab, "explore")
     notebook.start_all(page)
-    notebook.wait_until_done(page)
+    panels = Panels(page)  # its cells are folded and show no prompts
     assert notebook.errors(page) == []
-    panels = Panels(page)
     first, place, code = panels.picture(), panels.place(), panels.code.input_value()
     assert "lam=9140.0, kappa=40000.0" in code
     assert "delay=3.1e-06" in code
@@ -136,16 +135,15 @@ def test_explore_follows_its_settings(lab, page, complaints, screenshot, record_
 
     by_hand = page.locator(".robsmooth-design option", has_text="by hand").inner_text()
     page.locator(".robsmooth-design select").select_option(label=by_hand)
-    expect(panels.summary).to_contain_text("Assumption 3.2")
-    assert panels.picture() != first
-    assert panels.place() == place
+    eventually(page, lambda: panels.picture() != first, True)
     for fonts in in_each_font(page):
         assert faults(page, ".jp-Notebook") == [], fonts
         panels.scroll()
-        screenshot(f"infeasible-{fonts}")
+        screenshot(f"by-hand-{fonts}")
 
     page.locator(".robsmooth-reset").click()
     assert eventually(page, panels.picture, first) == first
+    panels.wait()
     expect(panels.code).to_have_value(code)
     assert panels.place() == place
     assert notebook.errors(page) == []
