@@ -4,6 +4,8 @@ A loop is compiled once for all. What numba cannot compile is called in Python.
 """
 
 import ctypes
+import signal
+import threading
 import warnings
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import replace
@@ -88,6 +90,18 @@ class CalledFunctions:
                 found[:] = np.nan
 
         return _Called(of_rows)
+
+    def __enter__(self) -> None:
+        """Keep interrupts for `check`: at the beginning of a callback one would be lost."""
+        usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        alone = threading.current_thread() is threading.main_thread()  # which gets the signals
+        self._keeps = self.in_python and usual and alone
+        if self._keeps:
+            signal.signal(signal.SIGINT, lambda *_: self._errors.append(KeyboardInterrupt()))
+
+    def __exit__(self, *_: object) -> None:
+        if self._keeps:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def check(self, finite: bool = True, what: str = "") -> None:
         """Raise the error of a function, or an ArithmeticError where `what` is not finite."""

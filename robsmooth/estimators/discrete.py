@@ -70,8 +70,8 @@ class DiscreteSmoother(Exports):
         offset: ArrayLike | None = None,
         samples: str = "means",
     ) -> None:
-        if not hasattr(type(estimator), "discretize"):
-            raise TypeError(f"estimator must be an Estimator, got {validation.shown(estimator)}")
+        if not hasattr(estimator, "discretize"):
+            raise TypeError(f"estimator must be an Estimator, got {type(estimator).__name__}")
         self.dt: float = validation.positive("dt", dt)
         self.delay: float = estimator.plant.delay
         self.lag: float = self.delay
@@ -80,10 +80,9 @@ class DiscreteSmoother(Exports):
         if delay is not None:
             validation.choice("delay", delay, ("exact", "model"))
         if delay == "exact" and estimator.nominal is None:
-            raise ValueError(
-                "delay 'exact' is for classical and tuned designs, which have a nominal system; "
-                "this one is a filter of the plant with its delay model: delay='model'"
-            )
+            what = "this one is a filter of the plant with its delay model: delay='model'"
+            rule = "classical and tuned designs, which have a nominal system"
+            raise ValueError(f"delay 'exact' is for {rule}; {what}")
         self.exact: bool = estimator.nominal is not None and delay != "model"
         mean = np.zeros(system.n) if mean is None else mean
         self._mean = validation.matrix("mean", mean, [system.n])
@@ -288,10 +287,8 @@ class DiscreteSmoother(Exports):
     def _exact(self, name: str) -> ExactFilter:
         if isinstance(self._engine, ExactFilter):
             return self._engine
-        raise ValueError(
-            f"{name} is for an exact smoother, of a classical or a tuned design without "
-            "delay='model': this one runs a model of its delay"
-        )
+        rule = "an exact smoother, of a classical or a tuned design without delay='model'"
+        raise ValueError(f"{name} is for {rule}: this one runs a model of its delay")
 
     def _take(self, given: Samples, output: str, spread: bool) -> Pair:
         with self._lock:

@@ -64,8 +64,9 @@ class Engine:
         rows, finite = 1 + _UNINTERRUPTED // (_OF_A_SAMPLE + cost), True
         try:
             given = self._functions.addresses, self._arguments, sampled, kinds, memory, *of
-            for i in range(0, len(y), rows):
-                finite = finite and advance(*given, i, min(i + rows, len(y)))
+            with self._functions:
+                for i in range(0, len(y), rows):
+                    finite = finite and advance(*given, i, min(i + rows, len(y)))
         except np.linalg.LinAlgError:
             finite = False
         what = "the estimate, or with too few samples for a mode that grows its covariance,"

@@ -192,10 +192,9 @@ def _functions(discrete: Any, given: Texts) -> str:
     psi = validation.sequence("functions", psi, "expressions of C in x", discrete.g)
     running = discrete._running
     if not all(re.fullmatch(_EXPRESSION, str(psi[i] or "")) for i in running):
-        raise ValueError(
-            f"functions must be a list of {discrete.g} expressions of C in x, such as 'sin(x)', or "
-            f"None where no copy runs (copies run at {running}), got {validation.shown(given)}"
-        )
+        rule = f"{discrete.g} expressions of C in x, such as 'sin(x)', or None where no copy runs"
+        given = f"(copies run at {running}), got {validation.shown(given)}"
+        raise ValueError(f"functions must be a list of {rule} {given}")
     return "".join(_PSI.format(i, psi[i]) for i in running)
 
 

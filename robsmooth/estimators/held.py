@@ -35,10 +35,9 @@ class HeldEstimator(Engine):
     ) -> None:
         system, self.states = estimator.plant.system, len(estimator.A_c)
         if system.p:
-            raise ValueError(
-                "a system with known inputs is for an exact smoother, of a classical or a tuned "
-                "design without delay='model'; design this one for the system without B2 and D22"
-            )
+            rule = "an exact smoother, of a classical or a tuned design without delay='model'"
+            advice = "design this one for the system without B2 and D22"
+            raise ValueError(f"a system with known inputs is for {rule}; {advice}")
         super().__init__(functions, estimator.C_c[system.m :][running], shift)
         self._row = np.empty((1, 0)), np.empty((1, system.l)), np.empty((1, len(running)))
         self._estimator, self._dt, self._running = estimator, dt, running

@@ -139,10 +139,9 @@ def error_rows(smoother: Estimator, output: str) -> tuple[Matrix, Matrix, float]
         estimate, delay = smoother.C_f, 0.0
     if output == "guaranteed":
         if smoother.cost is None:
-            raise ValueError(
-                "output 'guaranteed' is for a RobustSmoother or MinimaxSmoother, got "
-                f"{type(smoother).__name__}; 'smoothed' and 'filtered' are for any estimator"
-            )
+            got = f"{type(smoother).__name__}; 'smoothed' and 'filtered' are for any estimator"
+            rule = "a RobustSmoother or MinimaxSmoother"
+            raise ValueError(f"output 'guaranteed' is for {rule}, got {got}")
         truth = plant.C_p0 if smoother.cost == "filtered" else plant.C_a
         estimate = smoother.C_c[: plant.system.m]
     return *np.vsplit(block_diag(truth, estimate), 2), delay
@@ -195,10 +194,8 @@ def drifting_error(
             found = covariances(drift[left, left], (W @ B)[left])
             past = past[:, left]
             return past @ found.stationary @ past.T + since @ since.T, past @ found.error @ past.T
-    raise UnstableLoopError(
-        "the error has no stationary covariance: the loop is not stable, it has an eigenvalue with "
-        f"real part {-rates(A)[0]:.4g} 1/s"
-    )
+    why = f"the loop is not stable, it has an eigenvalue with real part {-rates(A)[0]:.4g} 1/s"
+    raise UnstableLoopError(f"the error has no stationary covariance: {why}")
 
 
 def drifting_output(name: str, A: Matrix) -> str:

@@ -152,10 +152,9 @@ def nonlinear_loop(smoother: Estimator, uncertainties: Uncertainties = ()) -> No
         delay=plant.delay,
     )
     if not joined.slowest_rate > 0.0:
-        raise UnstableLoopError(
-            "the loop is not stable without its nonlinearities: its slowest mode has the decay "
-            f"rate {joined.slowest_rate:.3g} 1/s; put their slopes at zero into A and C2"
-        )
+        why = f"its slowest mode has the decay rate {joined.slowest_rate:.3g} 1/s"
+        what = f"{why}; put their slopes at zero into A and C2"
+        raise UnstableLoopError(f"the loop is not stable without its nonlinearities: {what}")
     return _linearised(joined)
 
 
@@ -196,10 +195,9 @@ def _uncertainties(plant: AugmentedSystem, given: Uncertainties) -> tuple[Matrix
         if callable(value):
             shape = np.shape(value(0.0, np.zeros((len(outputs), 2))))
             if shape != (len(inputs), 2):
-                raise ValueError(
-                    f"uncertainties[{s}] must map (t, zeta) with zeta of shape ({len(outputs)}, "
-                    f"paths) to shape ({len(inputs)}, paths), got {shape} for 2 paths"
-                )
+                rule = f"of shape ({len(outputs)}, paths) to shape ({len(inputs)}, paths)"
+                rule = f"must map (t, zeta) with zeta {rule}, got {shape} for 2 paths"
+                raise ValueError(f"uncertainties[{s}] {rule}")
             functions.append(Function(inputs, outputs, value, elementwise=False))
         norm = np.linalg.norm(delta[np.ix_(inputs, outputs)], 2)
         if norm > 1.0 + 1e-12:

@@ -174,11 +174,10 @@ class _Run:
         self.steps = self.before + self.averaged
         growth = loop.growth_rate * step * self.steps
         if growth > MOST_GROWTH:
-            raise ValueError(
-                f"duration must be shorter, got {duration:.4g} s after a warm-up of "
-                f"{self.before * step:.4g} s: the system grows at a rate of {loop.growth_rate:.4g} "
-                "1/s, and its errors would be lost in rounding"
-            )
+            got = f"{duration:.4g} s after a warm-up of {self.before * step:.4g} s"
+            why = f"the system grows at a rate of {loop.growth_rate:.4g} 1/s"
+            what = f"{got}: {why}, and its errors would be lost in rounding"
+            raise ValueError(f"duration must be shorter, got {what}")
         if loop.functions:  # else the scheme is exact
             warn_of_long_step(step, response_time, SILENT, default, stacklevel=4)
         self.scheme = loops.Steps(loop, step, measured)
@@ -201,18 +200,16 @@ class _Run:
             shape = (count, steps, len(scheme.scheme.signals), BLOCK)
             records = np.empty(shape if recorded else (1, 0, 0, 0))
             place = np.uint64(self.seed), first, start, steps
-            with groups.threads(alone=functions.in_python):
+            with groups.threads(alone=functions.in_python), functions:
                 kernel.advance_blocks(*constants, *place, records)
             functions.check()
             diverged = [(step, path) for path, step in memory.diverged.tolist() if path >= 0]
             if diverged:
                 step, path = min(diverged)
-                raise RuntimeError(
-                    f"path {path} of seed {self.seed} diverges: by {step * self.step:.4g} s an "
-                    f"output is not a number or beyond {kernel.GROWTH:g} times its size at the "
-                    f"start; the loop is not stable, or the step, {self.step:.4g} s, is too long "
-                    "for it"
-                )
+                what = f"not a number or beyond {kernel.GROWTH:g} times its size at the start"
+                what = f"by {step * self.step:.4g} s an output is {what}"
+                why = f"the loop is not stable, or the step, {self.step:.4g} s, is too long for it"
+                raise RuntimeError(f"path {path} of seed {self.seed} diverges: {what}; {why}")
             yield steps * count * BLOCK, memory.averages, records
 
     def simulate(self, first: int, count: int, report: Callable[[int], object]) -> NDArray:

@@ -169,10 +169,9 @@ class UncertainSystem(Frozen):
         """
         A, B, C, D, own = in_state_space(plant)
         if not (own or outputs is process_uncertainty is measurement_uncertainty is None):
-            raise TypeError(
-                f"plant must have states, a {type(plant).__name__} has none, where outputs, "
-                "process_uncertainty or measurement_uncertainty is given: control.ss(...)"
-            )
+            where = "outputs, process_uncertainty or measurement_uncertainty is given"
+            what = f"a {type(plant).__name__} has none, where {where}: control.ss(...)"
+            raise TypeError(f"plant must have states, {what}")
         n, l = len(A), len(C)  # noqa: E741 - the paper's letter
         process = covariance_root("process_noise", process_noise, B.shape[1])
         measurement = covariance_root("measurement_noise", measurement_noise, l)

@@ -218,19 +218,17 @@ def test_a_full_disk_is_a_clear_error_and_the_run_resumes_once_there_is_room(
     assert simulated == [*range(kept, blocks)]
 
 
-def test_a_damaged_checkpoint_is_refused_and_never_taken_for_a_result(path, simulated):
+def test_a_damaged_record_is_set_aside_and_never_taken_for_a_result(path, simulated):
     simulate(checkpoint=path, threads=1)
     with closing(sqlite3.connect(path)) as database, database:
         last = f"number = {BLOCKS}"
         database.execute(f"UPDATE record SET text = replace(text, '0.', '1.') WHERE {last}")
     simulated.clear()
-    with pytest.raises(CheckpointError, match=rf"record {BLOCKS} of the checkpoint .* is damaged"):
-        simulate(checkpoint=path)
-    with closing(sqlite3.connect(path)) as database, database:
-        database.execute(f"DELETE FROM record WHERE {last}")
-    assert simulated == []
-    assert simulate(checkpoint=path) == simulate()
-    assert simulated == [BLOCKS - 1, *range(BLOCKS)]
+    with pytest.warns(UserWarning, match=rf"{BLOCKS - 1} of its records are whole, and kept here"):
+        found = simulate(checkpoint=path)
+    assert simulated == [BLOCKS - 1]
+    assert found == simulate()
+    assert path.with_name(f"{path.name}.damaged-1").exists()
 
 
 def test_progress_goes_on_from_where_it_was(path, merging, terminal):

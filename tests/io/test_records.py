@@ -547,3 +547,13 @@ def test_rows_out_of_order_are_refused_whatever_their_intervals(tmp_path):
         smooth_record(discrete(), tmp_path / "y.csv", tmp_path / "w.csv", time="t", regular=False)
     with pytest.raises(ValueError, match="time must be given where regular=False"):
         smooth_record(discrete(), record(4), regular=False)
+
+
+def test_a_file_may_begin_with_a_row_of_gaps(tmp_path):
+    """Tabs alone are the delimiters of gaps, and no blank line."""
+    (tmp_path / "y.tsv").write_text("\t\n1.0\t2.0\n")
+    reader = formats.opened(tmp_path / "y.tsv", None, ".", False, 0, formats.MISSING)
+    assert_array_equal(next(reader.rows([0, 1], 9)), [[np.nan, np.nan], [1.0, 2.0]])
+    (tmp_path / "y.csv").write_text("\t\n1.0\n")
+    with pytest.raises(ValueError, match="must begin with names or numbers"):
+        formats.opened(tmp_path / "y.csv", None, ".", False, 0, formats.MISSING)

@@ -31,8 +31,9 @@ def test_the_attacks_see_what_is_wrong():
     assert (outcome, fault) == ("refused", "raw IndexError: 'list index out of range'")
 
 
-def test_an_interrupt_ends_long_paths_and_the_next_call_works():
-    found = interrupt_calls.interrupt("monte_carlo, long paths", 1, random.Random(0), longest=1.0)
+@pytest.mark.parametrize("name", ["monte_carlo, long paths", "simulate, in Python"])
+def test_an_interrupt_is_answered_and_the_next_call_works(name):
+    found = interrupt_calls.interrupt(name, 1, random.Random(0), longest=1.0)
     assert not found.failures
     assert found.tries == 2
 
