@@ -28,6 +28,7 @@ OF_EXTRAS = {
     "psutil",
     "pyarrow",
     "schemdraw",
+    "voila",
 }
 SIDE_BY_SIDE = {"IPython", "PIL", "cloudpickle", "dask", "jupyter_client", "traitlets"}
 
