@@ -75,7 +75,8 @@ class Execution:
             traceback = _ANSI.sub("", "\n".join(lines)).strip()
             # papermill marks a cell as completed even where the kernel died; the reply tells
             if traceback or "shell.execute_reply" not in cell.metadata.get("execution", {}):
-                return f"cell {number}\n{outside or traceback or 'it was not run to its end'}"
+                why = "\n".join(filter(None, (outside, traceback)))
+                return f"cell {number}\n{why or 'it was not run to its end'}"
         if self._reached or self._process.returncode or not cells:
             return outside or "\n".join(log.splitlines()[-20:]) or "its process died"
         return ""

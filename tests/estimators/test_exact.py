@@ -490,7 +490,7 @@ for copies in (False, True):
         (lambda d: d.reset(covariance=[[1, 0.9], [0, 1]]), "covariance must be symmetric"),
         (lambda d: d.reset(covariance=[[1, 2], [2, 1]]), "covariance must be nonnegative definite"),
         (lambda d: d.run([[0, 0]], intervals=[0.1, 0.1]), "intervals must be the lengths of 1 int"),
-        (lambda d: d.run([[0, 0]] * 2, intervals=[0.1, -0.1]), "rows in order of their times"),
+        (lambda d: d.run([[0, 0]] * 2, intervals=[0.1, -0.1]), "rows in order of times"),
         (lambda d: d.step([0, 0], interval=0.0), "not below 1e-06 dt"),
         (lambda d: [d.step([0, 0], interval=0.2), d.times(1)], "rows had intervals of their own"),
         (
