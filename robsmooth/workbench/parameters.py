@@ -44,7 +44,7 @@ class Parameter(NamedTuple):
                 validation.real(self.name, value, **self.interval)
             str(value).encode()  # a text that is not Unicode cannot be written to the notebook
         except ValueError as error:
-            raise PipelineError(f"{where}: {error}") from None
+            raise PipelineError(f"{where}: {error!s:.300}") from None
         return TYPES[self.type][0](value)
 
 
@@ -92,7 +92,9 @@ def check(
 
 def unknown(what: str, name: str, known: Iterable[str]) -> PipelineError:
     """Return the error for a name that is not in `known`."""
-    return PipelineError(f"{what} {name} is unknown; known: {', '.join(sorted(known)) or 'none'}")
+    return PipelineError(
+        f"{what} {name:.60} is unknown; known: {', '.join(sorted(known)) or 'none'}"
+    )
 
 
 def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
@@ -110,7 +112,7 @@ def _lines(source: str, notebook: Path) -> Iterable[Parameter]:
                 try:
                     yield Parameter(name, kind, ast.literal_eval(value), _interval(comment))
                 except Exception as error:
-                    raise PipelineError(f"{where}: {name}: {error}") from error
+                    raise PipelineError(f"{where}: {name}: {error!s:.300}") from error
             case _:
                 form = f"name: type = value  # comment, with type one of {', '.join(TYPES)}"
                 raise PipelineError(f"{where}: line {statement.lineno} must read {form}")
@@ -122,5 +124,5 @@ def _interval(comment: str) -> dict:
         ends = ((low, found[1] == "("), (high, found[4] == ")"))
         return {"low": low, "high": high, "without": [end for end, is_open in ends if is_open]}
     if comment[:1] in set("(["):
-        raise ValueError(f"the comment must open with [low, high], got {comment}")
+        raise ValueError(f"the comment must open with [low, high], got {comment:.60}")
     return {}

@@ -206,8 +206,9 @@ def _profiles(folder: Path) -> dict:
         jsonschema.validate(profiles, {"properties": tables, "required": ["notebooks"]})
     except jsonschema.ValidationError as error:
         raise PipelineError(f"profiles.toml, {error.json_path}: {error.message:.200}") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise PipelineError(f"notebooks/profiles.toml cannot be read: {error}") from error
+    except (OSError, ValueError, RecursionError, MemoryError) as error:
+        why = str(error) or type(error).__name__
+        raise PipelineError(f"notebooks/profiles.toml cannot be read: {why:.200}") from error
     numbered = {path.name for path in folder.glob("[0-9][0-9]_*.ipynb")}  # others may be a user's
     for file in numbered - {f"{name}.ipynb" for name in profiles["notebooks"]}:
         raise PipelineError(f"notebooks/{file} is not listed in profiles.toml")

@@ -112,7 +112,7 @@ def read_profiles(path: Path) -> None:
     for name in runner.select(profiles["notebooks"], ()):
         for profile in runner.PROFILES:
             there = known().get(name) or parameters.read(folder / f"{name}.ipynb")
-            parameters.check(there, profiles[profile].get(name, {}), "profiles.toml")
+            parameters.check(there, profiles.get(profile, {}).get(name, {}), "profiles.toml")
 
 
 @cache

@@ -17,7 +17,7 @@ def test_random_calls_meet_only_errors_of_our_own(tmp_path, monkeypatch):
     assert min(outcomes["accepted"], outcomes["refused"]) > 20
 
 
-@pytest.mark.parametrize("kind", ["toml", "json", "csv", "npy", "parquet"])
+@pytest.mark.parametrize("kind", ["toml", "json", "csv", "npy", "parquet", "cells", "profiles"])
 def test_a_damaged_file_is_read_or_refused_in_one_sentence(kind):
     outcomes, failures = trials.in_process(partial(mutate_files.trial, kind), 100, seed=1)
     assert not failures
