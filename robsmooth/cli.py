@@ -115,9 +115,7 @@ def _parser() -> argparse.ArgumentParser:
     text = "for a notebook; a cell may take half as long (default: %(default)g)"
     add("--time-limit", metavar="SECONDS", type=float, default=Request.time_limit, help=text)
     add("--force", action="store_true", help="also run the fresh notebooks")
-    text = (
-        "compute on the cluster of the Dask scheduler at tls://host:port (tcp:// on this machine)"
-    )
+    text = "compute on the cluster of the Dask scheduler at tls://host:port (tcp:// if it is here)"
     add("--dask", metavar="ADDRESS", default=Request.dask, help=text)
     add("--allow-insecure", action="store_true", help="let --dask be off this machine without TLS")
     add("--build", metavar="FOLDER", type=Path, help="folder to work in (default: build)")

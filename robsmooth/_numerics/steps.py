@@ -58,9 +58,8 @@ def whole_steps(delay: float, step: float) -> int:
     """Return delay / step; a ValueError says that it is not whole, and which steps would do."""
     ratio = delay / step
     if not ratio <= MOST_IN_DELAY:
-        raise ValueError(
-            f"step must be at least {delay / MOST_IN_DELAY:g} s, as for a delay so long"
-        )
+        least = delay / MOST_IN_DELAY
+        raise ValueError(f"step must be at least {least:g} s, as for a delay so long")
     nearest = round(ratio)
     if abs(ratio - nearest) <= MULTIPLE_TOLERANCE and (nearest > 0 or delay == 0):
         return nearest

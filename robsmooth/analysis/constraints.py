@@ -1,8 +1,7 @@
 """The exact worst case of a given estimator under the paper's constraints.
 
 It is the least bound of `robsmooth.estimators.certificate` over the multipliers: there is no
-duality gap (`docs/source/methods.md`). The energies of the worst input are the gradient of the
-bound.
+duality gap (`docs/source/methods.md`). The energies of the worst input are its gradient.
 """
 
 import math

@@ -20,7 +20,7 @@ Pair = tuple[Floats, Floats]
 OUTPUTS = ("smoothed", "filtered")
 _FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of the samples of `step`'s short way
 SHORTEST = 1e-6  # interval, times dt
-_ROWS = 4096  # of samples at a time: between two looks at Ctrl-C, and with matrices in memory
+_ROWS = 4096  # of samples with their own intervals, whose matrices are in memory at a time
 
 
 class Beside(TypedDict, total=False):
@@ -291,12 +291,13 @@ class DiscreteSmoother(Exports):
         raise ValueError(f"{name} is for {rule}: this one runs a model of its delay")
 
     def _take(self, given: Samples, output: str, spread: bool) -> Pair:
+        rows = len(given.y) if given.intervals is None else _ROWS
         with self._lock:
             before = self._engine.memory
             try:
                 parts = (
-                    Samples(*(None if each is None else each[i : i + _ROWS] for each in given))
-                    for i in range(0, len(given.y) or 1, _ROWS)
+                    Samples(*(None if each is None else each[i : i + rows] for each in given))
+                    for i in range(0, len(given.y) or 1, rows or 1)
                 )
                 found = [self._engine.take(part, output, spread) for part in parts]
             except BaseException:

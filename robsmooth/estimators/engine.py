@@ -1,5 +1,6 @@
 """The base of an estimator in samples: it calls the compiled loop and keeps its memory."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -61,13 +62,20 @@ class Engine:
         reading, (y, *_), (_, spread, _) = of
         size, back = len(sampled.model[0]), len(memory.states) * bool(reading.lags.any())
         cost = size**2 * (size + back) * (size if len(spread) else 1)
-        rows, finite = 1 + _UNINTERRUPTED // (_OF_A_SAMPLE + cost), True
         try:
             given = self._functions.addresses, self._arguments, sampled, kinds, memory, *of
             with self._functions:
-                for i in range(0, len(y), rows):
-                    finite = finite and advance(*given, i, min(i + rows, len(y)))
+                finite = in_parts(partial(advance, *given), len(y), cost)
         except np.linalg.LinAlgError:
             finite = False
         what = "the estimate, or with too few samples for a mode that grows its covariance,"
         self._functions.check(finite, what)
+
+
+def in_parts(take: Callable[[int, int], bool], rows: int, cost: int) -> bool:
+    """Take rows of a cost in multiplications, and look at interrupts; return whether all is finite.
+
+    `take` is called with the first row of a part, and the one after its last.
+    """
+    most = 1 + _UNINTERRUPTED // (_OF_A_SAMPLE + cost)
+    return all(take(first, min(first + most, rows)) for first in range(0, rows, most))

@@ -2,9 +2,9 @@ r"""The equations of the design: Assumption 3, (eqCparams) and (eqbound) of Sect
 
 The squares of a nonlinearity and its copy are completed, so that nothing cancels as multipliers
 vanish. With d the multiplier of their difference, o that of the nonlinearity's own constraint and c
-that of its copy's, :math:`a = d/(d + o),\ b = d/(d + c),\ e = d + o,\ f = o + bc`; channels have
-the weights :math:`\Lambda_Y` of :math:`\lambda_s` and e, :math:`\Lambda_X` of :math:`\lambda_s` and
-f:
+that of its copy's, :math:`a = d/(d + o),\ b = d/(d + c),\ e = d + o,\ f = o + bc`. Channels have
+the weights :math:`\lambda_s` and e in :math:`\Lambda_Y`, :math:`\lambda_s` and f in
+:math:`\Lambda_X`:
 
 .. math::
 

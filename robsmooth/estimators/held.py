@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from robsmooth._numerics.steps import responses
 from robsmooth._support.blas import one_thread
 from robsmooth.estimators.copies import Functions
-from robsmooth.estimators.engine import Engine, Floats
+from robsmooth.estimators.engine import Engine, Floats, in_parts
 from robsmooth.estimators.sample_loop import Reading, Sampled, Samples, Within, empty_memory, hold
 
 _KEPT = 1000  # matrices, at most
@@ -82,7 +82,12 @@ class HeldEstimator(Engine):
             sampled = self._sampled(different)
         if sampled is self._even and not self._running:
             state = memory.states[-1, : self.states]
-            finite = hold(self._sizes, self._transposed, given.y, state, reading.readout, result)
+
+            def take(first: int, last: int) -> bool:
+                part = given.y[first:last], state, reading.readout, result[first:last]
+                return hold(self._sizes, self._transposed, *part)
+
+            finite = in_parts(take, len(missing), self.states**2)
             self._functions.check(finite, "the estimate")
         else:
             samples = given.y[:, :0], np.where(missing, 0.0, given.y), given.reference

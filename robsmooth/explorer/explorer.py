@@ -66,12 +66,8 @@ class Explorer:
         reset = widgets.Button(description="Reset", tooltip="back to the settings at the start")
         reset.on_click(self._reset)
         parts = {"panels": self._image, "theory": self._theory, "code": self._code}
-        for name, part in {
-            **self.inputs,
-            **parts,
-            "verdict": self._verdict,
-            "reset": reset,
-        }.items():
+        parts |= {"verdict": self._verdict, "reset": reset}
+        for name, part in {**self.inputs, **parts}.items():
             part.add_class(f"robsmooth-{name}")
         columns = [widgets.VBox(layout={"flex": "1 1 22em"}) for _ in _COLUMNS]
         for column, (title, names) in zip(columns, _COLUMNS.items(), strict=True):

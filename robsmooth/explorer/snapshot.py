@@ -178,20 +178,26 @@ def take_snapshot(settings: Settings, complete: bool = True) -> Snapshot | str:
         path = _path(own.estimator)
     except refusals as refusal:
         return f"{refusal}."
-    for name in set(DESIGNS[:4]) - set(found) if complete else ():
+    for name in DESIGNS[:4] if complete else ():
         with suppress(*refusals):
-            found[name] = _findings(replace(settings, design=name), complete)
+            found[name] = found.get(name) or _findings(replace(settings, design=name), complete)
     return Snapshot(settings, *curves, own, found, path, complete)
 
 
 def _findings(settings: Settings, complete: bool) -> Findings:
-    estimator = settings.estimator()
-    with_sine = rs.statistical_linearisation(settings.parameters, estimator)
+    estimator, with_sine = _designed(settings)
     if complete:
         return Findings(estimator, with_sine, rs.judge(estimator, settings.cost))
     certain = estimator.plant.structured_delta()
     nominal = rs.error_covariance(estimator, certain, settings.cost, loop="real").item()
     return Findings(estimator, with_sine, rs.Judgement(nominal, math.nan, math.nan))
+
+
+@lru_cache(maxsize=16)
+def _designed(settings: Settings) -> tuple[rs.Estimator, StatisticalLinearisation]:
+    """Return the design, and its errors with the sine: for quick results, and again for all."""
+    estimator = settings.estimator()
+    return estimator, rs.statistical_linearisation(settings.parameters, estimator)
 
 
 @lru_cache(maxsize=8)

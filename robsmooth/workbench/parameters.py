@@ -92,9 +92,8 @@ def check(
 
 def unknown(what: str, name: str, known: Iterable[str]) -> PipelineError:
     """Return the error for a name that is not in `known`."""
-    return PipelineError(
-        f"{what} {name:.60} is unknown; known: {', '.join(sorted(known)) or 'none'}"
-    )
+    names = ", ".join(sorted(known)) or "none"
+    return PipelineError(f"{what} {name:.60} is unknown; known: {names}")
 
 
 def _lines(source: str, notebook: Path) -> Iterable[Parameter]:

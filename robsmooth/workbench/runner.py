@@ -162,7 +162,7 @@ def plan(run: Request) -> list[Task]:
     everywhere = {parameter for each in known.values() for parameter in each}
     for name in run.parameters.keys() - everywhere:
         raise unknown("--set: parameter", name, everywhere - {*SET_BY_PIPELINE})
-    tasks = {}
+    tasks = []
     for name, each in known.items():
         own = {key: value for key, value in run.parameters.items() if key in each}
         given = profiles.get(run.profile, {}).get(name, {})
@@ -170,19 +170,20 @@ def plan(run: Request) -> list[Task]:
         values |= cell.check(each, own, f"--set for {name}")
         notebook = folder / f"{name}.ipynb"
         key = _key(run, notebook, values)
-        tasks[name] = Task(
+        task = Task(
             *(run, name, each, values, key, notebook),
             staging=run.work / "staging" / f"{name}.{secrets.token_hex(4)}",
             executed=run.work / "notebooks" / notebook.name,
             stamp=run.work / "stamps" / f"{name}.json",
             checkpoints=run.work / "checkpoints" / name / key[:16],
         )
+        tasks.append(task)
     try:
         with cluster.connect(run.dask, allow_insecure=run.allow_insecure):
             pass
     except (ConnectionError, ImportError) as error:
         raise PipelineError(f"--dask: {error}") from error
-    return [*tasks.values()]
+    return tasks
 
 
 def select(names: Sequence[str], only: Sequence[str]) -> list[str]:
@@ -239,17 +240,18 @@ def _stored(stamp: Path) -> tuple[str, dict[str, str]]:
         return "", {}
 
 
-def _results(run: Request) -> dict[str, str]:
-    """Return the digests of the files that a stamp may name: no input, nothing behind a link."""
+def _unchanged(run: Request, digests: Mapping[str, str]) -> dict[str, str]:
+    """Return those of a stamp's files that are as it says: no input, nothing behind a link."""
     paths = [path for name in FOLDERS for path in (run.results / name).rglob("*")]
-    found = {path.relative_to(run.results).as_posix(): path for path in paths if path.is_file()}
-    return {file: sha256(path) for file, path in found.items() if file not in provenance.INPUTS}
+    there = {path.relative_to(run.results).as_posix(): path for path in paths if path.is_file()}
+    named = digests.keys() & there.keys() - {*provenance.INPUTS}
+    return {file: digests[file] for file in named if sha256(there[file]) == digests[file]}
 
 
 def _fresh(task: Task) -> tuple[str, ...] | None:
     """Return the files of the last run if it need not be repeated, else None."""
     key, digests = _stored(task.stamp)
-    same = key == task.key and digests.items() <= _results(task.run).items()
+    same = key == task.key and _unchanged(task.run, digests) == digests
     return tuple(digests) if same else None
 
 
@@ -289,7 +291,7 @@ def _publish(task: Task, started: float, taken: Mapping[str, str]) -> tuple[str,
     defaults = {name: each.default for name, each in task.parameters.items()}
     about = {"notebook": task.notebook.name, "profile": run.profile, "parameters": task.values}
     about |= {"files": produced, "seed": (defaults | task.values).get("seed"), "started": started}
-    before = dict(_stored(task.stamp)[1].items() & _results(run).items())  # not changed by hand
+    before = _unchanged(run, _stored(task.stamp)[1])
     with _put(task.stamp) as unfinished:  # without a key: what a kill leaves is ours, and not fresh
         files.write_json(unfinished, {"key": "", "files": before | produced})
     # All is written beside its place; then the provenance is away until the rest is in its place:

@@ -149,10 +149,7 @@ def candidates(
 
 def draw_candidates(axes: Axes, errors: Mapping[str, Errors], limits: tuple[float, float]) -> None:
     """Draw a row for each estimator, of the errors that are known, with labels for a legend."""
-    heights, kinds = (
-        label_rows(axes, errors),
-        list(dict.fromkeys(itertools.chain(*errors.values()))),
-    )
+    heights, kinds = label_rows(axes, errors), [*dict.fromkeys(itertools.chain(*errors.values()))]
     found = np.array([[each.get(kind, np.nan) for kind in kinds] for each in errors.values()])
     shown = {"color": "0.85", "linestyle": "-", "linewidth": 2.5, "zorder": 1}
     axes.plot(np.minimum(found, limits[1]).T, np.tile(heights, (len(kinds), 1)), **shown)
