@@ -12,11 +12,13 @@ import numpy as np
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.estimators import certificate
+from robsmooth.estimators.constant import mean_square
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.estimators.loop import open_loop, scaled, which_loop
-from robsmooth.systems.augmented import augment
+from robsmooth.estimators.loop import OpenLoop, open_loop, scaled, which_loop
+from robsmooth.systems.augmented import AugmentedSystem, augment
 
-_DELAY_ORDER = 10
+_DELAY_ORDERS = (10, 20, 40, 80)
+_AGREEMENT = 1e-3  # of the error under the worst input, with the delay and with its model
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +58,17 @@ def analysis_bound(
 ) -> AnalysisBound:
     """Return the largest error that the constraints on the uncertainty allow an estimator.
 
-    The smoothed error is against a Pade model of order 10: the true delay has no finite state.
+    For the smoothed error the delay has a Pade model of order 10, or of a higher one, with which
+    the worst input's error agrees to 0.1% with that of the exact delay.
 
     Parameters
     ----------
     smoother, output, loop, copy_noise : as in `error_covariance`
+
+    Raises
+    ------
+    ArithmeticError
+        Where the two do not agree at order 80: the delay is very long for the estimator.
 
     References
     ----------
@@ -74,25 +82,44 @@ def analysis_bound(
     0.1388
     """
     loop = which_loop(loop, copy_noise)
-    opened = open_loop(smoother, output, loop)
-    if opened.delay > 0.0:
-        plant = smoother.plant
-        finer = augment(plant.system, plant.delay, _DELAY_ORDER, J_21=plant.J_21)
-        opened = certificate.model_loop(replace(smoother, plant=finer), loop)
+    opened, plant = open_loop(smoother, output, loop), smoother.plant
+    if not opened.delay:
+        return _least_bound(opened, plant)
+    for order in _DELAY_ORDERS:
+        finer = augment(plant.system, plant.delay, order, J_21=plant.J_21)
+        modelled = replace(smoother, plant=finer)
+        with_model = certificate.model_loop(modelled, loop)
+        found = _least_bound(with_model, plant)
+        if math.isinf(found.mean_square):
+            return found
+        model, exact = (
+            mean_square(scaled(replace(each, outputs=found.feedback))[0], np.eye(len(found.feedback)))
+            for each in (with_model, open_loop(modelled, output, loop))
+        )
+        if abs(model - exact) <= _AGREEMENT * exact:
+            return found
+    raise ArithmeticError(
+        f"the certified error needs a model of the delay of an order above {order}, because "
+        f"{plant.delay:g} s is very long for this estimator: take a shorter delay"
+    )
+
+
+def _least_bound(opened: OpenLoop, plant: AugmentedSystem) -> AnalysisBound:
+    """Return the least bound on an error without delay."""
     opened, x = scaled(opened)
-    problem, g = certificate.ConstraintProblem(opened, smoother.plant), smoother.plant.system.g
-    mean_square, fraction, theta = certificate.certify(problem)
+    problem, g = certificate.ConstraintProblem(opened, plant), plant.system.g
+    bound, fraction, theta = certificate.certify(problem)
     if fraction < 1.0 and g:
         # the input of a nonlinearity, or of a copy, may have no effect by itself
-        differences = np.repeat([True, False], [len(smoother.plant.M_i) - 2 * g, 2 * g])
-        reduced = certificate.ConstraintProblem(opened, smoother.plant, differences)
+        differences = np.repeat([True, False], [len(plant.M_i) - 2 * g, 2 * g])
+        reduced = certificate.ConstraintProblem(opened, plant, differences)
         found = certificate.certify(reduced)
         if found[1] > fraction:
-            problem, (mean_square, fraction, theta) = reduced, found
+            problem, (bound, fraction, theta) = reduced, found
     if fraction < 1.0:
         return AnalysisBound(math.inf, math.nan, fraction, np.empty(0), np.empty((0, 0)))
     return AnalysisBound(
-        mean_square=mean_square,
+        mean_square=bound,
         gap=problem.gap(theta),
         fraction=1.0,
         multipliers=problem.all_multipliers(theta),

@@ -23,7 +23,7 @@ LOST = 5.0  # s; the sums are saved every 2 s
 PROGRAM = """
 import json, os, resource, sys, warnings
 import robsmooth as rs
-from tests.helpers.checkpoints import largest_file
+from robsmooth._support.cluster import connect
 PAPER = rs.homodyne.PAPER
 lagged = rs.baselines.fixed_lag_smoother(PAPER.uncertain_system(), 3.1e-6, 1, copies=True)
 path, seed, scale = sys.argv[1] or None, int(sys.argv[2]), float(sys.argv[3])
@@ -32,7 +32,8 @@ if os.environ.get("NOBODY"):
 if size := int(os.environ.get("LARGEST", 0)):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 def value():
-    result = CALL
+    with connect(os.environ.get("SCHEDULER", "")) as client:
+        result = CALL
     errors = getattr(result, "quantities", None) or [result.smoothed, result.filtered]
     return repr(errors)
 print("begins", flush=True)
@@ -40,17 +41,19 @@ with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
     try:
         found = value()
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RuntimeError) as error:
         found = f"{type(error).__name__}: {error}"
 print(*[each.message for each in caught if "damaged" in str(each.message)])
 print(json.dumps(found), flush=True)
 """
 CALLS = {
     "monte_carlo": "rs.monte_carlo(PAPER, lagged, runs=int(scale * 2**17), seed=seed, "
-    "checkpoint=path)",
-    "simulate": "rs.simulate(lagged, runs=int(scale * 2**12), seed=seed, checkpoint=path)",
+    "checkpoint=path, client=client)",
+    "simulate": "rs.simulate(lagged, runs=int(scale * 2**12), seed=seed, checkpoint=path, "
+    "client=client)",
     "parameter_study": "rs.parameter_study(PAPER, [1e-6], [1], gammas=[0.4], seed=seed, "
-    "noises=[0.5 + 0.01 * i for i in range(int(6 * scale))], checkpoint=path)",
+    "noises=[0.5 + 0.01 * i for i in range(int(6 * scale))], checkpoint=path, "
+    "client=client)",
 }
 
 
@@ -65,9 +68,12 @@ class Run(subprocess.Popen):
         assert self.stdout.readline() == "begins\n"
         self.began = time.monotonic()
 
-    def said(self) -> tuple[str, str]:
-        """Return the warnings and the result."""
-        lines = self.communicate()[0].splitlines()
+    def said(self, longest: float | None = None) -> tuple[str, str]:
+        """Return the warnings and the result, after at most so many seconds."""
+        try:
+            lines = self.communicate(timeout=longest)[0].splitlines()
+        except subprocess.TimeoutExpired:
+            return "", ""
         return (lines[0], lines[1]) if len(lines) == 2 else ("", "")
 
 

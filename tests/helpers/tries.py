@@ -16,6 +16,7 @@ class Attack:
     tries: int = 0
     failures: Counter = field(default_factory=Counter)
     slowest: float = 0.0  # s, of the answers, where these are timed
+    answers: Counter = field(default_factory=Counter)  # where more than one is right
 
     def add(self, failure: str | None) -> None:
         """Count a try, which failed where there is a sentence."""
@@ -26,9 +27,8 @@ class Attack:
     def __str__(self) -> str:
         slowest = f", slowest answer {self.slowest:.2f} s" if self.slowest else ""
         first = f"{self.name}: {self.tries} tries, {self.failures.total()} failures{slowest}"
-        return "\n".join(
-            [first, *(f"    {count} x {each}" for each, count in self.failures.items())]
-        )
+        several = [*self.failures.items(), *self.answers.items()]
+        return "\n".join([first, *(f"    {count} x {each}" for each, count in several)])
 
 
 def command(text: str, names: Iterable[str], attack: Callable, tries: int = 20) -> None:
