@@ -100,6 +100,7 @@ class Choice(validation.Frozen):
     candidates : dict of str to `Candidate`
         Each with its `estimator` and `judgement`; `refused` says why there is no estimator.
     against, output : str, as given
+    coarse : str, why the classical smoother's filter is better than it is, or empty
     """
 
     estimator: Estimator
@@ -107,6 +108,7 @@ class Choice(validation.Frozen):
     candidates: Mapping[str, Candidate]
     against: str
     output: str
+    coarse: str = ""
 
     @property
     def table(self) -> tables.Table:
@@ -133,6 +135,8 @@ class Choice(validation.Frozen):
         kind = {"admissible": "certified worst", "constant": "worst constant"}[self.against]
         found = [self.candidates[name] for name in (self.name, _CLASSICAL)]
         best, classical = (each.error(self.against) for each in found)
+        if self.name == _CLASSICAL and self.coarse:
+            return f"Do not smooth with this delay: {self.coarse}."
         if self.name == _CLASSICAL:
             return f"The classical smoother is as good, with a {kind} error of {best:.4g}: use it."
         if math.isinf(classical):
@@ -214,18 +218,18 @@ def best_smoother(
     if errors[_CLASSICAL] <= (1.0 + _WORTHWHILE) * errors[best]:
         best = _CLASSICAL
     smoothed, classical = candidates[_CLASSICAL].judgement.nominal, candidates[_CLASSICAL].estimator
+    coarse = ""
     if output == "smoothed" and math.isfinite(smoothed):
         Delta = classical.plant.structured_delta()
         filtered = float(error_covariance(classical, Delta, "filtered", "real").trace())
         if smoothed > _WORSE * filtered:  # the delay model errs
-            warnings.warn(
+            coarse = (
                 f"the smoothed error, {smoothed:.4g}, is above the filtered one, {filtered:.4g}: "
                 f"the delay's model of order {plant.order} is too coarse; take a higher order or a "
-                "shorter delay (in discrete time the classical smoother needs no model)",
-                CoarseDelayWarning,
-                stacklevel=3,
+                "shorter delay (in discrete time the classical smoother needs no model)"
             )
-    return Choice(candidates[best].estimator, best, candidates, against, output)
+            warnings.warn(coarse, CoarseDelayWarning, stacklevel=3)
+    return Choice(candidates[best].estimator, best, candidates, against, output, coarse)
 
 
 def _designs(plant: AugmentedSystem, against: str, output: str) -> dict[str, partial[Estimator]]:

@@ -92,8 +92,9 @@ def analysis_bound(
         found = _least_bound(with_model, plant)
         if math.isinf(found.mean_square):
             return found
+        itself = np.eye(len(found.feedback))
         model, exact = (
-            mean_square(scaled(replace(each, outputs=found.feedback))[0], np.eye(len(found.feedback)))
+            mean_square(scaled(replace(each, outputs=found.feedback))[0], itself)
             for each in (with_model, open_loop(modelled, output, loop))
         )
         if abs(model - exact) <= _AGREEMENT * exact:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,13 +18,15 @@ from robsmooth import (
     design_smoother,
     error_covariance,
     homodyne,
+    minimax_smoother,
+    worst_case,
 )
 from robsmooth._numerics.riccati import solve_riccati
 from robsmooth.analysis.constraints import analysis_bound
 from robsmooth.analysis.covariance import closed_loop
 from robsmooth.estimators import baselines
-from robsmooth.estimators.certificate import model_loop
-from robsmooth.estimators.loop import LOOPS, OUTPUTS, open_loop
+from robsmooth.estimators.certificate import ConstraintProblem, certify, model_loop
+from robsmooth.estimators.loop import LOOPS, OUTPUTS, open_loop, scaled
 from tests.helpers.loops import looking_at_nothing
 from tests.helpers.strategies import admissible_delta, designs, seeds
 from tests.helpers.systems import DRIVE, GAIN, cancelling, in_other_units
@@ -184,9 +187,43 @@ def test_constant_slope_is_not_the_worst_for_the_smoothed_error_of_the_example()
 
 def test_delay_model_of_the_smoothed_error_has_converged(monkeypatch):
     found = [analysis_bound(example(cost), "smoothed", "real").mean_square for cost in NEAR_INFIMUM]
-    monkeypatch.setattr("robsmooth.analysis.constraints._DELAY_ORDER", 16)
+    monkeypatch.setattr("robsmooth.analysis.constraints._DELAY_ORDERS", (16,))
     fine = [analysis_bound(example(cost), "smoothed", "real").mean_square for cost in NEAR_INFIMUM]
     assert_allclose(found, fine, rtol=1e-5)
+
+
+def of_sensor(noise):
+    gain = Uncertainty([[0.0]], [[0.05]], [[1.0]])
+    return UncertainSystem([[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, noise]], [gain])
+
+
+@pytest.mark.parametrize("order", [9, 10, 11])
+def test_an_estimator_is_not_judged_by_its_own_model_of_a_long_delay(order):
+    """Such a model errs as the estimate does: of order 10, the bound was below a constant error."""
+    long = baselines.fixed_lag_smoother(of_sensor(0.03), 1.0, order)
+    found = analysis_bound(long, "smoothed", "real")
+    assert worst_case(long, "smoothed", "real").mean_square < found.mean_square
+    finer = replace(long, plant=augment(long.plant.system, 1.0, 60))
+    problem = ConstraintProblem(scaled(model_loop(finer))[0], long.plant)
+    assert_allclose(found.mean_square, certify(problem)[0], rtol=1e-3)
+
+
+@settings(max_examples=15)
+@given(
+    st.floats(0.02, 1.0), st.floats(0.02, 2.0), st.integers(1, 10), st.sampled_from([False, True])
+)
+def test_no_constant_uncertainty_has_a_larger_error_than_the_bound(noise, delay, order, robust):
+    plant = augment(of_sensor(noise), delay, order)
+    classical = partial(baselines.fixed_lag_smoother, plant.system, delay, order)
+    design = minimax_smoother(plant) if robust else classical()
+    bound = analysis_bound(design, "smoothed", "real").mean_square
+    assert worst_case(design, "smoothed", "real").mean_square <= 1.001 * bound
+
+
+def test_a_delay_that_needs_too_fine_a_model_is_not_judged():
+    too_long = baselines.fixed_lag_smoother(of_sensor(1e-4), 1.0, 10)
+    with pytest.raises(ArithmeticError, match="order above 80, because 1 s is very long"):
+        analysis_bound(too_long, "smoothed", "real")
 
 
 def test_classical_smoother_has_a_bound_too():

@@ -1,5 +1,6 @@
 """What is published: the page on a package index, the release workflow, and the article."""
 
+import json
 import re
 import shutil
 import tomllib
@@ -74,6 +75,11 @@ def test_every_action_of_the_workflows_is_pinned_by_its_commit():
         used += re.findall(r"uses: (\S+)", path.read_text(encoding="utf-8"))
     assert used
     assert all(re.fullmatch(r"[\w./-]+@[0-9a-f]{40}", each) for each in used)
+
+
+def test_the_image_of_the_development_container_is_pinned_by_its_digest():
+    container = json.loads((ROOT / ".devcontainer/devcontainer.json").read_text(encoding="utf-8"))
+    assert re.fullmatch(r"[\w./-]+:3\.11\S*@sha256:[0-9a-f]{64}", container["image"])
 
 
 def test_only_the_jobs_that_publish_have_more_than_the_right_to_read():
