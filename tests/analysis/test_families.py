@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from robsmooth._numerics.lyapunov import covariances
 from robsmooth.analysis.choice import judge
 from robsmooth.analysis.families import (
-    LAG,
     ORDER,
+    best_delay,
     robustness_map,
     uncertain_cancellation,
     uncertain_gain,
@@ -84,6 +84,18 @@ def test_little_uncertainty_makes_no_difference(family):
     assert_allclose(robustness_map(family, [1e-4], [0.05]), [[1.0]], rtol=1e-3)
 
 
+@pytest.mark.parametrize("noise", [0.01, 0.1, 1.0])
+@pytest.mark.parametrize("family", ALL)
+def test_with_the_best_delay_the_classical_smoother_is_better_than_its_filter(family, noise):
+    system = family(0.1, noise)
+    best = best_delay(system)
+    nominal = {d: judge(fixed_lag_smoother(system, d, ORDER)) for d in (best / 2, best, best * 2)}
+    least = min(nominal, key=lambda delay: nominal[delay].nominal)
+    assert least == best or best == 1.0
+    filtered = judge(fixed_lag_smoother(system, best, ORDER), "filtered").nominal
+    assert nominal[best].nominal < filtered
+
+
 def test_a_map_has_the_ratios_of_the_certified_errors_by_noise_and_size(terminal):
     sizes, noises = [0.02, 0.1, 0.9], [0.5, 0.05]
     found = robustness_map(uncertain_cancellation, sizes, noises)
@@ -91,8 +103,9 @@ def test_a_map_has_the_ratios_of_the_certified_errors_by_noise_and_size(terminal
     # an uncertainty of nine tenths could destabilise the plant
     assert_array_equal(np.isnan(found), [[False, False, True]] * 2)
     system = uncertain_cancellation(0.1, 0.05)
-    classical = judge(fixed_lag_smoother(system, LAG, ORDER)).certified
-    robust = judge(minimax_smoother(augment(system, LAG, ORDER))).certified
+    delay = best_delay(system)
+    classical = judge(fixed_lag_smoother(system, delay, ORDER)).certified
+    robust = judge(minimax_smoother(augment(system, delay, ORDER))).certified
     assert_allclose(found[1, 1], classical / robust, rtol=1e-9)
     assert found[1, 1] > 2.0  # a difference of signals, where robustness pays
     # it pays more, the larger the uncertainty and the smaller the noise

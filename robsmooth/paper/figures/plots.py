@@ -169,7 +169,7 @@ def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Fig
     figure, panels = plt.subplots(rows, 2, figsize=(3.4, 0.5 + 1.7 * rows), sharey=True)
     levels = [1.0, 1.1, 2.0, 10.0, 100.0, 1000.0]
     for axes, (title, (sizes, noises, ratios)) in zip(panels.flat, maps.items(), strict=True):
-        gains = np.log(np.maximum(ratios, 1.0))  # the delay model can make it slightly less
+        gains = np.log(np.maximum(ratios, 1.0))
         shading = shade(axes, 100.0 * sizes, noises, gains, np.log(levels), "no guarantee")
         axes.set(xscale="log", yscale="log", title=title)
         label_ticks(axes.xaxis, (1, 2, 5, 10, 20, 50))
