@@ -26,7 +26,6 @@ _ERRORS = {"admissible": "certified", "constant": "worst_constant"}
 _WORSE = 1.01  # times the filtered error
 _WORTHWHILE = 0.01  # the least gain, of the classical error, for which another design is chosen
 _CLASSICAL = "classical"
-_PAPER = "paper's V, "
 
 
 @dataclass(frozen=True)
@@ -116,8 +115,7 @@ class Choice(validation.Frozen):
         rows = []
         for name, each in self.candidates.items():
             errors = vars(each.judgement).values() if each.estimator else (None,) * 3
-            by = " by the paper's theory" if name.startswith(_PAPER) else ""
-            refused = f"refused{by}: {each.refused.partition(':')[0]}" if each.refused else ""
+            refused = f"refused: {each.refused.partition(':')[0]}" if each.refused else ""
             rows.append((name, *errors, refused or ("best" if name == self.name else "")))
         columns = ("smoother", "nominal", "worst constant", "certified worst", "")
         caption = f"Mean square errors of the {self.output} estimate, in the squared unit of $w$."
@@ -142,7 +140,8 @@ class Choice(validation.Frozen):
         if math.isinf(classical):
             return f"Use the {self.name} smoother: only designs for the uncertainty are safe here."
         left, nominal = best / classical, found[0].judgement.nominal / found[1].judgement.nominal
-        what = "Robustness" if left < (1.0 - _WORTHWHILE) * nominal else "A closer fit to the delay"
+        # of the gain, in logarithms, less than half is there without uncertainty, too
+        what = "Robustness" if left < nominal**2 else "A closer fit to the delay"
         digits = max(2, math.ceil(-math.log10(left)))  # a small rest is not rounded to zero
         gain = f"{100.0 * (1.0 - left):.{digits}g}%"
         fall = f"from {classical:.4g} (classical) to {best:.4g} ({self.name})"
@@ -242,5 +241,5 @@ def _designs(plant: AugmentedSystem, against: str, output: str) -> dict[str, par
         "constant minimax": partial(constant_minimax_smoother, plant, output),
     }
     for cost in COSTS if plant.delay > 0.0 else COSTS[:1]:
-        designs[_PAPER + cost] = partial(minimize_bound, plant, cost)
+        designs[f"paper's V, {cost}"] = partial(minimize_bound, plant, cost)
     return designs

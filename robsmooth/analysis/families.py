@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
 from robsmooth.analysis.constraints import analysis_bound
-from robsmooth.analysis.covariance import error_covariance
+from robsmooth.analysis.lag import best_lag
 from robsmooth.estimators.baselines import fixed_lag_smoother
 from robsmooth.estimators.minimax import minimax_smoother
 from robsmooth.systems.augmented import augment
@@ -22,7 +22,6 @@ from robsmooth.systems.channels import Uncertainty
 from robsmooth.systems.system import UncertainSystem
 
 ORDER = 2  # of the delay's model
-_DELAYS = 0.5 ** np.arange(8)
 
 
 def uncertain_gain(size: float, noise: float) -> UncertainSystem:
@@ -65,27 +64,16 @@ def robustness_map(
 ) -> NDArray[np.float64]:
     """Return the classical smoother's certified worst error over the minimax one's, (noise, size).
 
-    The delay is that of `best_delay`. The ratio is NaN where no estimator has a finite error.
+    The delay is that of `best_lag` for the noise. NaN: no estimator has a finite error.
     """
     bound = partial(analysis_bound, output="smoothed", loop="real")
     ratios = np.full((len(noises), len(sizes)), np.nan)
+    delays = [best_lag(family(0.0, noise), ORDER)[0] for noise in noises]
     for i, j in progress_bar(list(np.ndindex(ratios.shape)), unit="system", shown=progress):
-        system = family(sizes[j], noises[i])
-        delay = best_delay(system)
+        system, delay = family(sizes[j], noises[i]), delays[i]
         try:
             robust = bound(minimax_smoother(augment(system, delay, ORDER))).mean_square
         except InfeasibleDesignError:
             continue
         ratios[i, j] = bound(fixed_lag_smoother(system, delay, ORDER)).mean_square / robust
     return ratios
-
-
-def best_delay(system: UncertainSystem) -> float:
-    """Return the power of two with which the classical smoother has the least nominal error."""
-
-    def error(delay: float) -> float:
-        smoother = fixed_lag_smoother(system, delay, ORDER)
-        nominal = smoother.plant.structured_delta()
-        return float(error_covariance(smoother, nominal, loop="real").trace())
-
-    return float(min(_DELAYS, key=error))
