@@ -41,7 +41,7 @@ class DelayModel(NamedTuple):
 
 def checked_order(name: str, order: int, low: int = 1) -> int:
     """Return an order of the approximation, if a design can be made with it."""
-    why = ": a delay's model of order 10 is as good as exact, and a design takes n^3 operations"
+    why = ", because a design takes n^3 operations"
     return validation.integer(name, order, low=low, high=100, why=why)
 
 
