@@ -10,6 +10,7 @@ import nbformat
 import pytest
 
 import docs.__main__
+import robsmooth as rs
 from docs import build, citation, references
 from robsmooth.workbench.parameters import PipelineError
 
@@ -119,6 +120,17 @@ def test_the_equations_have_rising_numbers():
     assert numbers == sorted(set(numbers))
     labels = re.findall(r"^\((eq\w+)\)=$", THEORY, flags=re.MULTILINE)
     assert list(references.equation_numbers(THEORY)) == labels
+
+
+def test_the_page_of_equations_quotes_the_errors_of_the_example():
+    paper = rs.homodyne.PAPER
+    system = paper.uncertain_system()
+    filtered = rs.stationary_errors(paper, rs.baselines.ngcf(system)).filtered
+    phase = paper.kappa / (2 * paper.lam)
+    assert f"$Ee^2$ is {filtered:.3f} rad²" in THEORY
+    assert f"$E\\phi^2 = \\kappa/2\\lambda_\\phi$ is {phase:.2f} rad²" in THEORY
+    least = rs.minimize_bound(rs.augment(system, 3.1e-6, 2), "filtered")
+    assert (least.multipliers[2:] < 1e-3).all()
 
 
 def test_what_only_looks_like_a_quoted_equation_is_left_alone():
