@@ -61,11 +61,11 @@ class LagSweep(Frozen):
         return tables.data_frame({"order": self.orders, "lag": self.lags}, errors)
 
     def plot(self, ax: "plots.Axes | None" = None, error: str = "nominal") -> "plots.Axes":
-        """Draw the nominal or the worst errors over the lag; matplotlib is needed."""
+        """Draw the nominal or the worst errors over the delay; matplotlib is needed."""
         validation.choice("error", error, ("nominal", "worst"))
         curves = {"exact optimum": self.optimal}
         curves |= zip(self.orders.tolist(), getattr(self, error), strict=True)
-        labels = {"xlabel": "lag (s)", "ylabel": f"{error} {plots.MEAN_SQUARE}"}
+        labels = {"xlabel": "delay (s)", "ylabel": f"{error} {plots.MEAN_SQUARE}"}
         return plots.draw_curves(ax, self.lags, curves, **labels)
 
 

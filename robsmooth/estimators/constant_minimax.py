@@ -41,7 +41,7 @@ class ConstantMinimaxSmoother(Estimator):
     Attributes
     ----------
     worst_constant : float
-        The largest mean square error against the truly delayed w that was found under a constant
+        The largest mean square error against the exactly delayed w that was found under a constant
         admissible uncertainty, in the squared unit of w.
     cost : {"smoothed", "filtered"}, which error it is
     """

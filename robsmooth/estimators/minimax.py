@@ -41,8 +41,8 @@ class MinimaxSmoother(Estimator):
     Attributes
     ----------
     certified : float
-        The mean square error that no admissible uncertainty exceeds, in the squared unit of w: that
-        of w-hat against the output of the delay model, or against w ("filtered").
+        Bound on the mean square error for every admissible uncertainty, in the squared unit of w:
+        that of w-hat against the output of the delay model, or against w ("filtered").
     multipliers : (k + 3g,) array
         theta of the certificate, in the squared unit of w times seconds.
     cost : {"smoothed", "filtered"}, which error it is
@@ -68,14 +68,14 @@ class MinimaxSmoother(Estimator):
 
 @one_thread
 def minimax_smoother(plant: AugmentedSystem, output: str = "smoothed") -> MinimaxSmoother:
-    """Design the estimator whose certified error, that of `analysis_bound`, is the least.
+    """Design the estimator whose certified error is the least.
 
     Parameters
     ----------
     plant : AugmentedSystem
         Noise need not enter through uncertainty channels. J_21 is not used.
-    output : {"smoothed", "filtered"}
-        The error: of the smoothed estimate against the delay model's output, or the filtered one.
+    output : {"smoothed", "filtered"}, which error
+        It is that of `analysis_bound` with loop="real", against the plant's own delay model.
 
     Raises
     ------

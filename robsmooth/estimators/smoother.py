@@ -26,7 +26,7 @@ class RobustSmoother(Estimator):
     bound : float
         V: half the mean square error of w-hat, in the loop with the copies' fictitious noise, is
         below it for every admissible uncertainty. The error is that against w, or with
-        cost="smoothed" that against the output w_a of the delay model (not of the true delay).
+        cost="smoothed" that against the output w_a of the delay model (not of the exact delay).
     bound_infimum, limit : float and RobustSmoother, or None
         The infimum and the limiting design, where `minimize_bound` found no least bound.
     spectral_radius : float, rho(YX), below tau
@@ -63,7 +63,7 @@ def design_smoother(
     Parameters
     ----------
     plant : AugmentedSystem
-    tau : float, :math:`\bar\tau > 0`, in seconds times the squared unit of w
+    tau : float, :math:`\tau > 0`, in seconds times the squared unit of w
     multipliers : (k + 3g,) sequence
         lambda, not negative: those of the k uncertainties, then for the g nonlinearities those of
         the difference, the mu and the mu-tilde constraints. `minimize_bound` finds the best.

@@ -83,7 +83,7 @@ class Study(Frozen):
     def plot(
         self, ax: "plots.Axes | None" = None, gamma: float | None = None, noise: float | None = None
     ) -> "plots.Axes":
-        """Draw `ratio` over the lag, by default in the middle of the grid; matplotlib is needed."""
+        """Draw `ratio` over the delay, by default at mid-grid; matplotlib is needed."""
         at = [("gamma", gamma, self.gammas), ("noise", noise, self.noises)]
         i, j = (
             len(axis) // 2 if value is None else axis.index(validation.choice(name, value, axis))
@@ -91,7 +91,7 @@ class Study(Frozen):
         )
         curves = {"both optimal, linear loop": self.optimal_ratio[i, j, -1]}
         curves |= zip(self.orders, self.ratio[i, j], strict=True)
-        labels = {"xlabel": "lag (s)", "ylabel": "smoothed / filtered error"}
+        labels = {"xlabel": "delay (s)", "ylabel": "smoothed / filtered error"}
         return plots.draw_curves(ax, self.lags, curves, **labels)
 
 

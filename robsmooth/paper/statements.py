@@ -54,11 +54,11 @@ def swept_errors() -> list[np.ndarray]:
 
 
 def smoothing_improves(lag: float = published.DELAY) -> Finding:
-    """Compare the optimal errors without and with a lag, in seconds."""
+    """Compare the optimal errors without and with a delay, in seconds."""
     system = homodyne.PAPER.uncertain_system()
     filtered = baselines.optimal_fixed_lag_error(system, 0.0).item()
     smoothed = baselines.optimal_fixed_lag_error(system, lag).item()
-    value = f"{filtered:.5f} -> {smoothed:.5f} at the lag of {1e6 * lag:g} us"
+    value = f"{filtered:.5f} -> {smoothed:.5f} at the delay of {1e6 * lag:g} us"
     return smoothed < filtered, value, ""
 
 

@@ -181,7 +181,7 @@ def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Fig
 
 
 def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
-    """Draw what smoothing saves of the filtered error over lag, noise and order of a `Study`."""
+    """Draw what smoothing saves of the filtered error over delay, noise and order of a `Study`."""
     ratio = study.ratio[study.gammas.index(gamma)]
     lags, noises = np.array(study.lags), np.array(study.noises)
     middle = int(np.argmin(np.abs(np.log(noises))))
@@ -193,7 +193,7 @@ def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
     there = ~np.isnan(saved).all(axis=1)
     best = lags[np.nanargmax(saved[there], axis=1)]
     points = LOOSE | {"markeredgecolor": "k"}
-    top.plot(best, noises[there], "o", color="w", label="best lag", **points)
+    top.plot(best, noises[there], "o", color="w", label="best delay", **points)
     top.plot(lag, noises[middle], "*", color="C1", ms=9, label="the paper's", **points)
     top.set(xscale="log", yscale="log", ylabel="shot noise / the paper's")
     label_ticks(top.yaxis, (0.1, 0.3, 1, 3, 10))
@@ -202,7 +202,7 @@ def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
     study.plot(bottom, gamma, study.noises[middle])
     bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
     bottom.axvline(lag, color="0.6", linestyle="-", linewidth=0.8)
-    bottom.set(xlabel="lag (µs)", ylim=(0.4, 1.6), xlim=lags[[0, -1]])
+    bottom.set(xlabel="delay (µs)", ylim=(0.4, 1.6), xlim=lags[[0, -1]])
     label_ticks(bottom.xaxis, (0.3e-6, 1e-6, 3e-6, 10e-6, 30e-6), unit=1e-6)
     handles = [*top.patches, *top.lines, *bottom.get_legend_handles_labels()[0]]
     return with_legend(figure, handles=handles)
