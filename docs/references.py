@@ -3,7 +3,7 @@
 The project quotes an equation of the paper by its label in the paper's source, as in "(eqbound)",
 and an assumption as "Assumption 3.2": both read well in `help()`, and lead to theory.md here. A
 name between single backquotes leads to its entry where it is public, and is code where it is not;
-that of the page on the methods leads to the page.
+that of a page on the methods leads to the page.
 """
 
 import inspect
@@ -21,7 +21,7 @@ from sphinx.util.nodes import make_refnode
 import robsmooth
 
 THEORY = "theory"
-METHODS = "docs/source/methods.md"  # as docstrings name the page
+METHODS = re.compile(r"docs/source/(methods|records|simulation|numerics)\.md")
 QUOTED = re.compile(r"\((eq(?!u)\w+)\)|Assumptions? (\d)(?:\.\d)?")
 _EQUATION = re.compile(
     r"^\((eq\w+)\)=\n\\begin\{equation\*\}.*?\\tag\{(\d+)\}", flags=re.MULTILINE | re.DOTALL
@@ -90,8 +90,9 @@ def _public_name_or_code(
     """Resolve a name between single backquotes that is not one of its own module or class."""
     if node.get("reftype") != "obj":
         return None
-    if node["reftarget"] == METHODS:
-        return make_refnode(app.builder, node["refdoc"], "methods", "", nodes.Text("The methods"))
+    if page := METHODS.fullmatch(node["reftarget"]):
+        title = nodes.Text(env.titles[page[1]].astext())
+        return make_refnode(app.builder, node["refdoc"], page[1], "", title)
     name = f"robsmooth.{node['reftarget'].removeprefix('rs.')}"
     entry = env.domains.python_domain.objects.get(name)
     if entry is None:

@@ -1,7 +1,7 @@
 r"""Statistical linearisation: a slope stands for each nonlinearity of a loop.
 
 For a Gaussian argument v, :math:`E(\psi(v) - sv)^2` is least at :math:`s = E[\psi(v)v]/E[v^2]`. The
-variance of v depends on the slopes: an iteration finds both (`docs/source/methods.md`).
+variance of v depends on the slopes: an iteration finds both (`docs/source/simulation.md`).
 """
 
 import math

@@ -2,7 +2,7 @@ r"""Covariances of linear stochastic systems, and their roots, by doubling of ti
 
 For :math:`dx = A x\,dt + B\,dW`, started at zero, :math:`W(2t) = W(t) + E(t)\,W(t)\,E(t)'` is the
 covariance and `E` the transition matrix. Slow modes keep their digits, as :math:`F = E - I` is
-doubled: :math:`F(2t) = 2F + F^2` (`docs/source/methods.md`).
+doubled: :math:`F(2t) = 2F + F^2` (`docs/source/numerics.md`).
 """
 
 import itertools

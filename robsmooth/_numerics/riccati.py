@@ -5,7 +5,7 @@
 with symmetric `Q` and `S` of any sign. The stable subspace of the Hamiltonian matrix is the start
 of Newton's method. The result counts only with its certificate: a small residual, a small last
 step, which estimates the error, and a stable closed loop. Data are scaled to order one
-(`docs/source/methods.md`), so that results do not depend on units.
+(`docs/source/numerics.md`), so that results do not depend on units.
 """
 
 from dataclasses import dataclass, field

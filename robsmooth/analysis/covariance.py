@@ -1,7 +1,7 @@
 r"""Closed loop, stationary error covariance, and the worst constant uncertainty (Section III-A).
 
 The terms of (eqCo) nearly cancel where the estimate is good. Here they are those of the state
-:math:`[x_p;\; x_p - \hat x_p]`, in a sum that cannot cancel (`docs/source/methods.md`).
+:math:`[x_p;\; x_p - \hat x_p]`, in a sum that cannot cancel (`docs/source/numerics.md`).
 """
 
 from collections.abc import Iterable

@@ -5,7 +5,7 @@ r"""An estimator's equations in continuous time, with each sample held over its 
     \dot{\hat x} = A\hat x + B_y\,y + B_\mu\,\psi(\tilde\nu - r), \qquad \tilde\nu = C_\nu\hat x .
 
 The linear part is exact for any `dt`. The copies' part is the exponential Runge-Kutta method of
-second order ETD2RK (`docs/source/methods.md`). For a missing measurement the estimator takes
+second order ETD2RK (`docs/source/records.md`). For a missing measurement the estimator takes
 :math:`(C_2\hat x)_i + (\bar D_{21}\,\tilde\mu)_i`: its innovation is zero, and every set of missing
 channels has matrices of its own.
 """

@@ -1,9 +1,9 @@
 r"""The estimator with the least certified error: a semidefinite programme.
 
-Its inequalities, linear in Z, X, F, L, K, :math:`\theta` and W, are in `docs/source/methods.md`,
+Its inequalities, linear in Z, X, F, L, K, :math:`\theta` and S, are in `docs/source/methods.md`,
 with the letters of `least_certified`: for the plant :math:`dx = (A x + B_\xi\xi)\,dt + B_w\,dW`,
 :math:`dy = (C_2 x + D_\xi\xi)\,dt + D_w\,dW`, a Lyapunov function of plant and estimator certifies
-the mean square :math:`\operatorname{tr} W`. The estimator is :math:`A_c = (Z-X)^{-1}F`,
+the mean square :math:`\operatorname{tr} S`. The estimator is :math:`A_c = (Z-X)^{-1}F`,
 :math:`B_c = (Z-X)^{-1}L`, :math:`C_c = K`. What it knows, the copies' outputs and the states
 :math:`x_2` that they drive, is subtracted first. No uncertainty may see these states.
 """
@@ -63,7 +63,7 @@ def least_certified(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray]:
     channels = _channels(plant)
     Z, X = (cp.Variable((n, n), symmetric=True) for _ in range(2))
     F, L, K = cp.Variable((n, n)), cp.Variable((n, system.l)), cp.Variable((m, n))
-    W = cp.Variable((system.q, system.q), symmetric=True)
+    S = cp.Variable((system.q, system.q), symmetric=True)
     theta = [cp.Variable(nonneg=True) for _ in channels]
     arguments = {c.constraint: cp.Variable((1, n)) for c in channels if c.copied}  # times theta
 
@@ -86,9 +86,9 @@ def least_certified(plant: AugmentedSystem) -> tuple[Estimator, np.ndarray]:
     rest = -cp.diag(cp.hstack(diagonal))
     decay = cp.bmat([[first, middle, upper], [middle.T, second, lower], [upper.T, lower.T, rest]])
     in_Z, in_X = Z @ B_w, X @ B_w + L @ D_w
-    energy = cp.bmat([[W, in_Z.T, in_X.T], [in_Z, Z, Z], [in_X, Z, X]])
+    energy = cp.bmat([[S, in_Z.T, in_X.T], [in_Z, Z, Z], [in_X, Z, X]])
     conditions = [(decay + decay.T) / 2 << 0, (energy + energy.T) / 2 >> 0]
-    problem = cp.Problem(cp.Minimize(cp.trace(W)), conditions)
+    problem = cp.Problem(cp.Minimize(cp.trace(S)), conditions)
     with warnings.catch_warnings(), suppress(cp.SolverError):
         warnings.simplefilter("ignore")  # the certificate shows the accuracy
         problem.solve(solver=cp.CLARABEL)

@@ -1,6 +1,6 @@
 r"""The time-varying Kalman filter in discrete time, and the fixed-lag smoother of its innovations.
 
-`docs/source/methods.md` has the equations, with the letters of the code. In short,
+`docs/source/records.md` has the equations, with the letters of the code. In short,
 :math:`x_{k+1} = \Phi x_k + d_k + w_k`, :math:`y_k = H x_k + h_k + v_k`, the innovation e has the
 covariance :math:`\Sigma = LL'`, :math:`\Psi = \Phi - KH`, and the smoothed state is
 :math:`\hat x_j + P_jr` with the covariance :math:`P_j - P_jNP_j`.

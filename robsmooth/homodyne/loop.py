@@ -1,12 +1,12 @@
 r"""The adaptive homodyne loop of Section IV with a linear estimator in it.
 
 With the local oscillator's phase u for the estimate and noise of power s, measurement and copy
-drive the estimator (`docs/source/methods.md`), so that
+drive the estimator (`docs/source/simulation.md`), so that
 
 .. math::
 
     d\hat x = \bigl[G\hat x + b_c\sin(c\hat x)\bigr]dt
-             + b_s\bigl[\sin(\varphi - r\hat x)\,dt + \nu\,dW\bigr],
+             + b_s\bigl[\sin(\phi - r\hat x)\,dt + \nu\,dW\bigr],
     \qquad \nu = \frac{\sqrt s}{2\alpha} .
 
 The phase u is the filtered or the smoothed estimate, or :math:`\tilde\nu/2\alpha\gamma`, with which
@@ -57,12 +57,12 @@ class Loop:
         return len(self.drift) - 1
 
     def linearised_drift(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
-        r"""Drift of :math:`(\varphi, \hat x)`, each sine replaced by a slope, 1/s."""
+        r"""Drift of :math:`(\phi, \hat x)`, each sine replaced by a slope, 1/s."""
         return self.drift + self.gains @ np.diag([sine_slope, copy_slope]) @ self.arguments
 
     @lru_cache(maxsize=4)  # noqa: B019, of a few loops
     def covariance(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
-        r"""Stationary covariance of :math:`(\varphi, \hat x)`, each sine replaced by a slope."""
+        r"""Stationary covariance of :math:`(\phi, \hat x)`, each sine replaced by a slope."""
         drift = self.linearised_drift(sine_slope, copy_slope)
         decay_rate(drift)
         return lyapunov.covariances(drift, self.noise).stationary

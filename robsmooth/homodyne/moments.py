@@ -1,7 +1,7 @@
 """Stationary mean square errors of the nonlinear loop in lock, without sampling.
 
 Moments of Hermite polynomials up to the degree N solve linear equations, of the backward Kolmogorov
-operator L of the loop (`docs/source/methods.md`). All terms are odd: odd moments are zero, and
+operator L of the loop (`docs/source/simulation.md`). All terms are odd: odd moments are zero, and
 read-outs stay odd. The error in lock is defined to about the probability of a slip.
 """
 

@@ -10,7 +10,7 @@ With :math:`z = [x; \hat x_p]` and the channels of uncertainties, nonlinearities
 where R z are the references, :math:`\Delta` has constant uncertainties and the statistically
 equivalent slopes of the nonlinearities, and :math:`\rho` the rest. With
 :math:`\rho_0 = \rho(t, Lz)` and :math:`F_\Delta = F + G\Delta L`, a step is Heun's in exponential
-form (`docs/source/methods.md`):
+form (`docs/source/simulation.md`):
 
 .. math::
 

@@ -64,7 +64,7 @@ def simulate(
         constant of the linearised loop, or less where the system is unstable.
     step : float, optional
         s; must divide the lag. Default: the largest such step up to a fifth of the loop's response
-        time; `docs/source/methods.md` has its bias.
+        time; `docs/source/simulation.md` has its bias.
     seed : int, at least 0 and below 2^64; a path depends on it, its number and the step alone
     progress : bool, whether to show a bar
     client : distributed.Client, optional, of a Dask cluster; see `robsmooth.workbench.connect`

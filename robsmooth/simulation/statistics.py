@@ -1,7 +1,7 @@
 """The results of simulations, from independent paths: errors, standard errors, slips.
 
 The standard error of a mean over N paths is their standard deviation over the root of N.
-`docs/source/methods.md` has the control variates.
+`docs/source/simulation.md` has the control variates.
 """
 
 import math

@@ -133,6 +133,16 @@ def test_the_page_of_equations_quotes_the_errors_of_the_example():
     assert (least.multipliers[2:] < 1e-3).all()
 
 
+def test_every_page_that_docstrings_name_is_one_on_the_methods():
+    named = {
+        found[0]
+        for path in ROOT.glob("robsmooth/**/*.py")
+        for found in re.finditer(r"docs/source/\w+\.md", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) == 4
+    assert all(references.METHODS.fullmatch(name) and (ROOT / name).is_file() for name in named)
+
+
 def test_what_only_looks_like_a_quoted_equation_is_left_alone():
     assert not references.QUOTED.search("solve(equations), (equation), assumptions")
     assert references.QUOTED.findall("(eqbound) by Assumption 3.2") == [("eqbound", ""), ("", "3")]

@@ -4,8 +4,8 @@ One step of a path, with the `Coefficients`:
 
 .. math::
 
-    \varphi &\leftarrow \varphi + a\varphi + q\,g_2,\\
-    \hat x &\leftarrow \hat x + F\hat x + b_c\sin(c\hat x) + b_s[\sin(\varphi - r\hat x) + w g_1] .
+    \phi &\leftarrow \phi + a\phi + q\,g_2,\\
+    \hat x &\leftarrow \hat x + F\hat x + b_c\sin(c\hat x) + b_s[\sin(\phi - r\hat x) + w g_1] .
 
 The order n is the length of the tuple `order`, which the compiler knows. Each order is compiled
 once and kept on disk. Numba inlines the callees, because linked ones use registers worse.

@@ -24,7 +24,7 @@ ERGODIC_TIME_CONSTANTS = 250  # default duration, in units of the estimator's sl
 STEP_OF_TIME_CONSTANT = 0.2  # default step, in units of the loop's response through its sines
 WARM_UP_TIME_CONSTANTS = 10  # of the estimator's slowest mode
 
-# Steps without a warning, in response times; docs/source/methods.md states the biases.
+# Steps without a warning, in response times; docs/source/simulation.md states the biases.
 SILENT_EULER = 1 / 40  # a bias of two standard errors of a default run
 SILENT_SPLITTING = 1 / 4  # less than one, but 15% of the slips
 STABLE_PART = 0.5  # of the longest stable Euler-Maruyama step: the default

@@ -125,8 +125,8 @@ def monte_carlo(
     oscillator : {"filtered", "smoothed", "copy", "none"}
         The local oscillator's phase u: an estimate; the argument of the copy,
         :math:`\tilde\nu/2\alpha\gamma`, so that the copy's output is zero; or zero. With zero the
-        nonlinearity is :math:`f(\varphi)`, as in the words of Section IV-E, and not
-        :math:`f(\varphi - u)`, as in Section IV-A; slips are then of the filtered estimate.
+        nonlinearity is :math:`f(\phi)`, as in the words of Section IV-E, and not
+        :math:`f(\phi - u)`, as in Section IV-A; slips are then of the filtered estimate.
     copy : bool, run the estimator's copy of the nonlinearity; otherwise its output is zero
     shot_noise : float, power of the photocurrent's noise, :math:`s` in :math:`\sqrt s\,dW`
 

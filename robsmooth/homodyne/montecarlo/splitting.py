@@ -1,8 +1,8 @@
 r"""The compiled loop of the ergodic protocol: a second-order scheme with a linear control.
 
 A step is :math:`L_hK_h`: the exact step of the statistically linearised loop, then the kick of the
-sines less their slopes; `docs/source/methods.md` has both, and slips and the control variate. The
-state of a block is :math:`\varphi`, the estimator's part of the control y, and
+sines less their slopes; `docs/source/simulation.md` has both, and slips and the control variate.
+The state of a block is :math:`\phi`, the estimator's part of the control y, and
 :math:`d = \hat x - y`, which starts at zero and has no noise of its own.
 """
 
