@@ -108,6 +108,7 @@ def stage(run: Request, source: Path, executed: list[Path]) -> None:
     for name, text in (
         ("results", results.index(runs)),
         ("tables", results.tables(runs)),
+        ("gallery", results.gallery(runs)),
         ("print", results.print_size(runs, source)),
         ("cite", citation.page(root)),
     ):

@@ -1,4 +1,4 @@
-"""Pages on what was regenerated: the index of every result, all tables, figures at print size."""
+"""Pages on what was regenerated: the index of every result, tables, a gallery, print size."""
 
 import json
 import re
@@ -232,6 +232,21 @@ def tables(found: Iterable[Run]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def gallery(found: Iterable[Run]) -> str:
+    """Return the page with all figures as small images, which lead to what makes them."""
+    parts = [
+        "# Gallery",
+        "Every figure and what it shows. An image leads to the page that makes it.",
+    ]
+    for run in found:
+        figures = [result for result in run.results if result.is_figure]
+        parts += [f"## {run.title}"] if figures else []
+        for result in figures:
+            options = {"target": f"{run.page.rpartition('.')[0]}.html", "figclass": "thumbnail"}
+            parts.append(_figure(result, options, f"{result.caption} [{run.title}]({run.page})"))
+    return "\n\n".join(parts) + "\n"
+
+
 def print_size(found: Iterable[Run], source: Path) -> str:
     """Return the page with all figures at the width that they have in print."""
     parts = [
@@ -243,18 +258,21 @@ def print_size(found: Iterable[Run], source: Path) -> str:
     for run in found:
         for result in run.results:
             if result.is_figure and (source / f"{result.name}.svg").is_file():
-                parts.append(_figure(result, _inches(source / f"{result.name}.svg")))
+                width = _inches(source / f"{result.name}.svg")
+                wide = " wide" if round(width, 2) > _COLUMN else ""
+                options = {"width": f"{width:.4g}in", "figclass": f"print-size{wide}"}
+                caption = f"{result.caption} `{result.stem}`, {width:.2g} in"
+                parts.append(_figure(result, options, caption))
     return "\n\n".join(parts) + "\n"
 
 
-def _figure(result: Result, width: float) -> str:
+def _figure(result: Result, options: Mapping[str, str], caption: str) -> str:
+    given = {"alt": result.stem, **options}
     lines = (
         f":::{{figure}} {result.name}.png",
-        f":width: {width:.4g}in",
-        f":alt: {result.stem}",
-        f":figclass: print-size{' wide' if round(width, 2) > _COLUMN else ''}",
+        *(f":{name}: {value}" for name, value in given.items()),
         "",
-        f"{result.caption} `{result.stem}`, {width:.2g} in",
+        caption,
         ":::",
     )
     return "\n".join(lines)

@@ -11,7 +11,7 @@ import pytest
 
 import docs.__main__
 import robsmooth as rs
-from docs import build, citation, references
+from docs import build, citation, references, results
 from robsmooth.workbench.parameters import PipelineError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -146,6 +146,20 @@ def test_every_page_that_docstrings_name_is_one_on_the_methods():
 def test_what_only_looks_like_a_quoted_equation_is_left_alone():
     assert not references.QUOTED.search("solve(equations), (equation), assumptions")
     assert references.QUOTED.findall("(eqbound) by Assumption 3.2") == [("eqbound", ""), ("", "3")]
+
+
+def test_the_gallery_has_each_figure_with_its_caption_and_its_notebook():
+    files = ("fig1", ("png", "svg"), "A loop.", ""), ("table_1", ("md", "csv"), "Values.", "| a |")
+    made = tuple(results.Result(*file) for file in files)
+    runs = [
+        results.Run("How?", "notebooks/01_how.ipynb", "make", {}, {}, made),
+        results.Run("Verdicts", "figures/reproduction.md", "make", {}, {}, made[1:]),
+    ]
+    _, title, figure = results.gallery(runs).split("\n\n", 3)[1:]
+    assert title == "## How?"
+    assert figure.startswith(":::{figure} fig1.png\n:alt: fig1\n:target: notebooks/01_how.html\n")
+    assert "A loop. [How?](notebooks/01_how.ipynb)" in results.gallery(runs)
+    assert "Verdicts" not in results.gallery(runs) and "Values" not in results.gallery(runs)
 
 
 def test_the_citation_has_what_the_file_says():
