@@ -243,7 +243,8 @@ def gallery(found: Iterable[Run]) -> str:
         parts += [f"## {run.title}"] if figures else []
         for result in figures:
             options = {"target": f"{run.page.rpartition('.')[0]}.html", "figclass": "thumbnail"}
-            parts.append(_figure(result, options, f"{result.caption} [{run.title}]({run.page})"))
+            caption = f"{result.caption} [Where it is made]({run.page})"
+            parts.append(_figure(result, options, caption))
     return "\n\n".join(parts) + "\n"
 
 

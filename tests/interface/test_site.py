@@ -158,7 +158,7 @@ def test_the_gallery_has_each_figure_with_its_caption_and_its_notebook():
     _, title, figure = results.gallery(runs).split("\n\n", 3)[1:]
     assert title == "## How?"
     assert figure.startswith(":::{figure} fig1.png\n:alt: fig1\n:target: notebooks/01_how.html\n")
-    assert "A loop. [How?](notebooks/01_how.ipynb)" in results.gallery(runs)
+    assert "A loop. [Where it is made](notebooks/01_how.ipynb)" in results.gallery(runs)
     assert "Verdicts" not in results.gallery(runs) and "Values" not in results.gallery(runs)
 
 
