@@ -1,10 +1,8 @@
 r"""The least bound: minimisation of V over tau and lambda.
 
 SciPy's SLSQP minimises :math:`\log V` under the constraint :math:`J'M(\lambda)J \le I`, in natural
-units (`robsmooth.estimators.units`), from several starts. With :math:`\theta = \tau\lambda`,
-:math:`V = \tau\,v(\theta)`, and :math:`V(s\lambda, \tau/s) = V(\lambda, \tau)/s`: the step onto the
-boundary of the constraint is exact. The limit in which the multipliers of the mu and mu-tilde
-constraints vanish (`limiting_smoother`) is searched, too. `docs/source/methods.md` has the reasons.
+units, from several starts. The limit in which the multipliers of the mu and mu-tilde constraints
+vanish (`limiting_smoother`) is searched, too. `docs/source/methods.md` has the reasons.
 """
 
 import math

@@ -1,15 +1,7 @@
-r"""The certified error: the largest that the constraints on the uncertainty allow a loop.
+"""The certified error: the largest that the constraints on the uncertainty allow a loop.
 
-For multipliers :math:`\theta \ge 0` and the stabilising solution of
-
-.. math::
-
-    \mathbf A'P + P\mathbf A + C'C + C_\zeta' N(\theta) C_\zeta +
-    P B_\xi M(\theta)^{-1} B_\xi' P = 0, \qquad C = C_w - C_s,
-
-:math:`E|e|^2 \le \operatorname{tr}\mathbf B'P\mathbf B` for every admissible uncertainty
-(`docs/source/methods.md`). The right hand side is convex in :math:`\theta`. The worst input is the
-feedback :math:`\tilde\xi = M^{-1}B_\xi'PX`.
+It is tr B'PB, with the stabilising solution P of the Riccati equation of `docs/source/methods.md`
+for multipliers theta, and holds for every admissible uncertainty. It is convex in theta.
 """
 
 import math

@@ -1,21 +1,10 @@
 r"""The equations of the design: Assumption 3, (eqCparams) and (eqbound) of Section III.
 
 The squares of a nonlinearity and its copy are completed, so that nothing cancels as multipliers
-vanish. With d the multiplier of their difference, o that of the nonlinearity's own constraint and c
-that of its copy's, :math:`a = d/(d + o),\ b = d/(d + c),\ e = d + o,\ f = o + bc`. Channels have
-the weights :math:`\lambda_s` and e in :math:`\Lambda_Y`, :math:`\lambda_s` and f in
-:math:`\Lambda_X`:
-
-.. math::
-
-    R &= C'C + \tau C_1'\Lambda_Y C_1,\qquad E = D\Lambda_Y^{-1}D',\qquad L = B\Lambda_Y^{-1}D',\\
-    K &= (YC_2' + L)E^{-1},\qquad T = (I - YX/\tau)^{-1},\qquad
-         U = KEK' + B(\Lambda_X^{-1} - \Lambda_Y^{-1})B',\\
-    V &= \tfrac12\operatorname{tr}(YR + UXT).
-
-Where the noise 1/f does not enter the state it is left out: these are the equations of the limit.
-The quadratic term of the X equation has the printed sign; the paper's numbers follow from the other
-one (`robsmooth.paper.published`). `docs/source/methods.md` derives all of it.
+vanish; `docs/source/methods.md` has the equations with the letters of the code. Where the noise 1/f
+does not enter the state it is left out: these are the equations of the limit. The quadratic term of
+the X equation has the printed sign; the paper's numbers follow from the other one
+(`robsmooth.paper.published`).
 """
 
 from typing import NamedTuple

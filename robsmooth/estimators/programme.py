@@ -1,11 +1,8 @@
 r"""The estimator with the least certified error: a semidefinite programme.
 
-Its inequalities, linear in Z, X, F, L, K, :math:`\theta` and S, are in `docs/source/methods.md`,
-with the letters of `least_certified`: for the plant :math:`dx = (A x + B_\xi\xi)\,dt + B_w\,dW`,
-:math:`dy = (C_2 x + D_\xi\xi)\,dt + D_w\,dW`, a Lyapunov function of plant and estimator certifies
-the mean square :math:`\operatorname{tr} S`. The estimator is :math:`A_c = (Z-X)^{-1}F`,
-:math:`B_c = (Z-X)^{-1}L`, :math:`C_c = K`. What it knows, the copies' outputs and the states
-:math:`x_2` that they drive, is subtracted first. No uncertainty may see these states.
+Its inequalities are in `docs/source/methods.md`, with the letters of `least_certified`. What the
+estimator knows, the copies' outputs and the states :math:`x_2` that they drive, is subtracted
+first. No uncertainty may see these states.
 """
 
 import warnings

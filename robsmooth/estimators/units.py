@@ -1,11 +1,8 @@
 r"""Natural units, in which a plant's time constants, states, noises and outputs are of order one.
 
-With the time :math:`t = Tt'`, the states :math:`x = sx'` and the measurement's noise as units,
-
-.. math:: dy = [C_2 x + D\xi]\,dt + D_{21}\,dW
-
-keeps its form with :math:`W = \sqrt T W'` and :math:`\xi = \xi'/\sqrt T`. A design is made in
-natural units, so that it does not depend on the units of its problem.
+With the time :math:`t = Tt'`, the states :math:`x = sx'` and the measurement's noise as units, the
+equations keep their form with :math:`W = \sqrt T W'` and :math:`\xi = \xi'/\sqrt T`. A design is
+made in natural units, so that it does not depend on the units of its problem.
 """
 
 from typing import Any, NamedTuple

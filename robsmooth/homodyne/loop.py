@@ -1,16 +1,8 @@
 r"""The adaptive homodyne loop of Section IV with a linear estimator in it.
 
-With the local oscillator's phase u for the estimate and noise of power s, measurement and copy
-drive the estimator (`docs/source/simulation.md`), so that
-
-.. math::
-
-    d\hat x = \bigl[G\hat x + b_c\sin(c\hat x)\bigr]dt
-             + b_s\bigl[\sin(\phi - r\hat x)\,dt + \nu\,dW\bigr],
-    \qquad \nu = \frac{\sqrt s}{2\alpha} .
-
-The phase u is the filtered or the smoothed estimate, or :math:`\tilde\nu/2\alpha\gamma`, with which
-the copy's output is zero, or zero.
+`docs/source/simulation.md` has its equations. The phase u of the local oscillator is the filtered
+or the smoothed estimate, or :math:`\tilde\nu/2\alpha\gamma`, with which the copy's output is zero,
+or zero.
 """
 
 import math

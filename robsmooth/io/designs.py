@@ -1,19 +1,8 @@
-r"""Systems, plants and estimators in readable TOML or JSON files.
+"""Systems, plants and estimators in readable TOML or JSON files.
 
-The names and units are those of the library's fields; a matrix is a list of its rows::
-
-    format = 1
-    kind = "system"
-    units = "SI"
-    A = [[-1.0, 2.0], [0.0, -3.0]]
-    ...
-    [[nonlinearities]]
-    B = [[0.0], [1.0]]
-    ...
-    function = "sin"
-
-Every number is read back bit for bit. A function is stored by its name, and `load` takes the
-functions by their names. Nothing in a file is imported or run.
+The names and units are those of the library's fields, and a matrix is a list of its rows. Every
+number is read back bit for bit. A function is stored by its name, and `load` takes the functions by
+their names. Nothing in a file is imported or run.
 """
 
 import json

@@ -8,14 +8,8 @@ With :math:`z = [x; \hat x_p]` and the channels of uncertainties, nonlinearities
     \tilde\xi = \Delta\tilde\zeta + \rho(t, \tilde\zeta),
 
 where R z are the references, :math:`\Delta` has constant uncertainties and the statistically
-equivalent slopes of the nonlinearities, and :math:`\rho` the rest. With
-:math:`\rho_0 = \rho(t, Lz)` and :math:`F_\Delta = F + G\Delta L`, a step is Heun's in exponential
-form (`docs/source/simulation.md`):
-
-.. math::
-
-    z^* = e^{F_\Delta h}z + K_1\rho_0 + \eta,\qquad
-    z \leftarrow z^* + K_2\,[\rho(t + h, Lz^*) - \rho_0] .
+equivalent slopes of the nonlinearities, and :math:`\rho` the rest. A step is Heun's in exponential
+form (`docs/source/simulation.md`).
 """
 
 from collections.abc import Callable, Sequence

@@ -1,11 +1,9 @@
 """Cycle slips, sines and noise, for the kernels of both protocols.
 
-Each path has a xoshiro128+ generator, whose state is a splitmix64 hash of (seed, path index): the
-noise depends on these two numbers alone. A step turns two words into two independent standard
-normal variables by the method of Box and Muller (`docs/source/simulation.md`). Logarithm, sine and
-cosine are minimax polynomials, as no library has them for vectors. With integer operations,
-explicit fused multiply-adds, products and square roots only, the results have the same bits on
-every machine that has these.
+Each path has a xoshiro128+ generator, seeded by (seed, path index), and Box and Muller's normal
+variables (`docs/source/simulation.md`). Logarithm, sine and cosine are minimax polynomials, as no
+library has them for vectors. With integer operations, explicit fused multiply-adds, products and
+square roots only, the results have the same bits on every machine that has these.
 """
 
 import hashlib
