@@ -27,4 +27,4 @@ class CoarseDelayWarning(RuntimeWarning):
 
 
 class LongStepWarning(RuntimeWarning):
-    """The step is long for the loop: the results of the simulation depend on it."""
+    """The step is long: a simulation depends on it, or samples are longer than a delay."""

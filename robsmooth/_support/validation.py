@@ -86,7 +86,8 @@ def array(name: str, value: ArrayLike, ndim: int) -> Matrix:
         raise ValueError(f"{name} must have no masked entries; .filled(...) gives them a value")
     given = numbers_of(name, value)
     if given.ndim != ndim:
-        raise ValueError(f"{name} must have {ndim} dimension(s), got shape {given.shape}")
+        hint = ": [[...]] makes one row" if (ndim, given.ndim) == (2, 1) else ""
+        raise ValueError(f"{name} must have {ndim} dimension(s), got shape {given.shape}{hint}")
     with np.errstate(over="ignore"):  # a long double beyond the floats is not finite
         result = np.array(given, dtype=float)
     if not np.isfinite(result).all():

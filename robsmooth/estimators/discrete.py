@@ -1,14 +1,17 @@
 """An estimator in discrete time, for a record: an `ExactFilter` or else a `HeldEstimator`."""
 
+import warnings
 from collections.abc import Callable, Iterable
 from copy import deepcopy
+from os import PathLike
 from threading import RLock
-from typing import Any, Literal, TypedDict, Unpack, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robsmooth._support import validation
+from robsmooth._support.errors import LongStepWarning
 from robsmooth.estimators.copies import Functions, running_copies, running_functions
 from robsmooth.estimators.exact import ExactFilter
 from robsmooth.estimators.exports import Exports
@@ -21,14 +24,6 @@ OUTPUTS = ("smoothed", "filtered")
 _FLOAT, _PLAIN = np.dtype(float), (float, list, np.ndarray)  # of the samples of `step`'s short way
 SHORTEST = 1e-6  # interval, times dt
 _ROWS = 4096  # of samples with their own intervals, whose matrices are in memory at a time
-
-
-class Beside(TypedDict, total=False):
-    """What a record may have beside its samples: see `DiscreteSmoother.run`."""
-
-    reference: ArrayLike | None
-    inputs: ArrayLike | None
-    intervals: ArrayLike | None
 
 
 class DiscreteSmoother(Exports):
@@ -75,6 +70,10 @@ class DiscreteSmoother(Exports):
         self.dt: float = validation.positive("dt", dt)
         self.delay: float = estimator.plant.delay
         self.lag: float = self.delay
+        if 0.0 < self.delay < self.dt / 2:
+            what = f"the delay of {self.delay:g} s is below half of dt={self.dt:g} s"
+            advice = "give both in one unit of time"
+            warnings.warn(f"{what}: {advice}", LongStepWarning, stacklevel=3)
         system = estimator.plant.system
         self.l, self.m, self.g, self.p = system.l, system.m, system.g, system.p
         if delay is not None:
@@ -262,7 +261,7 @@ class DiscreteSmoother(Exports):
         found, spread = self._take(given, output, return_std)
         return (found, spread) if return_std else found
 
-    def two_sided(self, y: ArrayLike, **beside: Unpack[Beside]) -> Pair:
+    def two_sided(self, y: ArrayLike, **beside: ArrayLike | None) -> Pair:
         """Return the estimates that use a whole record: fixed-interval smoothing.
 
         The record is given as to `run`, and begins as `reset` set it. `samples` and `state` stay.
@@ -275,7 +274,7 @@ class DiscreteSmoother(Exports):
         found, spread = self._exact("two_sided").two_sided(self._given(y, **beside))
         return found + self._w, spread
 
-    def innovations(self, y: ArrayLike, **beside: Unpack[Beside]) -> Floats:
+    def innovations(self, y: ArrayLike, **beside: ArrayLike | None) -> Floats:
         """Return the (N, l) normalised innovations of a record: white, of variance one.
 
         An innovation is a sample less its prediction, NaN where that is missing. Those of one
@@ -366,6 +365,9 @@ def _plain(given: Any, size: int) -> Floats | None:
 
 def checked(name: str, given: ArrayLike, columns: int) -> Floats:
     """Return `given` as an (N, columns) array of floats; (N,) is one column."""
+    if isinstance(given, str | PathLike):
+        what = f"no file: pandas.read_csv reads {validation.shown(given)}"
+        raise TypeError(f"{name} must be an array of numbers and {what}")
     result = validation.numbers_of(name, given)
     if result.size == 0 and result.ndim == 1:
         result = result.reshape(0, columns)

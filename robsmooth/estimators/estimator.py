@@ -130,6 +130,11 @@ class Estimator(Frozen):
             A sample is the mean of dy/dt over its interval. Or, for exact delays, it is taken at
             the interval's end, and only its noise, of variance :math:`D_{21}D_{21}'/dt`, is a mean.
 
+        Warns
+        -----
+        LongStepWarning
+            Where the delay is below half of dt, perhaps since they have two units of time.
+
         Raises
         ------
         ArithmeticError

@@ -110,7 +110,9 @@ def load(
     1
     """
     path, language = _language(path)
-    if path.exists() and not (path.is_file() and path.stat().st_size <= _LARGEST):
+    if not path.exists():
+        raise FileNotFoundError(f"path must be that of a file that exists, got {path}")
+    if not (path.is_file() and path.stat().st_size <= _LARGEST):
         raise ValueError(f"path must be a file of at most {_LARGEST} bytes, no pipe, got {path}")
     functions = {} if functions is None else functions
     validation.instance("functions", functions, Mapping)

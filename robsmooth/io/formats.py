@@ -36,6 +36,8 @@ def delimiter_of(name: str, path: Path, given: str | None) -> str:
     if not found or unwritten or (path.exists() and not path.is_file()):
         allowed = "that ends in .csv, .tsv, .csv.gz, .tsv.gz, .npy or, to be read, .parquet"
         raise ValueError(f"{name} must be a file, no pipe or device, {allowed}, got {line(path)}")
+    if name == "source" and not path.exists():
+        raise FileNotFoundError(f"source must be a file that exists, got {line(path)}")
     right = isinstance(given, str) and re.fullmatch(r"(?![\w\"'.+-])[\t -~]", given)
     if given is not None and not right:
         allowed = "one character of ASCII, not a quote and in no number"
@@ -86,13 +88,13 @@ class Record:
             self.origin = 0 if str(self.dates[column]).startswith("duration") else ticks[0]
         return (ticks - self.origin) / 1e9
 
-    def in_clock(self, column: int | None, times: Matrix, file: bool = True) -> Any:
-        """Return times in s as a column has them; in a file, lengths of time are in s."""
-        kind = str(self.dates.get(column))
-        if kind == "None" or (file and kind.startswith("duration")):
-            return times
-        ticks = (self.origin or 0) + np.round(1e9 * times).astype(np.int64)
-        return pyarrow().array(ticks).cast(self.dates[column])
+    def table(self, clock: int | None, times: Any, w: Matrix, names: list[str], file: bool) -> Any:
+        """Return estimates with times as the clock has them; lengths of time are s in a file."""
+        kind = str(self.dates.get(clock))
+        if kind != "None" and not (file and kind.startswith("duration")):
+            ticks = (self.origin or 0) + np.round(1e9 * times).astype(np.int64)
+            times = pyarrow().array(ticks).cast(self.dates[clock])
+        return pyarrow().table([times, *w.T], names=names)
 
     @contextmanager
     def _failures(self) -> Iterator[None]:
@@ -175,10 +177,10 @@ class Table(Record):
             self.read += len(batch)
             yield batch.select(keys)  # in this order
 
-    def as_given(self, clock: int | None, times: Matrix, w: Matrix) -> Any:
+    def as_given(self, clock: int | None, times: Matrix, w: Matrix, names: list[str]) -> Any:
         """Return estimates with their times in the type of the record."""
         name = "time" if clock is None else self.names[clock]
-        table = table_of(self.in_clock(clock, times, file=False), w, name)
+        table = self.table(clock, times, w, [name, *names[1:]], file=False)
         frame = _frame(self._source)
         if hasattr(frame, "set_index"):  # of pandas, or of xarray by pandas
             found = table.to_pandas().set_index(name)
@@ -322,9 +324,3 @@ def opened(source: Any, delimiter: str | None, *dialect: Any) -> Record:
     if path is None:
         return in_memory(source)
     return Array(path) if path.suffix.lower() == ".npy" else Table(path)
-
-
-def table_of(times: Any, w: Matrix, name: str = "time") -> Any:
-    """Return a table of Arrow with estimates and their times."""
-    names = [name, *(f"w[{i}]" for i in range(w.shape[1]))]
-    return pyarrow().table([times, *w.T], names=names)

@@ -4,7 +4,9 @@ A record has a row for each sample and a column for each measurement, the mean o
 sample's interval: in a file or in memory (`robsmooth.io.formats`).
 """
 
+import math
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import partial
@@ -24,6 +26,7 @@ TIMING = 0.5  # of a sample: by how much a row may come too early or too late
 DRIFT = 1e-3  # by how much the record's clock may differ from dt's
 COARSE = 1e-2  # of a sample: by how much rounding may change a time
 HEAD = 1000  # rows by which times are known
+GAP = 30  # times the median interval: a mean over a longer one is likely to be none
 
 Column = int | str
 Columns = Column | Sequence[Column] | None  # or False, for time
@@ -39,6 +42,7 @@ def smooth_record(
     time: Column | Literal[False] | None = None,
     regular: bool = True,
     output: str = "smoothed",
+    return_std: bool = False,
     delimiter: str | None = None,
     decimal: str = ".",
     header: bool | None = None,
@@ -77,6 +81,9 @@ def smooth_record(
         Whether to refuse a missing row or a wrong dt. With False an interval lasts from one row's
         time to the next, which a mean is over; a row without a neighbour has dt.
     output : {"smoothed", "filtered"}
+    return_std : bool
+        Whether to add the errors' standard deviations, as of `DiscreteSmoother.run`: the columns
+        ``std[0]``, ``std[1]``... behind those of ``w``; of arrays a pair for each.
     delimiter, decimal, header, skip_rows, missing : optional
         The dialect of a CSV file: both marks; whether it begins with names, where the first line
         could be either; the number of lines before; the words for a gap, exactly as in the file.
@@ -106,10 +113,12 @@ def smooth_record(
     output = validation.choice("output", output, OUTPUTS)
     for name, flag in (("progress", progress), ("resume", resume), ("regular", regular)):
         validation.boolean(name, flag)
+    kinds = ("w", "std")[: 1 + validation.boolean("return_std", return_std)]
     chunk = validation.integer("chunk", chunk, low=1)
     record = formats.opened(source, delimiter, decimal, header, skip_rows, missing)
     path, mark = _target(record, target, delimiter, resume)
     chosen, clock = _choice(record, smoother, columns, reference, time)
+    names = ["time"] + [f"{kind}[{i}]" for kind in kinds for i in range(smoother.m)]
     ends = [smoother.l, smoother.l + (0 if reference is None else smoother.g)]
     if clock is None and not regular:
         raise ValueError("time must be given where regular=False")
@@ -117,31 +126,38 @@ def smooth_record(
         raise ValueError("smoother must have no known inputs, which run(y, inputs=...) takes")
     timed = target is not None or isinstance(record, formats.Table)
     delay = smoother.delay if output == "smoothed" else 0.0
+    digits = 6 - math.floor(math.log10(smoother.dt))  # of times: six behind those of dt
 
     def smooth(values: Matrix) -> tuple[Matrix, Matrix]:
         y, known, own = np.split(values, ends, axis=1)
         length = smoother.dt if regular else own[:, 1]
-        beside = {"reference": known if known.size else None}
-        w = smoother.run(y, **beside, output=output, intervals=None if regular else length)
-        if clock is None:
-            return smoother.times(len(y), output) if timed else np.empty(len(y)), w
-        return own[:, 0] + (0.0 if smoother.instants else length) - delay, w
+        how = {"reference": known if known.size else None, "return_std": return_std}
+        w = smoother.run(y, **how, output=output, intervals=None if regular else length)
+        if clock is not None:
+            times = own[:, 0] + (0.0 if smoother.instants else length) - delay
+        else:
+            times = smoother.times(len(y), output) if timed else np.zeros(len(y))
+        return np.round(times, digits), np.hstack(w) if return_std else w
+
+    def apart(w: Matrix) -> Any:
+        return tuple(np.hsplit(w, 2)) if return_std else w
 
     record.shown = progress
     pieces = _checked(record, chosen, ends, smoother.dt, regular, chunk)
     if not regular:
         pieces = _with_lengths(pieces, smoother.dt, smoother.instants)
     if target is None and isinstance(record, formats.Chunks):
-        return (smooth(values)[1] for values in pieces)
+        return (apart(smooth(values)[1]) for values in pieces)
     before = smoother._checkpoint()
     try:
         if target is None:
-            none = np.empty(0), np.empty((0, smoother.m))
+            none = np.empty(0), np.empty((0, len(names) - 1))
             times, w = map(np.concatenate, zip(none, *map(smooth, pieces), strict=True))
-            return record.as_given(clock, times, w) if isinstance(record, formats.Table) else w
+            framed = isinstance(record, formats.Table)
+            return record.as_given(clock, times, w, names) if framed else apart(w)
         given = {"columns": chosen, "clock": clock, "delimiter": mark, "chunk": chunk}
         identity = (lambda: given | {"first date": str(record.origin)}) if resume else None
-        writer = partial(targets.writer, record, clock, mark, smoother.m)
+        writer = partial(targets.writer, record, clock, mark, names)
         return targets.written(smoother, smooth, pieces, path, writer, identity)
     except BaseException:
         smoother._restore(before)
@@ -180,7 +196,8 @@ def _choice(
     if columns is None:
         if times and clock is None:
             what = f"{record.path}: {record.name(times[0])} looks like times"
-            raise ValueError(f"{what}: say time={times[0]}, or time=False where it is not")
+            key = record.names[times[0]] if record.names else times[0]
+            raise ValueError(f"{what}: say time={key!r}, or time=False where it is not")
         measured = _positions(record, "columns", rest, smoother.l)
     chosen = [*measured, *known, *times]
     if len({*chosen}) < len(chosen) or record.dates.keys() & {*measured, *known}:
@@ -250,9 +267,15 @@ def _checked(
             wrong = wrong if regular else late < SHORTEST
             if wrong.any():
                 i = int(wrong.argmax())
-                advice = "times must rise; a missing row is a row of nan"
-                if regular:
-                    advice += ", time=False takes all as regular, regular=False any times"
+                advice = "times must rise"
+                if regular and done + i == 1 and (late[i] > 10 or 0 < late[i] < 0.1):
+                    rule = f"divide them by {late[i]:.6g} if their unit is not that of dt"
+                    advice += f", {rule}, and time=False takes all rows as regular"
+                elif regular:
+                    rule = "for means over intervals that reach to the next row's time"
+                    advice += (
+                        f"; put a row of nan for each missing row: regular=False is only {rule}"
+                    )
                 after = f"{late[i]:.6g} samples after the row before"
                 off = f"{drift[i]:+.6g} off regular times with dt = {dt:g} s"
                 time = f"{times[i]:.15g} s is {after} and {off}"
@@ -271,7 +294,13 @@ def _with_lengths(pieces: Iterator[Matrix], dt: float, instants: bool) -> Iterat
             yield np.column_stack([values, np.diff(values[:, -1], prepend=begin)])
         else:
             values = np.vstack([before, values]) if before.size else values
-            yield np.column_stack([values[:-1], np.diff(values[:, -1])])
+            lengths = np.diff(values[:, -1])
+            if len(lengths) and lengths.max() > GAP * np.median(lengths):
+                rule = "put a row of nan for each row that is missing in a gap"
+                row = f"the row at {values[lengths.argmax(), -1]:.15g} s"
+                what = f"{row} counts as a mean over {lengths.max():.6g} s"
+                warnings.warn(f"{what}: {rule}", stacklevel=2)
+            yield np.column_stack([values[:-1], lengths])
         before = values[-1:]
     if before.size and not instants:
         yield np.column_stack([before, [dt]])

@@ -24,7 +24,7 @@ from robsmooth._support.files import atomic_path
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.discrete import DiscreteSmoother
 from robsmooth.estimators.sample_loop import Memory
-from robsmooth.io.formats import Record, table_of
+from robsmooth.io.formats import Record
 
 HEADER = 128  # bytes of an NPY file
 KEPT = 64  # chunks between notes in the journal
@@ -81,7 +81,7 @@ def written(
 
 @contextmanager
 def writer(
-    record: Record, clock: int | None, delimiter: str, outputs: int, path: Path, begin: int
+    record: Record, clock: int | None, delimiter: str, names: list[str], path: Path, begin: int
 ) -> Iterator[Any]:
     """Open a file, cut to `begin` bytes; yield a function of times and estimates, and the file."""
     with open(path, "r+b" if begin else "wb") as file:
@@ -90,8 +90,9 @@ def writer(
         if not delimiter:
             file.write(bytes(HEADER if not begin else 0))
             yield lambda _, w: file.write(w.astype("<f8").tobytes()), file
-            rows = (file.tell() - HEADER) // (8 * outputs)
-            header = {"descr": "<f8", "fortran_order": False, "shape": (rows, outputs)}
+            columns = len(names) - 1
+            rows = (file.tell() - HEADER) // (8 * columns)
+            header = {"descr": "<f8", "fortran_order": False, "shape": (rows, columns)}
             file.seek(0)
             npy.write_array_header_1_0(file, header)
             return
@@ -100,10 +101,9 @@ def writer(
         zipped = gzip.GzipFile("", "wb", 6, file, 0) if path.suffix.lower() == ".gz" else None
         with zipped or nullcontext(file) as sink:
             if not begin:
-                names = table_of(np.empty(0), np.empty((0, outputs))).column_names
                 sink.write(f"{delimiter.join(names)}\n".encode())
 
             def put(times: Matrix, w: Matrix) -> None:
-                csv.write_csv(table_of(record.in_clock(clock, times), w), sink, bare)
+                csv.write_csv(record.table(clock, times, w, names, file=True), sink, bare)
 
             yield put, file

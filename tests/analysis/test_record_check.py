@@ -72,6 +72,9 @@ def test_what_is_drawn_is_what_was_found():
     along, between = found.plot()
     drawn = [line.get_ydata()[0] for line in between.lines]
     assert_array_equal(drawn, found.correlations[0].ravel())
+    legend = [text.get_text() for text in along.figure.legends[0].get_texts()]
+    assert legend[2] == "y[0] with y[1] before" and len({*legend}) == 5
+    assert len({line.get_marker() for line in between.lines}) == 4  # told apart in grey, too
     assert len(along.lines[0].get_xdata()) == 50
     drawn = np.array(along.lines[0].get_ydata())
     assert np.isnan(drawn[25:27]).all() and np.isfinite(np.delete(drawn, [25, 26, 27])).all()
@@ -105,6 +108,11 @@ def test_the_start_of_a_drift_is_no_disagreement():
         found = rs.check_record(discrete, y)
         assert found.sentence == "The record agrees with the model."
         assert np.isnan(found.innovations[0]) and np.isfinite(found.innovations[1:]).all()
+
+
+def test_a_file_is_no_record_in_memory():
+    with pytest.raises(TypeError, match=r"y must be .* no file: pandas\.read_csv reads 'y\.csv'"):
+        rs.check_record(smoother(), "y.csv")
 
 
 @pytest.mark.parametrize(

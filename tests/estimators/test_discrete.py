@@ -797,6 +797,15 @@ def test_wrong_calls_are_refused(call, message):
         call(design().discretize(0.2))
 
 
+def test_a_delay_far_below_a_sample_is_pointed_out():
+    system = random_system(np.random.default_rng(0))
+    with pytest.warns(rs.LongStepWarning, match=r"2\.8e-05 s is below half of dt=1 s") as w:
+        baselines.fixed_lag_smoother(system, 2.8e-5, 2).discretize(1.0)
+    assert w[0].filename == __file__
+    for delay in (0.0, 0.5):
+        baselines.fixed_lag_smoother(system, delay, 2).discretize(1.0)
+
+
 def test_an_unstable_estimator_is_found_out():
     estimator = linear(design())
     unstable = replace(estimator, A_c=estimator.A_c + 1e3 * np.eye(len(estimator.A_c)))

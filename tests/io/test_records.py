@@ -188,7 +188,11 @@ def test_good_times_are_let_through(tmp_path, times):
 @pytest.mark.parametrize(
     ("times", "row", "message"),
     [
-        (np.delete(DT * np.arange(200), 150), 150, "is 2 samples after the row before"),
+        (
+            np.delete(DT * np.arange(200), 150),
+            150,
+            "is 2 samples after the row before .*; put a row of nan for each missing row",
+        ),
         (np.insert(DT * np.arange(200), 60, 60 * DT), 61, "is 0 samples after"),
         (1.01 * DT * np.arange(200), 56, r"\+0.56 off regular times"),
         (2 * DT * np.arange(5), 1, "is 2 samples after"),
@@ -243,7 +247,9 @@ def test_times_are_pointed_out_and_checked_unsaid(tmp_path, clock):
 
     whole, gap, chosen = np.arange(30), np.delete(np.arange(30), 9), {"columns": ["I", "Q"]}
     for rows in (whole, gap):
-        with pytest.raises(ValueError, match=r"column 0 \('t'\) looks like times: say time=0, or"):
+        with pytest.raises(
+            ValueError, match=r"column 0 \('t'\) looks like times: say time='t', or"
+        ):
             smoothed(tmp_path, "y.csv", text(rows), chunk=1)
     for say in ({"time": "t"}, chosen):
         found = smoothed(tmp_path, "y.csv", text(whole), **say)
@@ -252,6 +258,26 @@ def test_times_are_pointed_out_and_checked_unsaid(tmp_path, clock):
             smoothed(tmp_path, "y.csv", text(gap), **say)
     found = smoothed(tmp_path, "y.csv", text(gap), time=False, **chosen)
     assert_array_equal(found, discrete().run(record(30)[gap]))
+
+
+@pytest.mark.parametrize("scale", [1e6, 60.0, 1 / 60.0])
+def test_a_column_of_times_in_another_unit_is_told(tmp_path, scale):
+    values = with_times(scale * DT * np.arange(30))
+    with pytest.raises(ValueError, match=r"row 1, .* divide them by") as raised:
+        smoothed(tmp_path, "y.npy", values, time=0)
+    scale_told = float(re.search(r"divide them by (\S+)", str(raised.value))[1])
+    assert scale_told == pytest.approx(scale, rel=1e-5)
+    values[:, 0] /= scale_told
+    assert len(smoothed(tmp_path, "y.npy", values, time=0)) == 30
+
+
+def test_times_are_written_with_the_digits_of_dt(tmp_path):
+    (tmp_path / "y.csv").write_text(csv_text(with_times(DT * np.arange(20)), ["t", "I", "Q"]))
+    for say in ({"time": "t"}, {"time": False, "columns": ["I", "Q"]}):
+        smooth_record(discrete(), tmp_path / "y.csv", tmp_path / "w.csv", **say)
+        lines = (tmp_path / "w.csv").read_text().splitlines()[1:]
+        shown = [line.partition(",")[0] for line in lines]
+        assert all(len(time) <= 4 for time in shown), shown
 
 
 def test_a_measurement_that_rises_steadily_is_one_where_the_user_says_so(tmp_path):
@@ -397,7 +423,9 @@ def test_names_want_a_header(tmp_path):
 def test_wrong_sources_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"source must be a file, .* ends in .*, got .*y.npz"):
         smooth_record(discrete(), tmp_path / "y.npz", tmp_path / "out.npy")
-    with pytest.raises(FileNotFoundError, match=r"y\.csv"):
+    with pytest.raises(
+        FileNotFoundError, match=r"^source must be a file that exists, got .*y\.csv"
+    ):
         smooth_record(discrete(), tmp_path / "y.csv", tmp_path / "out.npy")
     with pytest.raises(TypeError, match="smoother must be a DiscreteSmoother, got int"):
         smooth_record(1, tmp_path / "y.csv", tmp_path / "out.npy")
@@ -547,6 +575,47 @@ def test_rows_out_of_order_are_refused_whatever_their_intervals(tmp_path):
         smooth_record(discrete(), tmp_path / "y.csv", tmp_path / "w.csv", time="t", regular=False)
     with pytest.raises(ValueError, match="time must be given where regular=False"):
         smooth_record(discrete(), record(4), regular=False)
+
+
+def test_a_mean_over_a_gap_is_pointed_out(tmp_path):
+    times = np.delete(DT * np.arange(200), slice(60, 100))
+    frame = pytest.importorskip("pandas").DataFrame({"t": times, "a": 0.0, "b": 0.0})
+    with pytest.warns(UserWarning, match=r"row at 5\.9 s counts as a mean over 4\.1 s: .* nan"):
+        smooth_record(discrete(), frame, time="t", regular=False)
+    smooth_record(discrete(samples="instants"), frame, time="t", regular=False)  # no mean
+    irregular = frame.assign(t=DT * np.cumsum(1.0 + 9.0 * np.random.default_rng(0).random(160)))
+    smooth_record(discrete(), irregular, time="t", regular=False)
+
+
+# --- error bars ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("chunk", [7, 1000])
+@pytest.mark.parametrize("output", ["smoothed", "filtered"])
+def test_files_have_the_error_bars_of_memory(tmp_path, chunk, output):
+    y, how = record(), {"output": output, "return_std": True}
+    w, deviations = discrete().run(y, **how)
+    for target in ("out.csv", "out.npy"):
+        found = smoothed(tmp_path, "y.csv", csv_text(y), target=target, chunk=chunk, **how)
+        assert_array_equal(found[:, -4:], np.hstack([w, deviations]))
+    header = (tmp_path / "out.csv").read_text().partition("\n")[0]
+    assert header == "time,w[0],w[1],std[0],std[1]"
+    frame = pytest.importorskip("pandas").DataFrame(y, columns=["I", "Q"])
+    found = smooth_record(discrete(), frame, chunk=chunk, **how)
+    assert list(found.columns) == header.split(",")[1:]
+    assert_array_equal(found, np.hstack([w, deviations]))
+    assert_array_equal(smooth_record(discrete(), y, chunk=chunk, **how), [w, deviations])
+    parts = smooth_record(discrete(), iter([y[:20], y[20:]]), chunk=chunk, **how)
+    assert_array_equal(np.concatenate([*map(np.array, parts)], axis=1), [w, deviations])
+
+
+def test_a_filter_of_the_delays_model_has_no_error_bars(tmp_path):
+    smoother = discrete().estimator.discretize(DT, delay="model")
+    with pytest.raises(ValueError, match="return_std is for an exact smoother"):
+        smoothed(tmp_path, "y.npy", record(), smoother, return_std=True)
+    with pytest.raises(TypeError, match="return_std must be True or False"):
+        smooth_record(discrete(), record(), return_std=1)
+    assert os.listdir(tmp_path) == ["y.npy"]
 
 
 def test_a_file_may_begin_with_a_row_of_gaps(tmp_path):

@@ -31,6 +31,11 @@ TYPES = r"A must be an array of numbers, got entries of type {}: np\.array\(\.\.
         ([[Fraction(-1, 2)]], TypeError, TYPES.format("object")),
         ([[Decimal("-0.5")]], TypeError, TYPES.format("object")),
         (np.array([[-1.0]], dtype=object), TypeError, TYPES.format("object")),
+        (
+            [-1.0],
+            ValueError,
+            r"A must have 2 dimension\(s\), got shape \(1,\): \[\[...\]\] makes one row",
+        ),
         (np.array([["1e4000"]], dtype=np.longdouble), ValueError, "A must be finite, got inf"),
     ],
 )

@@ -118,6 +118,7 @@ np.savetxt("record.csv", np.ones((10, 1)))
 assert rs.smooth_record(discrete, "record.csv", "smoothed.csv", header=False) == 10
 assert rs.smooth_record(discrete, "record.csv", "w.tsv", time=False, header=False, resume=True)
 assert rs.smooth_record(discrete, np.ones((10, 1))).shape == (10, 1)
+assert len(rs.smooth_record(filtering, np.ones((10, 1)), return_std=True)) == 2
 rs.save(smoother, "smoother.toml")
 loaded = rs.load(Path("smoother.toml"), functions={})
 assert_type(loaded, rs.UncertainSystem | rs.AugmentedSystem | rs.Estimator | rs.DiscreteSmoother)
