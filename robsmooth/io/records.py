@@ -126,7 +126,7 @@ def smooth_record(
         raise ValueError("smoother must have no known inputs, which run(y, inputs=...) takes")
     timed = target is not None or isinstance(record, formats.Table)
     delay = smoother.delay if output == "smoothed" else 0.0
-    digits = 6 - math.floor(math.log10(smoother.dt))  # of times: six behind those of dt
+    digits = (6 if regular else 15) - math.floor(math.log10(smoother.dt))  # of times
 
     def smooth(values: Matrix) -> tuple[Matrix, Matrix]:
         y, known, own = np.split(values, ends, axis=1)
@@ -269,13 +269,10 @@ def _checked(
                 i = int(wrong.argmax())
                 advice = "times must rise"
                 if regular and done + i == 1 and (late[i] > 10 or 0 < late[i] < 0.1):
-                    rule = f"divide them by {late[i]:.6g} if their unit is not that of dt"
-                    advice += f", {rule}, and time=False takes all rows as regular"
+                    advice += f" by dt: divide them by {late[i]:.6g}, or say time=False"
                 elif regular:
-                    rule = "for means over intervals that reach to the next row's time"
-                    advice += (
-                        f"; put a row of nan for each missing row: regular=False is only {rule}"
-                    )
+                    gaps = " by dt: put a row of nan for each missing row; regular=False is only "
+                    advice += gaps + "for means that reach to the next row's time"
                 after = f"{late[i]:.6g} samples after the row before"
                 off = f"{drift[i]:+.6g} off regular times with dt = {dt:g} s"
                 time = f"{times[i]:.15g} s is {after} and {off}"

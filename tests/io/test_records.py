@@ -191,7 +191,7 @@ def test_good_times_are_let_through(tmp_path, times):
         (
             np.delete(DT * np.arange(200), 150),
             150,
-            "is 2 samples after the row before .*; put a row of nan for each missing row",
+            "is 2 samples after the row before .*: put a row of nan for each missing row",
         ),
         (np.insert(DT * np.arange(200), 60, 60 * DT), 61, "is 0 samples after"),
         (1.01 * DT * np.arange(200), 56, r"\+0.56 off regular times"),
@@ -265,7 +265,7 @@ def test_a_column_of_times_in_another_unit_is_told(tmp_path, scale):
     values = with_times(scale * DT * np.arange(30))
     with pytest.raises(ValueError, match=r"row 1, .* divide them by") as raised:
         smoothed(tmp_path, "y.npy", values, time=0)
-    scale_told = float(re.search(r"divide them by (\S+)", str(raised.value))[1])
+    scale_told = float(re.search(r"divide them by (\S+),", str(raised.value))[1])
     assert scale_told == pytest.approx(scale, rel=1e-5)
     values[:, 0] /= scale_told
     assert len(smoothed(tmp_path, "y.npy", values, time=0)) == 30
