@@ -150,8 +150,9 @@ def readme_block(results: dict) -> str:
     texts = (
         f"One core simulates the paper's example {ratio(peers['C++, single'], 'single')} times as "
         f"fast as C++ and {ratio(peers['NumPy, float32'], 'single')} times as fast as NumPy.",
-        f"With a model of its delay a record is smoothed at {records['robsmooth']['rate'] / 1e6:.0f} "
-        f"million samples a second from memory, and at {csv / 1e6:.1f} million from a CSV file; "
+        f"With a model of its delay a record is smoothed at "
+        f"{records['robsmooth']['rate'] / 1e6:.0f} million samples a "
+        f"second from memory, and at {csv / 1e6:.1f} million from a CSV file; "
         f"with its exact delay, the default of a classical design, at {exact / 1e6:.1f} million.",
         f"{waits(results)} [The bench](benchmarks/results.md) has all measurements and the {aims} "
         "that they miss.",

@@ -24,6 +24,7 @@ APPLICATION = int.from_bytes(b"rsmo", "big")  # SQLite's mark of the program tha
 _decoded = partial(str, encoding="utf-8", errors="replace")  # a damaged text fails its checksum
 ANEW = "give another path, or delete the file to start anew"
 NOT_ONE = "{} is not a checkpoint of this version of robsmooth: give another path"
+_text = partial(json.dumps, sort_keys=True, ensure_ascii=False)
 OF_DAMAGE = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_TOOBIG}
 
 
@@ -92,7 +93,7 @@ class Journal:
             database.execute("COMMIT")
         there, here = _texts(json.loads(self._whole(0))), _texts(json.loads(identity))
         differences = [
-            f"{name} is {_short(there.get(name))} there and {_short(here.get(name))} here"
+            f"{name} is {_short(there, name)} there and {_short(here, name)} here"
             for name in sorted(there | here)
             if there.get(name) != here.get(name)
         ]
@@ -155,10 +156,6 @@ def _set_aside(path: Path, identity: str) -> tuple[Path, list[str]]:
     return aside, [text for number, text in sorted(records.items()) if number and text]
 
 
-def _text(value: object) -> str:
-    return json.dumps(value, sort_keys=True, ensure_ascii=False)
-
-
 def _whole(row: tuple | None, identity: str) -> str | None:
     """Return a record's text as it was written, with this number and identity, or None."""
     number, checksum, text = row or (0, None, None)
@@ -179,7 +176,7 @@ def _texts(identity: Mapping, prefix: str = "") -> dict[str, str]:
     return texts
 
 
-def _short(text: str | None) -> str:
-    """Return both ends of a long text."""
-    text = "absent" if text is None else text
+def _short(texts: Mapping[str, str], name: str) -> str:
+    """Return a text of these, of a long one both ends."""
+    text = texts.get(name, "absent")
     return text if len(text) <= 40 else f"{text[:16]}...{text[-8:]}"

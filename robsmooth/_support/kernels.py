@@ -15,8 +15,7 @@ def kept(**options: bool) -> Callable[[Callable], Callable]:
         except RuntimeError:
             warnings.warn(
                 "numba may write neither beside robsmooth's sources nor in the home, so each "
-                "process compiles anew, for a Monte Carlo some 15 s: set NUMBA_CACHE_DIR to a "
-                "folder that can be written",
+                "process compiles anew: set NUMBA_CACHE_DIR to a folder that can be written",
                 RuntimeWarning,
                 stacklevel=1,  # one place: Python shows the warning once
             )

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from itertools import cycle
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,10 +76,10 @@ class RecordCheck(Frozen):
         along.set(xlabel="time (s)", ylabel="innovations squared", title="mean squares (model: 1)")
         lags = np.arange(1, 1 + len(self.correlations))
         between.axhspan(*norm.interval(1.0 - _LEVEL), **within)
-        pairs = [*np.ndindex(self.correlations.shape[1:])]
-        for (i, j), marker in zip(pairs, cycle(".x+12^vos*"), strict=False):
-            label = f"y[{i}] with y[{j}] before" if len(pairs) > 1 else None
-            between.plot(lags, self.correlations[:, i, j], marker, color=f"C{j}", label=label)
+        pairs = [f"y[{i}] with y[{j}] before" for i, j in np.ndindex(self.correlations.shape[1:])]
+        look = {"label": pairs, "linestyle": "none", "color": "k"}
+        between.set_prop_cycle(marker=[*".x+^svod*12"])
+        between.plot(lags, self.correlations.reshape(len(lags), -1), **look)
         between.set(xlabel="lag (samples)", ylabel="in standard deviations", title="correlations")
         if ax is None:
             shown = between.get_legend_handles_labels()

@@ -71,9 +71,8 @@ class DiscreteSmoother(Exports):
         self.delay: float = estimator.plant.delay
         self.lag: float = self.delay
         if 0.0 < self.delay < self.dt / 2:
-            what = f"the delay of {self.delay:g} s is below half of dt={self.dt:g} s"
-            advice = "give both in one unit of time"
-            warnings.warn(f"{what}: {advice}", LongStepWarning, stacklevel=3)
+            what = f"dt={self.dt:g} s is more than twice the delay of {self.delay:g} s"
+            warnings.warn(f"{what}: give both in one unit", LongStepWarning, stacklevel=3)
         system = estimator.plant.system
         self.l, self.m, self.g, self.p = system.l, system.m, system.g, system.p
         if delay is not None:

@@ -115,7 +115,7 @@ class Estimator(Frozen):
 
         Parameters
         ----------
-        dt : float, length of a sample's interval, s
+        dt : float, length of a sample's interval, s; above twice the delay a LongStepWarning
         functions : sequence of g callables, optional
             The nonlinearities' functions, instead of those of the plant; None keeps the plant's.
             One that numba cannot compile runs in Python, a hundred times as slowly.
@@ -129,11 +129,6 @@ class Estimator(Frozen):
         samples : {"means", "instants"}
             A sample is the mean of dy/dt over its interval. Or, for exact delays, it is taken at
             the interval's end, and only its noise, of variance :math:`D_{21}D_{21}'/dt`, is a mean.
-
-        Warns
-        -----
-        LongStepWarning
-            Where the delay is below half of dt, perhaps since they have two units of time.
 
         Raises
         ------

@@ -242,11 +242,9 @@ def _grown(memory: Memory, ring: int) -> Memory:
     length = len(memory.states) - 1
     if ring <= length:
         return memory
-    rings = []
-    for old in memory[:7]:
-        new = np.zeros((ring + 1, *old.shape[1:]), dtype=old.dtype)
+    rings = [np.zeros((ring + 1, *old.shape[1:]), dtype=old.dtype) for old in memory[:7]]
+    for new, old in zip(rings, memory, strict=False):
         new[_slots(memory, ring)], new[-1] = old[_slots(memory, length)], old[-1]
-        rings.append(new)
     memory.counts[1] = min(memory.counts[1], length)  # the new ring has no more
     return Memory(*rings, *memory[7:])
 

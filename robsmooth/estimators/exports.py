@@ -127,13 +127,11 @@ class Exports:
             parts = model[:n, :n], model[n:, :n], gain[:n], gain[n:]
             parts += noise[:n, :n], noise[:n, n:], noise[n:, n:], engine._reading.readout
             names = "transition", "measurement", "Phi", "H", "Q", "S", "R", "filtered"
-            found = dict(zip(names, parts, strict=True))
         else:
             parts = np.split(engine.model(missing, self.dt), [n, n + g, n + 2 * g], axis=1)
-            names = "transition", "copies", "correction", "measurement"
-            found = dict(zip(names, parts, strict=True))
-            found |= {name: of.readout for name, of in engine._readings.items()}
-        found["arguments"] = engine._arguments
+            parts += [of.readout for of in engine._readings.values()]
+            names = "transition", "copies", "correction", "measurement", *engine._readings
+        found = dict(zip(names, parts, strict=True)) | {"arguments": engine._arguments}
         return {name: validation.frozen(np.array(each)) for name, each in found.items()}
 
     def to_statespace(self) -> Any:

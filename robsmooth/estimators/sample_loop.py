@@ -70,20 +70,12 @@ class Memory(NamedTuple):
 def empty_memory(n: int, l: int, d: int, ring: int, unknown: Floats) -> Memory:  # noqa: E741
     """Return a memory without samples."""
     rows, u = ring + 1, unknown.shape[1]
-    return Memory(
-        states=np.zeros((rows, n + d)),
-        covariances=np.zeros((rows, n, n)),
-        closed=np.zeros((rows, n, n + l)),
-        seen=np.zeros((rows, l, n + l)),
-        innovations=np.zeros((rows, l)),
-        intervals=np.zeros(rows),
-        lost=np.zeros(rows, dtype=bool),
-        pattern=np.zeros(l, dtype=bool),
-        counts=np.array([0, 0, NEVER if u else 0, 0]),
-        unknown=unknown.copy(),
-        information=np.zeros((u, u)),
-        score=np.zeros(u),
-    )
+    shapes = (n + d,), (n, n), (n, n + l), (l, n + l), (l,), ()  # of the rows of each ring
+    rings = [np.zeros((rows, *shape)) for shape in shapes]
+    lost, pattern = np.zeros(rows, dtype=bool), np.zeros(l, dtype=bool)
+    counts = np.array([0, 0, NEVER if u else 0, 0])
+    information, score = np.zeros((u, u)), np.zeros(u)
+    return Memory(*rings, lost, pattern, counts, unknown.copy(), information, score)
 
 
 class Reading(NamedTuple):

@@ -126,8 +126,7 @@ class Array(Record):
             raise ValueError(f"{self.path} must be an NPY file of {what}") from None
         array = validation.numbers_of(str(self.path), array)
         if array.ndim not in (1, 2):
-            shape = array.shape
-            raise ValueError(f"{self.path} must hold an array (N, columns), got shape {shape}")
+            raise ValueError(f"{self.path} must be an array (N, columns), got shape {array.shape}")
         if not isinstance(source, Path):
             self._map = lambda: array
         self.size, self.width = (*array.shape, 1)[:2]
@@ -250,9 +249,8 @@ class Csv(Record):
         mixed = 0 < len(numbers) < len(given)
         if mixed or counted or gap or odd or (whole and fractions):
             where = f"{self.path}, line {self.first}, {','.join(cells)[:60]!r},"
-            raise ValueError(
-                f"{where} may be a header or a sample: say header=True or header=False"
-            )
+            rule = "may be a header or a sample: say header=True or header=False"
+            raise ValueError(f"{where} {rule}")
         return not numbers
 
     def pieces(self, columns: list[int], chunk: int) -> Iterator[Any]:  # noqa: D102

@@ -81,9 +81,8 @@ def smooth_record(
         Whether to refuse a missing row or a wrong dt. With False an interval lasts from one row's
         time to the next, which a mean is over; a row without a neighbour has dt.
     output : {"smoothed", "filtered"}
-    return_std : bool
-        Whether to add the errors' standard deviations, as of `DiscreteSmoother.run`: the columns
-        ``std[0]``, ``std[1]``... behind those of ``w``; of arrays a pair for each.
+    return_std : bool, whether to add the errors' standard deviations, as `DiscreteSmoother.run`
+        In columns ``std[0]``, ``std[1]``... behind those of ``w``; as a second array for arrays.
     delimiter, decimal, header, skip_rows, missing : optional
         The dialect of a CSV file: both marks; whether it begins with names, where the first line
         could be either; the number of lines before; the words for a gap, exactly as in the file.
@@ -293,10 +292,9 @@ def _with_lengths(pieces: Iterator[Matrix], dt: float, instants: bool) -> Iterat
             values = np.vstack([before, values]) if before.size else values
             lengths = np.diff(values[:, -1])
             if len(lengths) and lengths.max() > GAP * np.median(lengths):
-                rule = "put a row of nan for each row that is missing in a gap"
-                row = f"the row at {values[lengths.argmax(), -1]:.15g} s"
-                what = f"{row} counts as a mean over {lengths.max():.6g} s"
-                warnings.warn(f"{what}: {rule}", stacklevel=2)
+                row, most = values[lengths.argmax(), -1], lengths.max()
+                what = f"the row at {row:.15g} s counts as a mean over {most:.6g} s"
+                warnings.warn(f"{what}: put a row of nan for each missing row", stacklevel=2)
             yield np.column_stack([values[:-1], lengths])
         before = values[-1:]
     if before.size and not instants:
