@@ -29,6 +29,9 @@ from robsmooth.estimators import baselines
 from robsmooth.estimators.discrete import DiscreteSmoother
 from tests.helpers.strategies import feasible_design, random_system, seeds
 
+# samples of any length, beside any delay
+pytestmark = pytest.mark.filterwarnings("ignore::robsmooth.LongStepWarning")
+
 SIGMAS = 4.5  # a correct program is further off once in 150 000 times, were the seeds free
 
 

@@ -24,6 +24,9 @@ from tests.helpers.records import conditioned, in_samples, rauch_tung_striebel, 
 from tests.helpers.strategies import seeds
 from tests.helpers.systems import in_other_units
 
+# samples of any length, beside any delay
+pytestmark = pytest.mark.filterwarnings("ignore::robsmooth.LongStepWarning")
+
 SIGMAS = 4.5  # a correct program is further off once in 150 000 times, were the seeds free
 DT = 0.1
 WALK = rs.UncertainSystem([[0]], [[1, 0]], [[1]], [[1]], [[0, 1]])
