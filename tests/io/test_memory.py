@@ -218,8 +218,8 @@ UNITS = pint.UnitRegistry()
 REFUSED = {
     "too few columns": (Y[:, :1], ValueError, "must name 2 columns of source, got 1: column 0$"),
     "transposed": (Y.T, ValueError, r"2 columns of source, got 30: .*column 9; its .T has a row"),
-    "cube": (np.ones((3, 2, 2)), ValueError, r"source must hold an array \(N, columns\), got"),
-    "number": (1.0, ValueError, "source must hold an array"),
+    "cube": (np.ones((3, 2, 2)), ValueError, r"source must be an array \(N, columns\), got"),
+    "number": (1.0, ValueError, "source must be an array"),
     "nothing": (None, TypeError, "source must be an array of numbers, got entries of type object"),
     "words": ([["a", "b"]], TypeError, "source must be an array of numbers"),
     "infinity": (np.full((3, 2), np.inf), ValueError, "source, row 0, column 0: inf where there"),
@@ -234,7 +234,7 @@ REFUSED = {
         "source must have .* an index of one level",
     ),
     "names of an index": (pd.DataFrame(Y, index=30 * ["a"]), ValueError, "source: .*'a'"),
-    "an iterator of numbers": (iter([1.0]), ValueError, "source must hold an array"),
+    "an iterator of numbers": (iter([1.0]), ValueError, "source must be an array"),
     "an empty iterator": (iter([]), ValueError, "2 columns of source, got 0"),
     "other columns later": (
         iter([pl.DataFrame(Y[:3], schema=["I", "Q"]), pl.DataFrame(Y[3:], schema=["Q", "I"])]),
