@@ -156,7 +156,7 @@ def test_integers_have_bounds_with_their_reasons():
     plant = rs.augment(rs.homodyne.PAPER.uncertain_system(), 1e-6, 1)
     with pytest.raises(ValueError, match="starts must be at most 1000: each takes a second"):
         rs.minimize_bound(plant, starts=10**400)
-    with pytest.raises(ValueError, match="order must be at most 100: a delay's model of order 10"):
+    with pytest.raises(ValueError, match="order must be at most 100, because a design takes n"):
         rs.augment(plant.system, 1e-6, 10**6)
 
 
