@@ -27,18 +27,14 @@ _COLUMNS = {
     "A design by hand": ("tau", "lambda1", "lambda2", "lambda3", "lambda4"),
 }
 _CHOICES = {"design": ("design", DESIGNS), "cost": ("error kept low", COSTS)}
-_NAMES = {"paper's V": "design by the paper's V", "by hand": "design by hand"}  # else: ... design
 _AS_GOOD = 1.01  # times the lowest error: the classical design is preferred up to this
-# A slider's number can be typed, and looks like it; a tab is as wide as its title; figures wrap.
+# A slider's number can be typed, and looks like it; a tab is as wide as its title.
 _STYLE = """<style>
 .robsmooth-explorer .widget-readout { border: 1px solid #bbb; }
 .robsmooth-explorer .lm-TabBar-tab { flex: none !important; }
-.robsmooth-explorer .widget-hbox:has(> .widget-vbox, > img) { flex-wrap: wrap; }
-.robsmooth-explorer .widget-hbox > .widget-vbox { flex: 1 1 22em; }
-.robsmooth-explorer .widget-hbox > img { flex: 1 1 45%; min-width: min(20em, 100%); }
-.robsmooth-explorer .robsmooth-by-hand { flex-basis: 100% !important; }
 .robsmooth-old { opacity: 0.5; transition: opacity 0.2s 0.3s; }
 </style>"""
+_WRAPPED = {"flex_flow": "row wrap"}
 _ESCAPES = 1e-3  # of the time, beyond the sector: more is said
 
 
@@ -76,24 +72,25 @@ class Explorer:
         """The sliders and all that follows them, and the page for a system."""
         self.inputs = {name: _input(name) for names in _COLUMNS.values() for name in names}
         self._panels = {title: Panel(title) for title in PANELS}
-        self._images = {title: widgets.Image() for title in PANELS}
-        self._figures, theory = (
-            widgets.HBox([*map(self._images.get, s)]) for s in (OVERVIEW, THEORY)
-        )
+        look = {"flex": "1 1 45%", "min_width": "min(20em, 100%)"}
+        self._images = {title: widgets.Image(layout=look) for title in PANELS}
+        rows = ([*map(self._images.get, titles)] for titles in (OVERVIEW, THEORY))
+        figures, theory = (widgets.HBox(row, layout=_WRAPPED) for row in rows)
         self._verdict = widgets.HTML(layout={"min_height": "10.5em"})  # the figure stays in place
         self._code = widgets.Textarea(layout={"width": "auto", "height": "24em"})
         reset = widgets.Button(description="Reset", tooltip="back to the settings at the start")
         reset.on_click(self._reset)
-        parts = {**self.inputs, "panels": self._figures, "theory": theory, "code": self._code}
+        parts = {**self.inputs, "panels": figures, "theory": theory, "code": self._code}
         for name, part in {**parts, "verdict": self._verdict, "reset": reset}.items():
             part.add_class(f"robsmooth-{name}")
-        columns = [widgets.VBox() for _ in _COLUMNS]
+        columns = [widgets.VBox(layout={"flex": "1 1 22em"}) for _ in _COLUMNS]
         for column, (title, names) in zip(columns, _COLUMNS.items(), strict=True):
             column.children = [widgets.HTML(f"<b>{title}</b>"), *map(self.inputs.get, names)]
         _, light, self._by_hand = columns
         light.children += (reset,)
+        self._by_hand.layout.flex = "1 1 100%"
         code = widgets.VBox([widgets.HTML(COPY), self._code])
-        self._views = widgets.Tab([self._figures, theory, code])
+        self._views = widgets.Tab([figures, theory, code])
         self._views.titles = "Figures", "For theorists", "The code"
         self._shown = widgets.VBox([self._verdict, self._views])
         self._reset()
@@ -102,8 +99,8 @@ class Explorer:
         for each in self.inputs.values():
             each.observe(self._follow_soon, "value")
         self._views.observe(self._show_theory, "selected_index")
-        self._by_hand.add_class("robsmooth-by-hand")
-        loop = widgets.VBox([widgets.HTML(_STYLE), widgets.HBox(columns), self._shown])
+        row = widgets.HBox(columns, layout=_WRAPPED)
+        loop = widgets.VBox([widgets.HTML(_STYLE), row, self._shown])
         pages = widgets.Tab([loop, OwnSystem().widget], layout={"max_width": "1000px"})
         pages.titles = "The paper's loop", "Your own system"
         return pages.add_class("robsmooth-explorer")
@@ -169,7 +166,7 @@ def verdict(found: Snapshot | str) -> list[str]:
     return [
         waiting,
         _guarantee(found),
-        f"With the sine itself, the {_NAMES.get(best, f'{best} design')} has the lowest error "
+        f"With the sine itself, the {_named(best)} has the lowest error "
         f"here{tie}: {errors[best]:.4f} rad².",
     ]
 
@@ -181,20 +178,26 @@ def _guarantee(found: Snapshot) -> str:
         return "No design has a guarantee for this uncertainty."
     safest, tie = _best(certified)
     least, plain = (found.found[name].judged for name in (safest, "classical"))
-    none, price = math.isinf(plain.certified), least.nominal / plain.nominal - 1.0
-    others = (
-        f"The classical design {'has none' if none else f'guarantees {plain.certified:.4f} rad²'}. "
-        f"The price of the lowest, without uncertainty, is {price:+.1%}. "
-    )
-    parameters, filtered = found.settings.parameters, found.own.with_sine.filtered
-    outside = math.erfc(parameters.sector_range() / math.sqrt(2.0 * filtered))
-    limits = f"The sine leaves the sector {outside:.2%} of the time; no guarantee covers that."
-    return (
-        f"The {_NAMES.get(safest, f'{safest} design')} has the lowest guarantee{tie}: for every "
-        f"curve in the sector, the {found.settings.cost} error is at most "
-        f"{least.certified:.4f} rad². {'' if safest == 'classical' else others}"
-        f"{limits if outside > _ESCAPES else ''}"
-    ).strip()
+    parts = [
+        f"The {_named(safest)} has the lowest guarantee{tie}: for every curve in the sector, the "
+        f"{found.settings.cost} error is at most {least.certified:.4f} rad²."
+    ]
+    if safest != "classical":
+        none, price = math.isinf(plain.certified), least.nominal / plain.nominal - 1.0
+        rest = "has none" if none else f"guarantees {plain.certified:.4f} rad²"
+        parts.append(f"The classical design {rest}.")
+        parts.append(f"The price of the lowest, without uncertainty, is {price:+.1%}.")
+    deviation = found.own.with_sine.filtered**0.5
+    outside = math.erfc(found.settings.parameters.sector_range() / (2.0**0.5 * deviation))
+    if outside > _ESCAPES:
+        often = f"{outside:.2%} of the time"
+        parts.append(f"The sine leaves the sector {often}; no guarantee covers that.")
+    return " ".join(parts)
+
+
+def _named(design: str) -> str:
+    names = {"paper's V": "design by the paper's V", "by hand": "design by hand"}
+    return names.get(design, f"{design} design")
 
 
 def _best(errors: dict[str, float]) -> tuple[str, str]:

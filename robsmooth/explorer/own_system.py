@@ -9,10 +9,11 @@ from html import escape
 import ipywidgets as widgets
 import numpy as np
 
-from robsmooth._support import validation
+import robsmooth as rs
 from robsmooth._support.validation import Matrix
 
 _ENTRY = re.compile(r"(A|C2)\s*\[(\d+),\s*(\d+)\]\s+([\d.]+)\s*%", re.IGNORECASE)
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 _RULE = "A[row,column] or C2[row,column], counted from zero, and a per cent: A[0,0] 10%"
 _FIELDS = {  # matrices, with what their rows are, and more
     "A": ("how the states change (1/s)", "state"),
@@ -23,25 +24,17 @@ _FIELDS = {  # matrices, with what their rows are, and more
     "uncertain": ("counted from zero: A[0,0] 10%", ""),
     "against": ("the uncertain numbers", ""),
     "delay": ("how late w may be known (s)", ""),
-    "order": ("states of the delay's model, 1 to 8", ""),
+    "order": ("states of the delay's model", ""),
 }
 _MATRICES = [*_FIELDS][:5]
 _AGAINST = {"may vary in time": "admissible", "are constant": "constant"}
-_NOISY = ("-1 0\n0 -2", "1.4142 0 0 0\n0 20 0 0", "1 0", "1 1\n0 1", "0 0 0.1 0\n0 0 0 0.1")
-_DRIFT = ("0 0\n0 -2", "1 0 0 0\n0 20 0 0", "1 0", "1 1\n0 1", "0 0 0.03 0\n0 0 0 0.03")
-_MIRROR = ("0 6283\n-6283 -628.3", "0 0\n8.862 0", "1 0", "1 0", "0 0.001667", "A[1,0] 4%")
-_CLOCK = ("0 1\n0 0", "1 0 0\n0 0.1 0", "1 0", "1 0", "0 0 1", "")
-EXAMPLES = {  # values of the fields
-    "a drift and a disturbance, a gain known to 10%": (
-        *_DRIFT,
-        "C2[1,1] 10%",
-        "constant",
-        "0.5",
-        "4",
-    ),
-    "two sensors, a gain known to 5%": (*_NOISY, "C2[1,1] 5%", "admissible", "0.5", "4"),
-    "a mirror at 1 kHz, its frequency known to 2%": (*_MIRROR, "admissible", "2e-4", "4"),
-    "a clock, which drifts": (*_CLOCK, "admissible", "3", "4"),
+_DRIFT = "0 0; 0 -2 | 1 0 0 0; 0 20 0 0 | 1 0 | 1 1; 0 1 | 0 0 0.03 0; 0 0 0 0.03 | C2[1,1] 10%"
+_MIRROR = "0 6283; -6283 -628.3 | 0 0; 8.862 0 | 1 0 | 1 0 | 0 0.001667 | A[1,0] 4%"
+_CLOCK = "0 1; 0 0 | 1 0 0; 0 0.1 0 | 1 0 | 1 0 | 0 0 1 | "
+EXAMPLES = {  # values of the fields but the order, as in README and `robsmooth.examples`
+    "a drift and a disturbance, a gain known to 10%": f"{_DRIFT} | constant | 0.5",
+    "a mirror at 1 kHz, its frequency known to 2%": f"{_MIRROR} | admissible | 2e-4",
+    "a clock, which drifts": f"{_CLOCK} | admissible | 3",
 }
 _EQUATIONS = (
     "The states x move, and w is wanted a delay after it was there; the sensors give dy:<br>"
@@ -58,10 +51,16 @@ COPY = f'<button class="jupyter-button" onclick="{_TO_CLIPBOARD}">Copy the code<
 def code_of(typed: dict[str, str]) -> str:
     """Return the code for the fields' values; a ValueError names one that cannot be read."""
     values = {name: _matrix(name, typed[name]) for name in _MATRICES}
+    A, B1, C0 = (values[name] for name in _MATRICES[:3])
+    with suppress(ValueError):  # sizes that do not fit are refused by the library
+        if not any((C0 @ np.linalg.matrix_power(A, k) @ B1).any() for k in range(len(A))):
+            raise ArithmeticError("nothing to estimate: no noise of B1 reaches C0 x")
     matrices = "\n".join(f"{name} = {value.tolist()}" for name, value in values.items())
     entries = filter(None, map(str.strip, re.split(r"[;\n]|,(?![^[]*\])", typed["uncertain"])))
     channels = "".join(f"    {_channel(entry, values)},\n" for entry in entries)
-    delay, order = _number("delay", typed["delay"], float), _number("order", typed["order"], int)
+    delay, order, against = (typed[name] for name in ("delay", "order", "against"))
+    if not _NUMBER.fullmatch(delay):
+        raise ValueError(f"delay must be a number with a decimal point, got {delay!r}")
     return f"""\
 import robsmooth as rs
 
@@ -69,33 +68,22 @@ import robsmooth as rs
 uncertainties = [
 {channels}]
 system = rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties)
-plant = rs.augment(system, delay={delay}, order={validation.integer("order", order, low=1, high=8)})
-choice = rs.best_smoother(plant, against={typed["against"]!r})
+plant = rs.augment(system, delay={delay}, order={order})
+choice = rs.best_smoother(plant, against={against!r})
 print(choice.table)
 """
-
-
-def _number(name: str, text: str, kind: type[float]) -> float:
-    try:
-        return kind(text)
-    except ValueError:
-        rule = {int: "a whole number", float: "a number with a decimal point"}[kind]
-        raise ValueError(f"{name} must be {rule}, got {text!r}") from None
 
 
 def _matrix(name: str, text: str) -> Matrix:
     if found := re.search(r"[^\s,;]*\d,\d[^\s,;]*", text):
         point, space = (found[0].replace(",", each) for each in (".", ", "))
         raise ValueError(f"{name}: write {point} for a number or {space} for two, not {found[0]}")
-    rows = [row.replace(",", " ").split() for row in re.split(r"[;\n]", text.strip())]
-    if not rows[0]:
+    rows = [*filter(None, (row.replace(",", " ").split() for row in re.split(r"[;\n]", text)))]
+    if not rows:
         raise ValueError(f"{name} is empty: type one row per {_FIELDS[name][1]}")
     for number, row in enumerate(rows, 1):
-        for entry in row:
-            with suppress(ValueError):
-                if np.isfinite(float(entry)):
-                    continue
-            raise ValueError(f"{name}: {entry!r} is no finite number")
+        if wrong := [entry for entry in row if not _NUMBER.fullmatch(entry)]:
+            raise ValueError(f"{name}: {wrong[0]!r} is no finite number")
         if len(row) != len(rows[0]):
             count = f"{len(row)} number{'s' * (len(row) != 1)}"
             raise ValueError(f"{name}: row {number} has {count}, row 1 has {len(rows[0])}")
@@ -128,14 +116,13 @@ class OwnSystem:
         self.example = widgets.Dropdown(options=EXAMPLES, description="example")
         self.fields = {name: widgets.Textarea(rows=2) for name in _FIELDS}
         self.fields["against"] = widgets.Dropdown(options=_AGAINST)
-        self.fields |= {name: widgets.Text() for name in ("delay", "order")}
-        self.reset = widgets.Button(description="Reset", tooltip="the example's values again")
+        self.fields["delay"] = widgets.Text()
+        self.fields["order"] = widgets.Dropdown(options=range(1, 9))
+        self.reset = widgets.Button(description="Reset the example")
         self.button = widgets.Button(description="Compare the smoothers", button_style="primary")
         self.answer, self.code = widgets.HTML(), widgets.Textarea(rows=16)
-        labelled = [
-            widgets.VBox([widgets.HTML(f"<b>{name}</b> {_FIELDS[name][0]}"), field])
-            for name, field in self.fields.items()
-        ]
+        labels = (widgets.HTML(f"<b>{name}</b> {label}") for name, (label, _) in _FIELDS.items())
+        labelled = [*map(widgets.VBox, zip(labels, self.fields.values(), strict=True))]
         columns = {"grid_template_columns": "repeat(auto-fit, minmax(20em, 1fr))"}
         grid = widgets.GridBox(labelled, layout=columns)
         parts = {"example": self.example, **self.fields, "reset": self.reset}
@@ -153,7 +140,8 @@ class OwnSystem:
         self.widget = widgets.VBox(parts)
 
     def _fill(self, _=None) -> None:
-        for field, value in zip(self.fields.values(), self.example.value, strict=True):
+        values = [part.replace("; ", "\n") for part in self.example.value.split(" | ")]
+        for field, value in zip(self.fields.values(), [*values, 4], strict=True):
             field.value = value
         self._answer("", "")
 
@@ -170,10 +158,12 @@ class OwnSystem:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 exec(code, names)  # it is made of numbers alone
-            said = [f"Take care: {each.message}." for each in caught]
-            sentences = [*said, names["choice"].sentence]
-            answer = "".join(f"<p>{escape(each)}</p>" for each in sentences)
-            answer += replace(names["choice"].table, caption="").html()
+            coarse = [each.message for each in caught if each.category is rs.CoarseDelayWarning]
+            said = [f"Take care: {each}." for each in coarse]
+            choice, table = names["choice"], names["choice"].table
+            answer = "".join(f"<p>{escape(each)}</p>" for each in (*said, choice.sentence))
+            rows = [[f"{x:#.4g}" if isinstance(x, float) else x for x in row] for row in table.rows]
+            answer += replace(table, caption="", rows=rows).html()
         except (ValueError, TypeError, ArithmeticError, RuntimeError) as refusal:
             answer, code = f"<p>There is no answer: {escape(str(refusal))}.</p>", ""
         self._answer(answer, code)

@@ -11,13 +11,14 @@ from matplotlib.figure import Figure
 
 import robsmooth as rs
 from robsmooth._support.plots import STYLE, draw_curves
+from robsmooth.explorer import snapshot
 from robsmooth.explorer.snapshot import DELAYS, DESIGNS, SHOWN, STEP, Snapshot
 from robsmooth.paper.figures.plots import DOTTED, draw_candidates
 
 _ERROR = "error (rad$^2$; Kalman filter: 100%)"
 _MOST = 2.0  # of the error axes, in units of the Kalman filter's error
 # Fixed places: a layout engine takes as long as the drawing.
-_PLACE = {"left": 0.17, "right": 0.96, "bottom": 0.19, "top": 0.85}
+_PLACE = {"left": 0.17, "right": 0.96, "bottom": 0.19, "top": 0.83}
 _IN_STYLE = mpl.rc_params_from_file(STYLE, use_default_template=False)
 
 
@@ -63,9 +64,9 @@ def png(pixels: np.ndarray) -> bytes:
 def _head(axes: Axes, title: str, kalman: float, errors: str = "", **settings) -> None:
     """Put a title, and below it a legend, above the axes; label an axis of errors, x or y."""
     axes.set(**settings)
-    axes.set_title(title, loc="left", x=-0.2, pad=20, fontweight="bold")
+    axes.set_title(title, loc="left", x=-0.2, pad=24, fontweight="bold")
     if axes.get_legend_handles_labels()[0]:
-        place = {"loc": "lower left", "bbox_to_anchor": (-0.23, 0.98), "ncols": 4}
+        place = {"loc": "lower left", "bbox_to_anchor": (-0.23, 1.01), "ncols": 4}
         look = {"columnspacing": 0.5, "handletextpad": 0.3, "handlelength": 1.5}
         axes.legend(fontsize=7, **place, **look)
     if errors:  # a few ticks, in rad^2 and relative to the Kalman filter's
@@ -110,7 +111,8 @@ def _errors(axes: Axes, found: Snapshot) -> dict:
 
 def _delays(axes: Axes, found: Snapshot) -> dict:
     names = ("exact optimum", "classical smoother")
-    draw_curves(axes, 1e6 * DELAYS, dict(zip(names, found.curves, strict=True)))
+    curves = snapshot.over_delays(found.settings.parameters, found.settings.order)
+    draw_curves(axes, 1e6 * DELAYS, dict(zip(names, curves, strict=True)))
     delay, smoothed = 1e6 * found.settings.delay, found.own.with_sine.smoothed
     axes.plot(delay, smoothed, "ko", label="this design", clip_on=False)
     axes.axvline(delay, **DOTTED)
@@ -119,10 +121,10 @@ def _delays(axes: Axes, found: Snapshot) -> dict:
 
 
 def _path(axes: Axes, found: Snapshot) -> dict:
-    time = 1e6 * STEP * np.arange(1, SHOWN + 1)
+    time, path = 1e6 * STEP * np.arange(1, SHOWN + 1), snapshot.sample_path(found.own.estimator)
     times = time - 1e6 * found.settings.delay * np.array([[0.0], [0.0], [1.0]])
-    draw_curves(axes, times, dict(zip(("true", "filtered", "smoothed"), found.path, strict=True)))
-    most = max(3, math.ceil(np.abs(found.path).max()))
+    draw_curves(axes, times, dict(zip(("true", "filtered", "smoothed"), path, strict=True)))
+    most = max(3, math.ceil(np.abs(path).max()))
     words = {"xlabel": "time (µs)", "ylabel": "phase (rad)"}
     return words | {"xlim": (0.0, time[-1]), "ylim": (-most, most)}
 

@@ -165,7 +165,7 @@ class Findings:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What there is to see at some settings; curves are computed when they are first drawn."""
+    """What there is to see at some settings."""
 
     settings: Settings
     own: Findings  # of the design that was chosen
@@ -176,16 +176,6 @@ class Snapshot:
     def kalman(self) -> float:
         """The least error of any filter, without uncertainty, rad^2."""
         return optimal_error(self.settings.parameters.uncertain_system(), 0.0)
-
-    @cached_property
-    def curves(self) -> Matrix:
-        """At each of `DELAYS` without uncertainty: the least error, the classical smoother's."""
-        return _over_delays(self.settings.parameters, self.settings.order)
-
-    @cached_property
-    def path(self) -> Matrix:
-        """Rows: the phase, its filtered and its smoothed estimate each `STEP`, rad."""
-        return _path(self.own.estimator)
 
 
 @lru_cache(maxsize=8)
@@ -221,7 +211,8 @@ def _designed(settings: Settings) -> tuple[rs.Estimator, StatisticalLinearisatio
 
 
 @lru_cache(maxsize=8)
-def _over_delays(parameters: rs.homodyne.HomodyneParameters, order: int) -> Matrix:
+def over_delays(parameters: rs.homodyne.HomodyneParameters, order: int) -> Matrix:
+    """Return the optimum and the classical smoother's nominal error at each of `DELAYS`."""
     system = parameters.uncertain_system()
     errors = [
         (optimal_error(system, each), classical_error(system, order, each)) for each in DELAYS
@@ -229,8 +220,8 @@ def _over_delays(parameters: rs.homodyne.HomodyneParameters, order: int) -> Matr
     return np.array(errors).T
 
 
-def _path(estimator: rs.Estimator) -> Matrix:
-    """Simulate one path; unlike in `rs.sample_paths`, the noise is the same for every loop."""
+def sample_path(estimator: rs.Estimator) -> Matrix:
+    """Return the phase and its two estimates each `STEP`, of the same noise for every loop, rad."""
     loop = nonlinear_loop(estimator)
     scheme = Steps(loop, STEP)
     noise = np.random.default_rng(SEED).standard_normal((1 + BEFORE + SHOWN, _MOST_STATES))
