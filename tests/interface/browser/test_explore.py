@@ -8,6 +8,11 @@ from tests.interface.browser.panels import Panels
 from tests.interface.browser.waiting import eventually
 
 PHONE = {"width": 390, "height": 844}
+COLOURS = """() => {
+    const colour = (where, which) => getComputedStyle(document.querySelector(where))[which];
+    const found = [colour("body", "backgroundColor"), colour(".robsmooth-verdict p", "color")];
+    return found.map(it => it.match(/[0-9]+/g).map(Number));
+}"""
 
 
 def ours(complaints):
@@ -34,7 +39,7 @@ def test_the_sliders_are_there_at_once(address, page, complaints, screenshot, re
     first, said = panels.picture(), panels.verdict.inner_text()
     screenshot("start", whole=True)
     delays = [panels.press(".robsmooth-delay .noUi-handle", "ArrowRight") for _ in range(10)]
-    record_property("from a key to another picture, ms", sorted(round(delay) for delay in delays))
+    record_property("from a key to all pictures, ms", sorted(round(delay) for delay in delays))
     number = page.locator(".robsmooth-gamma .widget-readout")
     number.fill("0.6")
     number.press("Enter")
@@ -63,7 +68,7 @@ def test_a_system_of_ones_own_is_judged(address, page, complaints, screenshot):
     expect(answer).to_contain_text("Designing the smoothers")
     expect(answer).to_contain_text("use it.")
     code = page.locator(".robsmooth-own-code textarea").input_value()
-    assert "rs.best_smoother(plant)" in code
+    assert "rs.best_smoother(plant, against='admissible')" in code
     screenshot("clock", whole=True)
     page.get_by_text("Copy the code").last.click()
     assert page.evaluate("navigator.clipboard.readText()") == code
@@ -115,9 +120,7 @@ def test_where_dark_is_preferred_the_page_is_dark(address, page, screenshot):
     page.emulate_media(color_scheme="dark")
     page.goto(address)
     Panels(page)
-    colours = page.evaluate("""[document.body, document.querySelector(".robsmooth-verdict p")].map(
-        (it, i) => getComputedStyle(it)[["backgroundColor", "color"][i]].match(/[0-9]+/g).map(Number)
-    )""")
+    colours = page.evaluate(COLOURS)
     background, text = (sum(colour[:3]) for colour in colours)
     assert background < 200 < 500 < text
     screenshot("dark", whole=True)

@@ -128,7 +128,7 @@ def test_explore_follows_its_settings(lab, page, complaints, screenshot, record_
     screenshot("start")
 
     delays = [panels.press(".robsmooth-delay .noUi-handle", "ArrowRight") for _ in range(10)]
-    record_property("from a key to another picture, ms", sorted(round(delay) for delay in delays))
+    record_property("from a key to all pictures, ms", sorted(round(delay) for delay in delays))
     expect(panels.code).to_have_value(code.replace("delay=3.1e-06", "delay=4.1e-06"))
     assert panels.picture() != first
     screenshot("delay")
