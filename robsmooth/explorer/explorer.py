@@ -94,7 +94,7 @@ class Explorer:
         self._views.titles = "Figures", "For theorists", "The code"
         self._shown = widgets.VBox([self._verdict, self._views])
         self._reset()
-        self._show(self._start, take_snapshot(self._start))
+        self._show(self._start, take_snapshot(self._start), PANELS)
         self.inputs["design"].observe(self._start_by_hand, "value")
         for each in self.inputs.values():
             each.observe(self._follow_soon, "value")

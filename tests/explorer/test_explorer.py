@@ -498,12 +498,23 @@ def test_what_is_no_longer_true_is_dimmed_until_there_is_more():
 
 
 def test_the_figures_for_theorists_are_drawn_when_they_are_looked_at():
-    shown = Explorer()
-    values(shown)
-    theory = [shown._images[title] for title in panels.THEORY]
-    assert not any(each.value for each in theory)
-    shown._views.selected_index = 1
-    assert tuple(each.value for each in theory) == images(take_snapshot(PAPER), panels.THEORY)
+    def theory(shown):
+        return tuple(shown._images[title].value for title in panels.THEORY)
+
+    async def use():
+        shown = Explorer()
+        values(shown)
+        first = theory(shown)
+        assert first == images(take_snapshot(PAPER), panels.THEORY)
+        shown.inputs["delay"].value = 4.0
+        await until(lambda: "delay=4e-06" in values(shown)[2])
+        await until(lambda: JUDGING not in values(shown)[1])
+        assert theory(shown) == first
+        shown._views.selected_index = 1
+        later = take_snapshot(replace(PAPER, delay=4e-6))
+        assert theory(shown) == images(later, panels.THEORY)
+
+    asyncio.run(use())
 
 
 def test_of_many_events_the_newest_only_is_drawn(drawn):
