@@ -209,7 +209,7 @@ def _best(errors: dict[str, float]) -> tuple[str, str]:
 
 
 def _input(name: str) -> widgets.Widget:
-    wide = "6em" if name in _COLUMNS["A design by hand"] else "10em"
+    wide = "9em" if name in _COLUMNS["A design by hand"] else "10em"
     look = {"layout": {"width": "auto"}, "style": {"description_width": wide}}
     if name in _CHOICES:
         label, options = _CHOICES[name]
