@@ -59,7 +59,7 @@ SLIDERS = {
     "order": Slider("order", "states of the delay's model: more follow it more closely", 1, 5, 1),
     "gamma": Slider("uncertainty γ", "half width of the sector of the sine", 0.05, 0.8, 0.01),
     "noise": Slider(
-        "noise factor", "power of the light's shot noise over the paper's", 0.1, 5.0, 0.1
+        "noise factor", "shot noise, relative to the paper's", 0.1, 5.0, 0.1
     ),
     "lam": Slider("decay λ (1/ms)", "decay rate of the phase", 1.0, 50.0, 0.02, 1e3),
     "kappa": Slider("κ (rad²/ms)", "diffusion of the phase", 4.0, 250.0, 1.0, 1e3),
