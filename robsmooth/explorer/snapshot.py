@@ -58,9 +58,7 @@ SLIDERS = {
     "delay": Slider("delay (µs)", "how far back the smoothed estimate looks", 0.2, 15.0, 0.1, 1e-6),
     "order": Slider("order", "states of the delay's model: more follow it more closely", 1, 5, 1),
     "gamma": Slider("uncertainty γ", "half width of the sector of the sine", 0.05, 0.8, 0.01),
-    "noise": Slider(
-        "noise factor", "shot noise, relative to the paper's", 0.1, 5.0, 0.1
-    ),
+    "noise": Slider("noise factor", "shot noise, relative to the paper's", 0.1, 5.0, 0.1),
     "lam": Slider("decay λ (1/ms)", "decay rate of the phase", 1.0, 50.0, 0.02, 1e3),
     "kappa": Slider("κ (rad²/ms)", "diffusion of the phase", 4.0, 250.0, 1.0, 1e3),
     "tau": Slider("τ (µs rad²)", "the scale of the paper's design", 0.2, 10.0, 0.01, 1e-6),
