@@ -52,8 +52,12 @@ lab: $(ENVIRONMENT)  ## open the notebooks in JupyterLab (beside others that run
 	@JUPYTERLAB_WORKSPACES_DIR='$(CURDIR)/build/lab' $(BIN)/jupyter lab \
 	  $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB) notebooks
 
+# A kernel (265 MB) has run the page before anybody comes, so it opens at once. It ends five minutes
+# after its page was left; while a page is open, however long, its kernel stays.
 explore: $(ENVIRONMENT)  ## open the sliders and the page for your own system in a browser tab
-	@$(BIN)/voila --token $(LAB) notebooks/pages/explore.ipynb
+	@$(BIN)/voila --token --preheat_kernel=True --pool_size=1 \
+	  --MappingKernelManager.cull_idle_timeout=300 --MappingKernelManager.cull_interval=30 \
+	  $(LAB) notebooks/pages/explore.ipynb
 
 # A file's tests run in one process, in the order of tests/conftest.py: the longest files first.
 PARALLEL = -n 2 --dist loadfile --no-loadscope-reorder

@@ -25,6 +25,7 @@ DOCUMENTS = (
     *("CITATION.cff", "LICENSE"),
 )
 RESULTS = (".png", ".pdf", ".svg", ".csv", ".json")
+_PRINTED_TABLE = re.compile(r"^```text\n(\|.*?)^```\n", re.DOTALL | re.MULTILINE)
 _SET_BY_PIPELINE = re.compile(rf"(?:{'|'.join(SET_BY_PIPELINE)}) = ")
 
 
@@ -79,7 +80,7 @@ def _executed(task: Task) -> Path:
 def _options(profile: str) -> list[str]:
     if profile == "paper":
         return []
-    words = f"Made with the {profile} profile: the figures are of small simulations and sweeps."
+    words = f"{profile.capitalize()} profile: small simulations."
     return ["-D", f"html_theme_options.announcement={words}"]
 
 
@@ -96,11 +97,13 @@ def stage(run: Request, source: Path, executed: list[Path]) -> None:
         "environment.md",
     ):  # the site's own pages stand beside them
         page = source / name
-        page.write_text(page.read_text("utf-8").replace("](docs/source/", "]("), encoding="utf-8")
+        text = page.read_text("utf-8").replace("](docs/source/", "](")
+        page.write_text(_PRINTED_TABLE.sub(r"\1", text), encoding="utf-8")
     _copy((root / "benchmarks").glob("*.*"), source / "benchmarks", (*RESULTS, ".md"))
     _copy([root / "data/published.toml", *(run.results / "data").glob("*.json")], source / "data")
     _copy(figures.iterdir(), source / "figures", RESULTS)
-    _copy([figures / "reproduction.md"], source / "figures")
+    report = (figures / "reproduction.md").read_text(encoding="utf-8")
+    (source / "figures/reproduction.md").write_text(results.narrower(report), encoding="utf-8")
     (source / "notebooks").mkdir()
     for path in executed:
         nbformat.write(shown(path), source / "notebooks" / path.name)

@@ -15,6 +15,7 @@ from robsmooth.workbench.parameters import SET_BY_PIPELINE
 
 _SAVED = re.compile(r"""save_figure\([^"']*["'](\w+)["']\)""")
 _IMAGE = re.compile(r"!\[(.+?)\]\((\w+)\.png\)")
+_TABLE = re.compile(r"(?:^\|.*\n)+", flags=re.MULTILINE)
 _WIDTH = re.compile(r'<svg[^>]*?\swidth="([\d.]+)pt"')
 _POINTS = 72  # to the inch
 _COLUMN = 3.4  # inches
@@ -170,6 +171,30 @@ def _results(
             caption = captions.get(stem, caption)
         results.append(Result(name, tuple(each), caption, table))
     return tuple(results)
+
+
+def narrower(report: str) -> str:
+    """Return the report of the verdicts with tables that are as wide as a page.
+
+    A verdict that all rows of a table share is in its heading; a difference has two digits.
+    """
+    return _TABLE.sub(lambda found: _narrower(found[0]), report)
+
+
+def _narrower(table: str) -> str:
+    lines = (line.removeprefix("| ").removesuffix(" |") for line in table.splitlines())
+    rows = [line.split(" | ") for line in lines]
+    columns = list(zip(*rows, strict=True))
+    for header, _, *cells in list(columns):
+        if header == "verdict" and len({*cells}) == 1:
+            columns = [column for column in columns if column[0] != header]
+    rounded = [
+        (*column[:2], *(f"{float(cell):.2g}" if cell else "" for cell in column[2:]))
+        if column[0] == "relative difference"
+        else column
+        for column in columns
+    ]
+    return "".join(f"| {' | '.join(row)} |\n" for row in zip(*rounded, strict=True))
 
 
 def index(found: Iterable[Run]) -> str:

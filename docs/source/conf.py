@@ -1,6 +1,7 @@
 """Sphinx configuration of the site. `docs.build` stages the sources that it reads."""
 
 from importlib import metadata
+from pathlib import Path
 
 project = "robsmooth"
 author = "the robsmooth developers"
@@ -14,6 +15,7 @@ extensions = [
     "sphinx.ext.viewcode",  # each entry of the reference leads to its source
     "myst_nb",
     "docs.references",
+    "docs.snippets",
 ]
 exclude_patterns = ["README.md"]  # index.md includes it
 nitpicky = True
@@ -65,7 +67,7 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False
-html_show_search_summary = False  # it fetches pages, which a browser refuses from files
+html_search_scorer = str(Path(__file__).with_name("scorer.js"))
 html_domain_indices = False
 mathjax_path = "mathjax/tex-svg-full.js"  # SVG needs no fonts
 mathjax3_config = {

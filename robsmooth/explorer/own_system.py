@@ -1,65 +1,93 @@
 """The explorer's page for a system of one's own: which smoother to use, and the code that says."""
 
 import re
+import warnings
+from contextlib import suppress
 from dataclasses import replace
 from html import escape
 
 import ipywidgets as widgets
 import numpy as np
 
-from robsmooth._support import validation
+import robsmooth as rs
 from robsmooth._support.validation import Matrix
 
-_ENTRY = re.compile(r"(A|C2)\[(\d+),\s*(\d+)\]\s+([\d.]+)\s*%")
+_ENTRY = re.compile(r"(A|C2)\s*\[(\d+),\s*(\d+)\]\s+([\d.]+)\s*%", re.IGNORECASE)
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 _RULE = "A[row,column] or C2[row,column], counted from zero, and a per cent: A[0,0] 10%"
-_MATRICES = ("A", "B1", "C0", "C2", "D21")
-_FIELDS = {
-    "A": "states from states",
-    "B1": "states from noises",
-    "C0": "what to estimate, from states",
-    "C2": "measurements from states",
-    "D21": "measurements from noises",
-    "uncertain": "entries of A and C2, counted from zero: A[0,0] 10%",
-    "delay": "s",
-    "order": "states of the delay's model",
+_FIELDS = {  # matrices, with what their rows are, and more
+    "A": ("how the states change (1/s)", "state"),
+    "B1": ("noise that drives each state", "state"),
+    "C0": ("what to estimate", "wanted number"),
+    "C2": ("what each sensor measures", "sensor"),
+    "D21": ("noise of each sensor", "sensor"),
+    "uncertain": ("counted from zero: A[0,0] 10%", ""),
+    "against": ("the uncertain numbers", ""),
+    "delay": ("how late w may be known (s)", ""),
+    "order": ("states of the delay's model", ""),
 }
-_MIRROR = ("0 6283\n-6283 -628.3", "0 0\n8.862 0", "1 0", "1 0", "0 0.001667", "A[1,0] 4%", 2e-4)
-_CLOCK = ("0 1\n0 0", "1 0 0\n0 0.1 0", "1 0", "1 0", "0 0 1", "", 3.0)
-_TWO = ("-1 0\n0 -2", "1.4142 0 0 0\n0 20 0 0", "1 0", "1 1\n0 1", "0 0 0.1 0\n0 0 0 0.1")
-EXAMPLES = {  # values of the fields, without the order
-    "two sensors, where robustness pays": (*_TWO, "C2[1,1] 5%", 0.5),
-    "a mirror at 1 kHz, its frequency known to 2%": _MIRROR,
-    "a clock, which drifts": _CLOCK,
+_MATRICES = [*_FIELDS][:5]
+_AGAINST = {"may vary in time": "admissible", "are constant": "constant"}
+_DRIFT = "0 0; 0 -2 | 1 0 0 0; 0 20 0 0 | 1 0 | 1 1; 0 1 | 0 0 0.03 0; 0 0 0 0.03 | C2[1,1] 10%"
+_MIRROR = "0 6283; -6283 -628.3 | 0 0; 8.862 0 | 1 0 | 1 0 | 0 0.001667 | A[1,0] 4%"
+_CLOCK = "0 1; 0 0 | 1 0 0; 0 0.1 0 | 1 0 | 1 0 | 0 0 1 | "
+EXAMPLES = {  # values of the fields but the order, as in README and `robsmooth.examples`
+    "a drift and a disturbance, a gain known to 10%": f"{_DRIFT} | constant | 0.5",
+    "a mirror at 1 kHz, its frequency known to 2%": f"{_MIRROR} | admissible | 2e-4",
+    "a clock, which drifts": f"{_CLOCK} | admissible | 3",
 }
+_EQUATIONS = (
+    "The states x move, and w is wanted a delay after it was there; the sensors give dy:<br>"
+    "<b>dx = A x dt + B1 dW,&emsp;w = C0 x,&emsp;dy = C2 x dt + D21 dW</b><br>"
+    "with independent noises dW, a column of B1 and D21 each. A row of a matrix is a line."
+)
+_WORKING = '<span class="robsmooth-spinner"></span> Designing the smoothers: about ten seconds …'
+_TO_CLIPBOARD = (
+    "navigator.clipboard.writeText(this.closest('.widget-vbox').querySelector('textarea').value)"
+)
+COPY = f'<button class="jupyter-button" onclick="{_TO_CLIPBOARD}">Copy the code</button>'
 
 
-def code_of(typed: dict) -> str:
+def code_of(typed: dict[str, str]) -> str:
     """Return the code for the fields' values; a ValueError names one that cannot be read."""
     values = {name: _matrix(name, typed[name]) for name in _MATRICES}
+    A, B1, C0 = (values[name] for name in _MATRICES[:3])
+    with suppress(ValueError):  # sizes that do not fit are refused by the library
+        if not any((C0 @ np.linalg.matrix_power(A, k) @ B1).any() for k in range(len(A))):
+            raise ArithmeticError("nothing to estimate: no noise of B1 reaches C0 x")
     matrices = "\n".join(f"{name} = {value.tolist()}" for name, value in values.items())
-    lines = filter(None, map(str.strip, typed["uncertain"].splitlines()))
-    channels = "".join(f"    {_channel(line, values)},\n" for line in lines)
+    entries = filter(None, map(str.strip, re.split(r"[;\n]|,(?![^[]*\])", typed["uncertain"])))
+    channels = "".join(f"    {_channel(entry, values)},\n" for entry in entries)
+    delay, order, against = (typed[name] for name in ("delay", "order", "against"))
+    if not _NUMBER.fullmatch(delay):
+        raise ValueError(f"delay must be a number with a decimal point, got {delay!r}")
     return f"""\
-import numpy as np
 import robsmooth as rs
 
 {matrices}
 uncertainties = [
 {channels}]
 system = rs.UncertainSystem(A, B1, C0, C2, D21, uncertainties)
-plant = rs.augment(system, delay={typed["delay"]}, order={typed["order"]})
-choice = rs.best_smoother(plant)
+plant = rs.augment(system, delay={delay}, order={order})
+choice = rs.best_smoother(plant, against={against!r})
 print(choice.table)
 """
 
 
 def _matrix(name: str, text: str) -> Matrix:
-    try:
-        rows = [row.replace(",", " ").split() for row in re.split(r"[;\n]", text.strip())]
-        return validation.array(name, np.array(rows, dtype=float), ndim=2)
-    except ValueError:
-        rule = "rows of as many numbers each, a row on a line"
-        raise ValueError(f"{name} must be {rule}, got {text!r}") from None
+    if found := re.search(r"[^\s,;]*\d,\d[^\s,;]*", text):
+        point, space = (found[0].replace(",", each) for each in (".", ", "))
+        raise ValueError(f"{name}: write {point} for a number or {space} for two, not {found[0]}")
+    rows = [*filter(None, (row.replace(",", " ").split() for row in re.split(r"[;\n]", text)))]
+    if not rows:
+        raise ValueError(f"{name} is empty: type one row per {_FIELDS[name][1]}")
+    for number, row in enumerate(rows, 1):
+        if wrong := [entry for entry in row if not _NUMBER.fullmatch(entry)]:
+            raise ValueError(f"{name}: {wrong[0]!r} is no finite number")
+        if len(row) != len(rows[0]):
+            count = f"{len(row)} number{'s' * (len(row) != 1)}"
+            raise ValueError(f"{name}: row {number} has {count}, row 1 has {len(rows[0])}")
+    return np.array(rows, dtype=float)
 
 
 def _channel(line: str, values: dict[str, Matrix]) -> str:
@@ -67,15 +95,18 @@ def _channel(line: str, values: dict[str, Matrix]) -> str:
     found = _ENTRY.fullmatch(line)
     if found is None:
         raise ValueError(f"an uncertain entry must be {_RULE}, got {line!r}")
-    name, row, column = found[1], int(found[2]), int(found[3])
-    entry = values[name][row : row + 1, column : column + 1]
-    if not entry.any():
-        rule = f"an entry of {name}, of shape {values[name].shape}, that is not zero"
-        raise ValueError(f"an uncertain entry must be {rule}, got {line!r}")
-    unit = "{:.1f} * np.eye({}, 1, {})".format
-    B, D = (unit(each == name, len(values[each]), -row) for each in ("A", "C2"))
-    size = f"{float(found[4]) / 100.0} * {entry.item()}"
-    return f"rs.Uncertainty({B}, {size} * np.eye(1, {len(values['A'])}, {column}), {D})"
+    name, row, column = found[1].upper(), int(found[2]), int(found[3])
+    matrix, (rows, columns) = values[name], values[name].shape
+    if row >= rows or column >= columns:
+        last = f"[{rows - 1},{columns - 1}]"
+        raise ValueError(f"{name} has no entry [{row},{column}]; the last is {last}")
+    if not matrix[row, column]:
+        raise ValueError(f"{name}[{row},{column}] is zero: a per cent of it is nothing")
+    B, D = (np.zeros((len(values[each]), 1)) for each in ("A", "C2"))
+    {"A": B, "C2": D}[name][row] = 1.0
+    C = np.zeros((1, columns))
+    C[0, column] = float(f"{float(found[4]) / 100.0 * matrix[row, column]:.12g}")
+    return f"rs.Uncertainty(B={B.tolist()}, C={C.tolist()}, D={D.tolist()})"
 
 
 class OwnSystem:
@@ -84,40 +115,55 @@ class OwnSystem:
     def __init__(self) -> None:
         self.example = widgets.Dropdown(options=EXAMPLES, description="example")
         self.fields = {name: widgets.Textarea(rows=2) for name in _FIELDS}
-        self.fields["delay"] = widgets.FloatText()
-        self.fields["order"] = widgets.BoundedIntText(4, min=1, max=8)
+        self.fields["against"] = widgets.Dropdown(options=_AGAINST)
+        self.fields["delay"] = widgets.Text()
+        self.fields["order"] = widgets.Dropdown(options=range(1, 9))
+        self.reset = widgets.Button(description="Reset the example")
         self.button = widgets.Button(description="Compare the smoothers", button_style="primary")
         self.answer, self.code = widgets.HTML(), widgets.Textarea(rows=16)
-        labelled = [
-            widgets.VBox([widgets.HTML(f"<b>{name}</b> {_FIELDS[name]}"), field])
-            for name, field in self.fields.items()
-        ]
+        labels = (widgets.HTML(f"<b>{name}</b> {label}") for name, (label, _) in _FIELDS.items())
+        labelled = [*map(widgets.VBox, zip(labels, self.fields.values(), strict=True))]
         columns = {"grid_template_columns": "repeat(auto-fit, minmax(20em, 1fr))"}
         grid = widgets.GridBox(labelled, layout=columns)
-        parts = {"example": self.example, **self.fields, "compare": self.button}
-        parts |= {"answer": self.answer, "code": self.code}
+        parts = {"example": self.example, **self.fields, "reset": self.reset}
+        parts |= {"compare": self.button, "answer": self.answer, "code": self.code}
         for name, part in parts.items():
             part.layout.width = "auto"
             part.add_class(f"robsmooth-own-{name}")
         self.example.observe(self._fill, "value")
+        self.reset.on_click(self._fill)
         self.button.on_click(self.compare)
+        self._found = widgets.VBox([widgets.HTML(COPY), self.code])
         self._fill()
-        self.widget = widgets.VBox([self.example, grid, self.button, self.answer, self.code])
+        buttons = widgets.HBox([self.button, self.reset])
+        parts = [self.example, widgets.HTML(_EQUATIONS), grid, buttons, self.answer, self._found]
+        self.widget = widgets.VBox(parts)
 
     def _fill(self, _=None) -> None:
-        for field, value in zip(self.fields.values(), self.example.value, strict=False):
+        values = [part.replace("; ", "\n") for part in self.example.value.split(" | ")]
+        for field, value in zip(self.fields.values(), [*values, 4], strict=True):
             field.value = value
-        self.answer.value = self.code.value = ""
+        self._answer("", "")
+
+    def _answer(self, answer: str, code: str) -> None:
+        self.answer.value, self.code.value = answer, code
+        self._found.layout.display = "flex" if code else "none"
 
     def compare(self, _=None) -> None:
         """Show the code and, once it has run, its answer."""
-        self.answer.value = '<i class="fa fa-spinner fa-spin"></i> The smoothers are designed.'
-        self.code.value, names = "", {"print": lambda *_: None}
+        names, code = {"print": lambda *_: None}, ""
         try:
-            self.code.value = code_of({name: field.value for name, field in self.fields.items()})
-            exec(self.code.value, names)  # it is made of numbers alone
-            table = replace(names["choice"].table, caption="")
-            answer = f"<p>{escape(names['choice'].sentence)}</p>{table.html()}"
+            code = code_of({name: field.value for name, field in self.fields.items()})
+            self._answer(_WORKING, code)
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                exec(code, names)  # it is made of numbers alone
+            coarse = [each.message for each in caught if each.category is rs.CoarseDelayWarning]
+            said = [f"Take care: {each}." for each in coarse]
+            choice, table = names["choice"], names["choice"].table
+            answer = "".join(f"<p>{escape(each)}</p>" for each in (*said, choice.sentence))
+            rows = [[f"{x:#.4g}" if isinstance(x, float) else x for x in row] for row in table.rows]
+            answer += replace(table, caption="", rows=rows).html()
         except (ValueError, TypeError, ArithmeticError, RuntimeError) as refusal:
-            answer = f"<p>There is no answer: {escape(str(refusal))}.</p>"
-        self.answer.value = answer
+            answer, code = f"<p>There is no answer: {escape(str(refusal))}.</p>", ""
+        self._answer(answer, code)

@@ -22,11 +22,16 @@ from robsmooth.simulation.loop import Steps, nonlinear_loop
 # The example's least bound is at these, unless it pays to ignore the measurement; the parameters
 # do not matter. Only tau remains to be found.
 BEST_MULTIPLIERS = [1.0, 0.5, 0.0, 0.0]
-LAGS = 1e-6 * np.linspace(0.0, 15.0, 16)  # of the curves over the lag, s
+DELAYS = 1e-6 * np.linspace(0.0, 15.0, 16)  # of the curves over the delay, s
 STEP, SHOWN, BEFORE = 0.4e-6, 250, 25  # sample path: step in s, steps shown, steps before them
 SEED = 11  # of the sample path
+_HINTS = {  # where a design by hand is refused with these words
+    "a larger tau": "Move τ up. ",
+    "M(lambda) > 0": "λ₁ and λ₂ must be positive. ",
+    "multiplier constraint": "Move a λ down. ",
+}
 _MOST_STATES = 2 + 5  # the phase, and an estimator of the largest order
-DESIGNS = ("classical", "tuned classical", "minimax", "the paper's", "by hand")
+DESIGNS = ("classical", "tuned", "minimax", "paper's V", "by hand")
 _PAPER = rs.homodyne.PAPER
 
 
@@ -50,12 +55,12 @@ class Slider(NamedTuple):
 
 
 SLIDERS = {
-    "lag": Slider("lag (µs)", "how far back the smoothed estimate looks", 0.2, 15.0, 0.1, 1e-6),
-    "order": Slider("order", "states of the lag's model: more follow it more closely", 1, 5, 1),
+    "delay": Slider("delay (µs)", "how far back the smoothed estimate looks", 0.2, 15.0, 0.1, 1e-6),
+    "order": Slider("order", "states of the delay's model: more follow it more closely", 1, 5, 1),
     "gamma": Slider("uncertainty γ", "half width of the sector of the sine", 0.05, 0.8, 0.01),
-    "noise": Slider("noise (paper: 1)", "power of the light's shot noise", 0.1, 5.0, 0.1),
-    "lam": Slider("decay λ (1/ms)", "how fast the phase forgets", 1.0, 50.0, 0.02, 1e3),
-    "kappa": Slider("wander κ (rad²/ms)", "how fast the phase moves", 4.0, 250.0, 2.0, 1e3),
+    "noise": Slider("noise factor", "shot noise, relative to the paper's", 0.1, 5.0, 0.1),
+    "lam": Slider("decay λ (1/ms)", "decay rate of the phase", 1.0, 50.0, 0.02, 1e3),
+    "kappa": Slider("κ (rad²/ms)", "diffusion of the phase", 4.0, 250.0, 1.0, 1e3),
     "tau": Slider("τ (µs rad²)", "the scale of the paper's design", 0.2, 10.0, 0.01, 1e-6),
     "lambda1": Slider("λ₁", "of the process noise's constraint", 0.0, 1.0, 0.0001),
     "lambda2": Slider("λ₂", "of the difference of the sine and its copy", 0.0, 1.0, 0.0001),
@@ -68,8 +73,8 @@ SLIDERS = {
 class Settings:
     """The settings of the explorer; by default the paper's example, and a design that exists."""
 
-    lag: float = DELAY  # s
-    order: int = ORDER  # of the Pade model of the lag
+    delay: float = DELAY  # s
+    order: int = ORDER  # of its Pade model
     gamma: float = _PAPER.gamma  # half width of the sector assumed for the sine
     noise: float = 1.0  # power of the shot noise over the paper's; the designs are for it
     lam: float = _PAPER.lam  # decay rate of the phase, rad/s
@@ -101,7 +106,11 @@ class Settings:
     @property
     def plant(self) -> rs.AugmentedSystem:
         """The augmented system of the loop."""
-        return rs.augment(self.parameters.uncertain_system(), self.lag, self.order)
+        return rs.augment(self.parameters.uncertain_system(), self.delay, self.order)
+
+    def best_tau(self) -> float:
+        """Return the tau of the paper's design with the least bound."""
+        return best_tau(self.plant, BEST_MULTIPLIERS, self.cost)
 
     @cached_property
     def _call(self) -> tuple[str, str, dict[str, object]]:
@@ -109,13 +118,13 @@ class Settings:
         match self.design:
             case "minimax":
                 return "minimax_smoother", "plant", {"output": self.cost}
-            case "tuned classical":
+            case "tuned":
                 return "baselines.tuned_fixed_lag_smoother", "plant", {"output": self.cost}
             case "classical":
-                options = {"delay": self.lag, "order": self.order, "copies": True}
+                options = {"delay": self.delay, "order": self.order, "copies": True}
                 return "baselines.fixed_lag_smoother", "plant.system", options
-            case "the paper's":
-                tau, weights = best_tau(self.plant, BEST_MULTIPLIERS, self.cost), BEST_MULTIPLIERS
+            case "paper's V":
+                tau, weights = self.best_tau(), BEST_MULTIPLIERS
             case "by hand":
                 tau, weights = self.tau, [getattr(self, f"lambda{i}") for i in (1, 2, 3, 4)]
         options = {"tau": float(f"{tau:.6g}"), "multipliers": weights, "cost": self.cost}
@@ -136,7 +145,7 @@ import robsmooth as rs
 parameters = rs.homodyne.HomodyneParameters(
     lam={p.lam!r}, kappa={p.kappa!r}, alpha={p.alpha!r}, beta={p.beta!r}, gamma={p.gamma!r}
 )
-plant = rs.augment(parameters.uncertain_system(), delay={self.lag!r}, order={self.order})
+plant = rs.augment(parameters.uncertain_system(), delay={self.delay!r}, order={self.order})
 smoother = rs.{function}({arguments})
 
 judged = rs.judge(smoother, {self.cost!r})
@@ -159,12 +168,14 @@ class Snapshot:
     """What there is to see at some settings."""
 
     settings: Settings
-    optimum: Matrix  # at each of `LAGS`, the least error of any smoother, without uncertainty
-    modelled: Matrix  # at each, the classical smoother's, with a delay model of this order
     own: Findings  # of the design that was chosen
     found: dict[str, Findings]  # by design: the classical and the chosen one, then the others
-    path: Matrix  # rows: the phase, its filtered and its smoothed estimate each `STEP`, rad
     is_complete: bool  # whether all designs are there, and judged
+
+    @cached_property
+    def kalman(self) -> float:
+        """The least error of any filter, without uncertainty, rad^2."""
+        return optimal_error(self.settings.parameters.uncertain_system(), 0.0)
 
 
 @lru_cache(maxsize=8)
@@ -174,14 +185,13 @@ def take_snapshot(settings: Settings, complete: bool = True) -> Snapshot | str:
     try:
         for name in (DESIGNS[0], settings.design):
             found[name] = own = _findings(replace(settings, design=name), complete)
-        curves = _over_lags(settings.parameters, settings.order)
-        path = _path(own.estimator)
     except refusals as refusal:
-        return f"{refusal}."
+        hints = _HINTS.items() if settings.design == "by hand" else ()
+        return "".join(hint for cause, hint in hints if cause in str(refusal)) + f"{refusal}."
     for name in DESIGNS[:4] if complete else ():
         with suppress(*refusals):
             found[name] = found.get(name) or _findings(replace(settings, design=name), complete)
-    return Snapshot(settings, *curves, own, found, path, complete)
+    return Snapshot(settings, own, found, complete)
 
 
 def _findings(settings: Settings, complete: bool) -> Findings:
@@ -201,15 +211,17 @@ def _designed(settings: Settings) -> tuple[rs.Estimator, StatisticalLinearisatio
 
 
 @lru_cache(maxsize=8)
-def _over_lags(parameters: rs.homodyne.HomodyneParameters, order: int) -> Matrix:
-    """Return the optimum and the classical smoother's nominal error at each of `LAGS`."""
+def over_delays(parameters: rs.homodyne.HomodyneParameters, order: int) -> Matrix:
+    """Return the optimum and the classical smoother's nominal error at each of `DELAYS`."""
     system = parameters.uncertain_system()
-    errors = [(optimal_error(system, lag), classical_error(system, order, lag)) for lag in LAGS]
+    errors = [
+        (optimal_error(system, each), classical_error(system, order, each)) for each in DELAYS
+    ]
     return np.array(errors).T
 
 
-def _path(estimator: rs.Estimator) -> Matrix:
-    """Simulate one path; unlike in `rs.sample_paths`, the noise is the same for every loop."""
+def sample_path(estimator: rs.Estimator) -> Matrix:
+    """Return the phase and its two estimates each `STEP`, of the same noise for every loop, rad."""
     loop = nonlinear_loop(estimator)
     scheme = Steps(loop, STEP)
     noise = np.random.default_rng(SEED).standard_normal((1 + BEFORE + SHOWN, _MOST_STATES))

@@ -30,7 +30,8 @@ def running_explorer(folder: Path) -> Iterator[tuple[str, psutil.Popen]]:
     environment = {name: each for name, each in os.environ.items() if not name.startswith("MAKE")}
     environment["JUPYTER_RUNTIME_DIR"] = str(folder / "runtime")
     asked = ["make", "-s", "-n", *STAMPS, "explore", options]
-    command = shlex.split(subprocess.check_output(asked, cwd=ROOT, env=environment, text=True))
+    line = subprocess.check_output(asked, cwd=ROOT, env=environment, text=True)
+    command = shlex.split(line.replace("\\\n", " "))
     with open(log, "wb") as output:
         server = psutil.Popen(
             command,

@@ -194,3 +194,34 @@ def test_warnings_of_sphinx_fail_the_command(monkeypatch, capsys):
     monkeypatch.setattr(docs.__main__, "build", lambda *_: None)
     assert docs.__main__.main([]) == 1
     assert capsys.readouterr().err.startswith("robsmooth: no new site was made")
+
+
+def test_a_verdict_that_all_rows_share_is_left_out_and_differences_are_rounded():
+    report = (
+        "# Verdicts\n\n"
+        "| what | printed | relative difference | verdict | why |\n"
+        "| --- | --- | --- | --- | --- |\n"
+        "| V | 0.15 | -0.132711 | not reproduced | \\|f\\| is large |\n"
+        "| tau | 1.13e-6 s |  | not reproduced |  |\n\n"
+        "*Some.*\n\n"
+        "| what | relative difference | verdict |\n| --- | --- | --- |\n"
+        "| V | 1.23e-05 | reproduced |\n| tau | -1 | not reproduced |\n"
+    )
+    assert results.narrower(report) == (
+        "# Verdicts\n\n"
+        "| what | printed | relative difference | why |\n"
+        "| --- | --- | --- | --- |\n"
+        "| V | 0.15 | -0.13 | \\|f\\| is large |\n"
+        "| tau | 1.13e-6 s |  |  |\n\n"
+        "*Some.*\n\n"
+        "| what | relative difference | verdict |\n| --- | --- | --- |\n"
+        "| V | 1.2e-05 | reproduced |\n| tau | -1 | not reproduced |\n"
+    )
+
+
+def test_the_report_keeps_its_printed_numbers_on_the_site():
+    report = (ROOT / "figures/reproduction.md").read_text(encoding="utf-8")
+    shown = results.narrower(report)
+    assert len(shown) < len(report)
+    for line, ours in zip(report.splitlines(), shown.splitlines(), strict=True):
+        assert line.split(" | ")[:4] == ours.split(" | ")[:4]

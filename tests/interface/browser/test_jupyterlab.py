@@ -127,11 +127,11 @@ def test_explore_follows_its_settings(lab, page, complaints, screenshot, record_
     assert "delay=3.1e-06" in code
     screenshot("start")
 
-    delays = [panels.press(".robsmooth-lag .noUi-handle", "ArrowRight") for _ in range(10)]
-    record_property("from a key to another picture, ms", sorted(round(delay) for delay in delays))
+    delays = [panels.press(".robsmooth-delay .noUi-handle", "ArrowRight") for _ in range(10)]
+    record_property("from a key to all pictures, ms", sorted(round(delay) for delay in delays))
     expect(panels.code).to_have_value(code.replace("delay=3.1e-06", "delay=4.1e-06"))
     assert panels.picture() != first
-    screenshot("lag")
+    screenshot("delay")
 
     by_hand = page.locator(".robsmooth-design option", has_text="by hand").inner_text()
     page.locator(".robsmooth-design select").select_option(label=by_hand)

@@ -45,6 +45,8 @@ def test_the_report_can_be_read_and_searched(report, offline, complaints):
     search = offline.locator(".sidebar-search")
     search.fill("delta_sweep")
     search.press("Enter")
+    pages = offline.locator("#search-results li")
+    expect(pages.filter(has=offline.locator(".context")).first).to_contain_text("delta_sweep")
     found = offline.locator("#search-results li a", has_text="robsmooth.delta_sweep")
     found.first.click()
     expect(offline.locator("[id='robsmooth.delta_sweep']")).to_be_in_viewport()
