@@ -1,6 +1,7 @@
 """The limit of one BLAS thread, under nested calls, threads and errors."""
 
 import os
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -45,6 +46,74 @@ def test_the_end_of_an_inner_call_leaves_the_outer_one_its_limit():
 def test_an_error_takes_the_limit_back():
     with pytest.raises(ZeroDivisionError):
         seen(lambda: 1 / 0)
+
+
+STEPS = {each.__code__ for each in (_OneThread._enter, _OneThread._leave, _OneThread._set)}
+
+
+def interrupted(step):
+    """Make a call that is interrupted at a step of its beginning or end; return whether it was."""
+    steps = 0
+
+    def trace(frame, event, _):
+        nonlocal steps
+        # a lock is taken and given back in one step each, on the first line
+        locks = event == "line" and frame.f_lineno == frame.f_code.co_firstlineno + 1
+        if frame.f_code in STEPS and not locks:
+            steps += event in ("call", "line")
+            if steps == step + 1:
+                steps += 1
+                raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        seen(list)
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
+
+
+def test_an_interrupt_at_any_step_leaves_the_callers_number_alone():
+    step = 0
+    while interrupted(step):
+        assert set(threads()) == {2}, step
+        assert not one_thread._calls, step
+        step += 1
+    assert step > 12
+    assert set(seen()) == {1}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_a_child_keeps_the_calls_of_the_thread_that_forked_alone():
+    inside, done = threading.Event(), threading.Event()
+
+    def wait():
+        inside.set()
+        done.wait(10)
+
+    def forked():
+        if not (child := os.fork()):
+            good = set(threads()) == {1} and len(one_thread._calls) == 1
+            os._exit(not good)
+        return os.waitpid(child, 0)[1]
+
+    other = threading.Thread(target=seen, args=(wait,))
+    other.start()
+    inside.wait(10)
+    try:
+        assert seen(forked) == 0
+        if not (child := os.fork()):
+            good = set(seen()) == {1} and set(threads()) == {2} and not one_thread._calls
+            os._exit(not good)
+        assert os.waitpid(child, 0)[1] == 0
+    finally:
+        done.set()
+        other.join()
 
 
 def test_a_system_that_cannot_fork_has_the_limit_too(monkeypatch):
