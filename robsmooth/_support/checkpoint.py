@@ -23,6 +23,10 @@ from robsmooth._support import files, validation
 APPLICATION = int.from_bytes(b"rsmo", "big")  # SQLite's mark of the program that made a database
 _decoded = partial(str, encoding="utf-8", errors="replace")  # a damaged text fails its checksum
 ANEW = "give another path, or delete the file to start anew"
+_TABLE = "CREATE TABLE record (number INTEGER PRIMARY KEY, checksum, text)"
+# Other SQL in a file could change or hide records, or have no end.
+_FOREIGN = f"SELECT application_id != {APPLICATION} OR EXISTS (SELECT * FROM sqlite_master "
+_FOREIGN += f"WHERE sql IS NOT '{_TABLE}') FROM pragma_application_id"
 NOT_ONE = "{} is not a checkpoint of this version of robsmooth: give another path"
 _text = partial(json.dumps, sort_keys=True, ensure_ascii=False)
 OF_DAMAGE = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_TOOBIG}
@@ -79,7 +83,7 @@ class Journal:
         self._database, self._identity = database, identity
         database.text_factory = _decoded
         is_new = self._file.st_size == 0
-        if not is_new and self._value("PRAGMA application_id") != APPLICATION:
+        if not is_new and self._value(_FOREIGN):
             raise CheckpointError(NOT_ONE.format(path))
         database.execute("PRAGMA journal_mode = DELETE")
         database.execute("PRAGMA synchronous = FULL")
@@ -87,7 +91,7 @@ class Journal:
         if is_new:
             database.execute("BEGIN")
             database.execute(f"PRAGMA application_id = {APPLICATION}")
-            database.execute("CREATE TABLE record (number INTEGER PRIMARY KEY, checksum, text)")
+            database.execute(_TABLE)
             for number, text in enumerate([identity, *records]):
                 self._insert(number, text)
             database.execute("COMMIT")
@@ -98,7 +102,7 @@ class Journal:
             if there.get(name) != here.get(name)
         ]
         if differences:
-            what = f"is of another computation: {'; '.join(differences)}"
+            what = f"is of another computation: {validation.line('; '.join(differences), 400)}"
             raise CheckpointError(f"the checkpoint {path} {what}; {ANEW}")
         # The number of records on opening, and the last of them.
         self._found = self._value("SELECT max(number) FROM record")
@@ -145,7 +149,7 @@ def _set_aside(path: Path, identity: str) -> tuple[Path, list[str]]:
     with closing(sqlite3.connect(path, isolation_level=None)) as database:
         database.text_factory = _decoded
         database.execute("PRAGMA writable_schema = ON")  # reads a file that was cut off, too
-        if database.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
+        if database.execute(_FOREIGN).fetchone()[0]:
             raise CheckpointError(NOT_ONE.format(path))
         for order in ("ASC", "DESC"):  # from both ends up to what cannot be read
             with suppress(sqlite3.Error, UnicodeDecodeError):

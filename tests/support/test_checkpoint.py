@@ -296,6 +296,41 @@ def test_the_database_of_another_program_is_refused_and_kept(path, mode):
     assert path.read_bytes() == content
 
 
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "CREATE TRIGGER t AFTER INSERT ON record BEGIN DELETE FROM record; END",
+        """DROP TABLE record; CREATE VIEW record AS WITH RECURSIVE endless(number) AS
+           (SELECT 1 UNION ALL SELECT number + 1 FROM endless) SELECT number, 1, 2 FROM endless""",
+        """DROP TABLE record; CREATE TABLE record (number INTEGER PRIMARY KEY, checksum, text,
+           hidden AS (NULL) NOT NULL ON CONFLICT IGNORE)""",
+        "CREATE INDEX other ON record (text)",
+    ],
+    ids=["trigger", "endless view", "silent constraint", "index"],
+)
+@pytest.mark.parametrize("is_damaged", [False, True])
+def test_a_checkpoint_with_sql_of_its_own_is_refused_and_kept(path, sql, is_damaged):
+    write(path)
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(sql)
+        if is_damaged:
+            database.executescript(
+                "PRAGMA writable_schema = ON; INSERT INTO sqlite_master VALUES ('table', 'x', 'x', "
+                "9, 'CREATE TABLE')"
+            )
+    content = path.read_bytes()
+    with pytest.raises(CheckpointError, match="not a checkpoint"):
+        read(path)
+    assert path.read_bytes() == content
+
+
+def test_many_differences_are_one_sentence_that_can_be_read(path):
+    write(path)
+    with pytest.raises(CheckpointError, match=r"\.\.\.; give another path") as caught:
+        read(path, {f"number_{i}": i for i in range(100)})
+    assert len(str(caught.value)) - len(str(path)) < 550
+
+
 def test_a_checkpoint_of_an_older_version_is_refused_and_kept(path):
     content = b'0123456789abcdef {"format": 1, "identity": {}, "journal": "robsmooth"}\n'
     path.write_bytes(content)
