@@ -18,7 +18,7 @@ from robsmooth._support import plots, tables, validation
 from robsmooth._support.blas import one_thread
 from robsmooth._support.errors import InfeasibleDesignError
 from robsmooth._support.progress import progress_bar
-from robsmooth._support.validation import Frozen, Matrix, shown
+from robsmooth._support.validation import Frozen, Matrix
 from robsmooth.analysis.covariance import error_covariance, worst_case
 from robsmooth.estimators import baselines
 from robsmooth.estimators.estimator import Estimator
@@ -107,12 +107,18 @@ def lag_sweep(
     if not lags.size * orders.size:
         raise ValueError(f"{'orders' if lags.size else 'lags'} must have at least one value")
     design = _classical if design is None else design
-    if not callable(design):
-        raise TypeError(f"design must be a function of system, lag and order, got {shown(design)}")
     validation.boolean("progress", progress)
     grid = [(lag, int(order)) for order in orders for lag in lags]
     bar = progress_bar(grid, unit="design", shown=progress)
-    cases = [worst_case(design(system, lag, order), loop="real") for lag, order in bar]
+    cases = []
+    for lag, order in bar:
+        try:
+            found = design(system, lag, order)
+            validation.instance("its value", found, Estimator)
+        except TypeError as error:
+            rule = "design must be a function of system, lag and order"
+            raise TypeError(f"{rule} to an Estimator: {validation.line(error)}") from error
+        cases.append(worst_case(found, loop="real"))
     errors = np.array([(case.nominal, case.mean_square) for case in cases]).T
     errors = errors.reshape(2, len(orders), len(lags))
     optimal = np.array([optimal_error(system, lag) for lag in lags])

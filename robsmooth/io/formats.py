@@ -291,14 +291,14 @@ class _Text(io.BufferedReader):
 
 def _frame(source: Any) -> Any:
     """Return the data frame of a series or of an array of xarray; all else as it is."""
-    if hasattr(source, "coords"):
+    if hasattr(source, "dims"):
         source = source.to_pandas()
     return source.to_frame() if hasattr(source, "to_frame") else source
 
 
 def in_memory(source: Any) -> Record:
     """Open an array, a data frame, or an iterator of them."""
-    if hasattr(source, "coords") or hasattr(source, "to_frame") or hasattr(source, "columns"):
+    if hasattr(source, "dims") or hasattr(source, "to_frame") or hasattr(source, "columns"):
         return Table(source)
     return Chunks(source) if isinstance(source, Iterator) else Array(source)
 
@@ -307,7 +307,7 @@ def opened(source: Any, delimiter: str | None, *dialect: Any) -> Record:
     """Open a record; the dialect is that of `Csv`."""
     decimal, header, skip, missing = dialect
     gaps = [missing] if isinstance(missing, str) else validation.sequence("missing", missing)
-    if not all(isinstance(word, str) for word in gaps):
+    if not all(isinstance(word, str) and word.isprintable() for word in gaps):
         raise TypeError(f"missing must be the words for a gap, got {validation.shown(missing)}")
     header = header if header is None else validation.boolean("header", header)
     decimal = validation.choice("decimal", decimal, (".", ","))

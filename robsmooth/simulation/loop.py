@@ -187,11 +187,16 @@ def _uncertainties(plant: AugmentedSystem, given: Uncertainties) -> tuple[Matrix
     for s, (value, block) in enumerate(zip(values, blocks_of(plant), strict=False)):
         inputs, outputs = (np.r_[each].tolist() for each in block.places[0])
         if callable(value):
-            shape = np.shape(value(0.0, np.zeros((len(outputs), 2))))
-            if shape != (len(inputs), 2):
+            got: object
+            cause = None
+            try:
+                got = np.shape(value(0.0, np.zeros((len(outputs), 2))))
+            except Exception as error:
+                got, cause = f"{type(error).__name__}: {validation.line(error)}", error
+            if got != (len(inputs), 2):
                 rule = f"of shape ({len(outputs)}, paths) to shape ({len(inputs)}, paths)"
-                rule = f"must map (t, zeta) with zeta {rule}, got {shape} for 2 paths"
-                raise ValueError(f"uncertainties[{s}] {rule}")
+                rule = f"must map (t, zeta) with zeta {rule}, got {got} for 2 paths"
+                raise ValueError(f"uncertainties[{s}] {rule}") from cause
             functions.append(Function(inputs, outputs, value, elementwise=False))
         norm = np.linalg.norm(delta[np.ix_(inputs, outputs)], 2)
         if norm > 1.0 + 1e-12:

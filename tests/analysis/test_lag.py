@@ -193,6 +193,10 @@ def test_what_is_not_understood_is_refused():
         lag_sweep(EXAMPLE, [], [1])
     with pytest.raises(TypeError, match="design must be a function of system"):
         lag_sweep(EXAMPLE, [1e-6], [1], "robust")
+    with pytest.raises(TypeError, match=r"design must .*takes 1 positional argument but"):
+        lag_sweep(EXAMPLE, [1e-6], [1], lambda system: system)
+    with pytest.raises(TypeError, match=r"design must .*its value must be an Estimator"):
+        lag_sweep(EXAMPLE, [1e-6], [1], lambda *_: None)
     for function in (partial(best_lag, order=1), partial(choose_lag, target=0.05)):
         with pytest.raises(TypeError, match="system must be an UncertainSystem, got str"):
             function("system")

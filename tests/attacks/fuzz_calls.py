@@ -304,6 +304,7 @@ JUNK: list[Callable[[], Any]] = [
         None, True, False, 0, 1, -1, 2, 3, 0.0, -0.0, 0.5, -1.5, np.nan, np.inf, -np.inf, 5e-324,
         1e-300, 1e300, 10**400, -(10**400), 2**63, 2**64, 10**15, 10**6, 1j, Fraction(1, 2),
         Decimal("0.5"), "", "x", "smoothed", "1.0", "x" * 5000, "a\nb", "a\0b", "\ud800", b"ab", (),
+        "\udcff", list[int],
         ..., NotImplemented, slice(3), range(3), range(10**6), int, float, len, dict, np, object(),
         np.float32(0.5), np.int8(3), np.uint64(2**63), np.longdouble("1e4000"), np.bool_(True),
         np.timedelta64(1, "us"), np.datetime64("2020-01-01"), np.str_("smoothed"), np.void(b"ab"),
@@ -328,6 +329,7 @@ JUNK: list[Callable[[], Any]] = [
     lambda: np.array([[1.0]]).view(np.matrix), lambda: np.array(b"ab"), lambda: np.array(5),
     lambda: np.array([1.0], ">f8"), lambda: np.array([2], np.uint8), lambda: np.ones((1,) * 30),
     lambda: np.broadcast_to(0.0, (2000, 2000)), lambda: np.frombuffer(b"x" * 8)[:1],
+    lambda: np.ones(3).flat, lambda: [list[int]], lambda: [lambda: 0.0], lambda: [lambda t, x: x],
     T.system, T.linear, T.plant, T.robust, T.kalman, T.sector, T.exact, T.model,
 ]  # fmt: skip
 

@@ -220,6 +220,7 @@ REFUSED = {
     "transposed": (Y.T, ValueError, r"2 columns of source, got 30: .*column 9; its .T has a row"),
     "cube": (np.ones((3, 2, 2)), ValueError, r"source must be an array \(N, columns\), got"),
     "number": (1.0, ValueError, "source must be an array"),
+    "iterator of numbers": (np.ones(3).flat, ValueError, "source must be an array"),
     "nothing": (None, TypeError, "source must be an array of numbers, got entries of type object"),
     "words": ([["a", "b"]], TypeError, "source must be an array of numbers"),
     "infinity": (np.full((3, 2), np.inf), ValueError, "source, row 0, column 0: inf where there"),

@@ -400,6 +400,7 @@ def test_nothing_is_unpickled(tmp_path):
         ({"decimal": ";"}, ValueError, "decimal must be one of"),
         ({"missing": -999}, TypeError, "missing must be"),
         ({"missing": [-999]}, TypeError, "missing must be"),
+        ({"missing": "\udcff"}, TypeError, "missing must be"),
         ({"chunk": 0}, ValueError, "chunk must be an integer of at least 1"),
         ({"progress": 1}, TypeError, "progress must be True or False"),
         ({"columns": [0, 1], "output": "both"}, ValueError, "output must be one of"),

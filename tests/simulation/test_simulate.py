@@ -781,6 +781,11 @@ def test_nonlinearity_without_a_function_is_refused():
             ValueError,
             r"uncertainties\[0\] must map .* to shape \(1, paths\), got \(2,\) for 2 paths",
         ),
+        (
+            {"uncertainties": [list[int]]},
+            ValueError,
+            r"uncertainties\[0\] must map .*, got TypeError: list expected at most 1 argument",
+        ),
     ],
 )
 def test_bad_arguments_are_refused(arguments, error, message):
