@@ -1,9 +1,11 @@
 """One notebook in its own process (several in one hang), judged by its executed copy.
 
-All that it starts inherits `FOLDER`, by which it is found even where its own parent has ended. As a
-program, this module waits for the end of a run, which may be killed, and ends what that started.
+All that it starts inherits `FOLDER`, by which it is found even where its own parent has ended. On
+Linux it is found without that, too. As a program, this module is the parent of that process, or
+waits for the end of a run, which may be killed, and ends what that started.
 """
 
+import ctypes
 import os
 import re
 import subprocess
@@ -30,8 +32,9 @@ class Execution:
         self.started = time.perf_counter()
         self.executed, self._log = staging / notebook.name, staging / "log.txt"
         self._time_limit, self._reached = time_limit, ""
-        command = [sys.executable, "-P", "-m", "papermill", "--no-progress-bar"]
-        command += ["--kernel=python3", "--language=python", "--log-level=ERROR"]
+        command = [sys.executable, "-P", __file__, "run", sys.executable, "-P", "-m", "papermill"]
+        command += ["--no-progress-bar", "--kernel=python3", "--language=python"]
+        command += ["--log-level=ERROR"]
         command += [f"--cwd={notebook.parent}", f"--execution-timeout={max(1, time_limit / 2):.0f}"]
         command += ["--parameters_yaml", yaml.safe_dump(parameters, sort_keys=False)]
         for path in (notebook, self.executed):  # papermill reads a path as a template
@@ -131,7 +134,23 @@ def end_all(folder: Path) -> None:
         time.sleep(0.01)
 
 
+def _run(command: list[str]) -> int:
+    """Run a command, and end what it leaves; return its exit code."""
+    import psutil
+
+    if sys.platform == "linux":  # what has lost its parent becomes a child of this process
+        ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
+    code = subprocess.call(command)
+    while left := psutil.Process().children():
+        for process in left:
+            process.kill()
+            process.wait()
+    return code
+
+
 if __name__ == "__main__":
+    if sys.argv[1] == "run":
+        sys.exit(_run(sys.argv[2:]))
     sys.stdin.read()  # until the other end is closed
-    for folder in sys.argv[1:]:
+    for folder in sys.argv[2:]:
         end_all(Path(folder))

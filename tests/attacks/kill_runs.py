@@ -1,15 +1,17 @@
 """Kill runs of notebooks at random moments: ``python -m tests.attacks.kill_runs --tries N``.
 
-A project has two notebooks that take a few seconds; each starts a program, keeps a checkpoint and
-writes many files. Each try changes the notebooks, runs them, and sends a signal to the command, to
-a worker or to a kernel. Then no process is left, the files that a provenance lists are whole and of
-one run, and the next run writes what a run that nobody disturbed writes.
+A project has two notebooks that take a few seconds; each starts two programs, one of them without
+its environment, keeps a checkpoint and writes many files. Each try changes the notebooks, runs
+them, and sends a signal to the command, to a worker, to its parent or to a kernel, or lets no file
+grow beyond a size, as on a full disk. Then no process is left, the files that a provenance lists
+are whole and of one run, and the next run writes what a run that nobody disturbed writes.
 """
 
 import argparse
 import json
 import os
 import random
+import resource
 import secrets
 import signal
 import subprocess
@@ -28,14 +30,17 @@ MARK = "ROBSMOOTH_ATTACK"  # in the environment of all that a try starts
 PATIENCE = 60.0  # s, for a run to end by itself
 GRACE = 3.0  # s, for what a kill left to end
 FILES = 12  # of a notebook
+LARGEST = 350_000  # bytes of a file, just more than any has
 WAYS = {  # whom, and the signals that follow one another at once
     "kill the command": ("command", [signal.SIGKILL]),
     "kill a worker": ("worker", [signal.SIGKILL]),
+    "kill a worker's parent": ("parent", [signal.SIGKILL]),
     "kill a kernel": ("kernel", [signal.SIGKILL]),
     "kill while publishing": ("publishing", [signal.SIGKILL]),
     "lose the terminal": ("command", [signal.SIGHUP]),
     "interrupt twice": ("command", [signal.SIGINT, signal.SIGINT]),
     "terminate": ("command", [signal.SIGTERM]),
+    "fill the disk": ("disk", []),
 }
 PARAMETERS = """
 output_dir: str = "../build/figures"  # folder of the figures
@@ -43,10 +48,12 @@ data_dir: str = "../build/data"  # folder of the data
 checkpoint_dir: str = ""  # folder to resume from
 """
 CODE = """
-import subprocess, sys, time
+import os, subprocess, sys, time
 from pathlib import Path
 
-program = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"])
+command = [sys.executable, "-c", "import time; time.sleep(3600)", os.environ["{mark}"]]
+program = subprocess.Popen(command)
+subprocess.Popen(command, env={{}}, start_new_session=True)
 done = Path(checkpoint_dir, "done")
 steps = int(done.read_text()) if done.exists() else 0
 for step in range(steps, 10):
@@ -75,7 +82,7 @@ class Project:
         for name in self.names:
             tagged = nbformat.v4.new_code_cell(PARAMETERS.strip(), id="parameters")
             tagged.metadata.tags = ["parameters"]
-            code = CODE.format(name=name, version=version, files=FILES)
+            code = CODE.format(name=name, version=version, files=FILES, mark=MARK)
             cells = [tagged, nbformat.v4.new_code_cell(code.strip(), id="code")]
             notebook = nbformat.v4.new_notebook(cells=cells)
             nbformat.write(notebook, self.root / "notebooks" / f"{name}.ipynb")
@@ -96,8 +103,14 @@ class Project:
         paths = [path for folder in folders for path in folder.rglob("*") if path.is_file()]
         return {path.relative_to(self.root).as_posix(): path.read_bytes() for path in paths}
 
-    def start(self, mark: str) -> subprocess.Popen:
-        """Start a run of both notebooks."""
+    def start(self, mark: str, largest: int = resource.RLIM_INFINITY) -> subprocess.Popen:
+        """Start a run of both notebooks, whose files have at most so many bytes."""
+
+        def prepare() -> None:
+            # what runs in the background ignores an interrupt, and so does all that it starts
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+
         return subprocess.Popen(
             [sys.executable, *self.module.split(), "figures"],
             cwd=self.root,
@@ -106,15 +119,18 @@ class Project:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            # what runs in the background ignores an interrupt, and so does all that it starts
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+            preexec_fn=prepare,
         )
 
 
 def started(mark: str) -> list[psutil.Process]:
-    """Return the living processes of a try."""
-    processes = psutil.process_iter(["environ"])
-    return [each for each in processes if (each.info["environ"] or {}).get(MARK) == mark]
+    """Return the living processes of a try: the mark is in their environment or command."""
+    found = []
+    for each in psutil.process_iter(["environ", "cmdline", "status"]):
+        marks = [*(each.info["cmdline"] or ()), (each.info["environ"] or {}).get(MARK)]
+        if mark in marks and each.info["status"] != psutil.STATUS_ZOMBIE:
+            found.append(each)
+    return found
 
 
 def victim(whom: str, project: Project, command: subprocess.Popen, mark: str) -> int | None:
@@ -122,14 +138,15 @@ def victim(whom: str, project: Project, command: subprocess.Popen, mark: str) ->
     if whom == "publishing":
         hidden = [*project.root.glob("figures/*.unpublished"), *project.root.glob("figures/.*")]
         return command.pid if hidden else None
-    if whom == "command":
+    if whom in ("command", "disk"):
         return command.pid
     for process in started(mark):
         with suppress(psutil.NoSuchProcess):
             line = process.cmdline()
             is_kernel = any("ipykernel" in word for word in line)
-            is_worker = any(word == "papermill" for word in line)
-            if is_kernel if whom == "kernel" else is_worker:
+            is_parent = "run" in line
+            is_worker = "papermill" in line and not is_parent
+            if {"kernel": is_kernel, "worker": is_worker, "parent": is_parent}[whom]:
                 return process.pid
     return None
 
@@ -152,11 +169,11 @@ def torn(project: Project, version: int) -> str | None:
     return None
 
 
-def faults(project: Project, version: int, way: str, moment: float) -> list[str]:
+def faults(project: Project, version: int, way: str, moment: float, largest: int) -> list[str]:
     """Disturb a run and say what was wrong then."""
     (whom, numbers), mark, found = WAYS[way], secrets.token_hex(8), []
     project.write(version)
-    with project.start(mark) as command:
+    with project.start(mark, largest if whom == "disk" else resource.RLIM_INFINITY) as command:
         time.sleep(moment)
         deadline = time.monotonic() + PATIENCE
         while (pid := victim(whom, project, command, mark)) is None and command.poll() is None:
@@ -218,9 +235,10 @@ def attack(tries: int, seed: int, module: str = "-m robsmooth", names: str = "")
             for version in range(1, 1 + len(waiting)):
                 way = waiting.pop(0)
                 moment = random_.uniform(0.0, seconds) * (way != "kill while publishing")
-                found = faults(project, version, way, moment)
+                largest = random_.randrange(LARGEST)
+                found = faults(project, version, way, moment, largest)
                 for fault in found:
-                    failures.append(f"{way} after {moment:.2f} s: {fault}")
+                    failures.append(f"{way} after {moment:.2f} s, {largest} bytes: {fault}")
                     print(failures[-1], flush=True)
                     counts[way, fault] += 1
                 if found:
