@@ -9,8 +9,10 @@ from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import fields
 from pathlib import Path
+from typing import NoReturn
 
 import robsmooth
+from robsmooth._support import validation
 from robsmooth._support.extras import MissingExtraError
 from robsmooth.workbench.parameters import PipelineError
 from robsmooth.workbench.runner import PROFILES, Request, plan, run_notebooks
@@ -23,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = _parser().parse_args(arguments)
         return options.command(options)
     except (PipelineError, MissingExtraError, OSError) as error:
-        print(f"robsmooth: {error}", file=sys.stderr)
+        print(f"robsmooth: {validation.line(error, 600)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         _handle(signal.SIG_IGN)
@@ -99,8 +101,13 @@ def bench(options: argparse.Namespace) -> int:
     return subprocess.run(command, cwd=_project()).returncode
 
 
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        super().error(validation.line(message))
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="robsmooth", description=__doc__)
+    parser = _Parser(prog="robsmooth", description=__doc__)
     version = f"robsmooth {robsmooth.__version__}"
     parser.add_argument("--version", action="version", version=version)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

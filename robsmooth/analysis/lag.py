@@ -110,15 +110,11 @@ def lag_sweep(
     validation.boolean("progress", progress)
     grid = [(lag, int(order)) for order in orders for lag in lags]
     bar = progress_bar(grid, unit="design", shown=progress)
-    cases = []
-    for lag, order in bar:
-        try:
-            found = design(system, lag, order)
-            validation.instance("its value", found, Estimator)
-        except TypeError as error:
-            rule = "design must be a function of system, lag and order"
-            raise TypeError(f"{rule} to an Estimator: {validation.line(error)}") from error
-        cases.append(worst_case(found, loop="real"))
+    try:
+        cases = [worst_case(design(system, lag, order), loop="real") for lag, order in bar]
+    except TypeError as error:
+        rule = "design must be a function of system, lag and order to an Estimator"
+        raise TypeError(f"{rule}: {validation.line(error)}") from error
     errors = np.array([(case.nominal, case.mean_square) for case in cases]).T
     errors = errors.reshape(2, len(orders), len(lags))
     optimal = np.array([optimal_error(system, lag) for lag in lags])

@@ -28,6 +28,8 @@ def prove_infimum(parameters, target, J_21=1.0):
     ValueError has the design that is below the target, or says that the target is too near the
     infimum for the cells that are allowed.
     """
+    if not np.isfinite([target, J_21]).all():
+        raise ValueError(f"target and J_21 must be finite, got {target} and {J_21}")
     s, c2 = (2.0 * parameters.alpha * np.array([parameters.beta, parameters.gamma])) ** 2
     if not s >= c2:
         raise ValueError(

@@ -91,6 +91,18 @@ def test_only_the_jobs_that_publish_have_more_than_the_right_to_read():
     }
 
 
+def test_what_no_lock_has_is_installed_only_where_nothing_is_published_or_kept():
+    workflow = yaml.safe_load((ROOT / ".github/workflows/release.yml").read_text(encoding="utf-8"))
+    jobs, unlocked = workflow["jobs"], set()
+    for name, job in jobs.items():
+        for run in (step.get("run", "") for step in job["steps"]):
+            if re.search(r"\bpip install", run) and "--require-hashes" not in run:
+                unlocked.add(name)
+    assert unlocked == {"check"}
+    assert {*jobs["publish"]["needs"]} == {"build", "check"}
+    assert "upload" not in str(jobs["check"]) and "permissions" not in jobs["check"]
+
+
 def test_the_article_has_the_scorecard_of_the_readme_and_cites_what_its_list_has():
     article = (ROOT / "paper.md").read_text(encoding="utf-8")
     _, _, rest = README.partition("<!-- scorecard: written by make figures -->\n")
