@@ -1,8 +1,8 @@
 """One notebook in its own process (several in one hang), judged by its executed copy.
 
-All that it starts inherits `FOLDER`, by which it is found even where its own parent has ended. On
-Linux it is found without that, too. As a program, this module is the parent of that process, or
-waits for the end of a run, which may be killed, and ends what that started.
+All that it starts inherits `FOLDER`, by which it is found even where its own parent has ended. As a
+program, this module is the parent of that process, and ends what it started: also where the run was
+killed, and on Linux without its environment, too.
 """
 
 import ctypes
@@ -10,6 +10,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from importlib.util import find_spec
@@ -32,14 +33,14 @@ class Execution:
         self.started = time.perf_counter()
         self.executed, self._log = staging / notebook.name, staging / "log.txt"
         self._time_limit, self._reached = time_limit, ""
-        command = [sys.executable, "-P", __file__, "run", sys.executable, "-P", "-m", "papermill"]
+        command = [sys.executable, "-P", __file__, sys.executable, "-P", "-m", "papermill"]
         command += ["--no-progress-bar", "--kernel=python3", "--language=python"]
         command += ["--log-level=ERROR"]
         command += [f"--cwd={notebook.parent}", f"--execution-timeout={max(1, time_limit / 2):.0f}"]
         command += ["--parameters_yaml", yaml.safe_dump(parameters, sort_keys=False)]
         for path in (notebook, self.executed):  # papermill reads a path as a template
             command.append(str(path).replace("{", "{{").replace("}", "}}"))
-        options = {"stdin": subprocess.DEVNULL, "stderr": subprocess.STDOUT}
+        options = {"stdin": subprocess.PIPE, "stderr": subprocess.STDOUT}
         # in a new session, Ctrl-C reaches only this process
         options |= {"env": _environment(staging), "start_new_session": True}
         with open(self._log, "wb") as log:
@@ -62,7 +63,7 @@ class Execution:
     def kill(self) -> None:
         """End the process, its kernel, and all that the kernel has started."""
         end_all(self._log.parent)
-        self._process.wait()
+        self._process.communicate()
 
     def failure(self) -> str:
         """Why the finished run failed: the cell, counted from 1, and its traceback; else ""."""
@@ -124,7 +125,7 @@ def end_all(folder: Path) -> None:
         found = False
         for process in psutil.process_iter(["environ"]):  # None of other users' and of zombies
             place = (process.info["environ"] or {}).get(FOLDER, "")
-            if Path(place).is_relative_to(folder):
+            if Path(place).is_relative_to(folder) and process.pid != os.getpid():
                 found = True
                 with suppress(psutil.NoSuchProcess):
                     for each in (*process.children(recursive=True), process):
@@ -135,22 +136,22 @@ def end_all(folder: Path) -> None:
 
 
 def _run(command: list[str]) -> int:
-    """Run a command, and end what it leaves; return its exit code."""
+    """Run a command until the run ends, and end what it leaves; return its exit code."""
     import psutil
 
     if sys.platform == "linux":  # what has lost its parent becomes a child of this process
         ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
-    code = subprocess.call(command)
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+    run = threading.Thread(target=lambda: (sys.stdin.read(), process.kill()), daemon=True)
+    run.start()  # the run has the other end of stdin
+    code = process.wait()
+    end_all(Path(os.environ[FOLDER]).parent)
     while left := psutil.Process().children():
-        for process in left:
-            process.kill()
-            process.wait()
+        for each in left:
+            each.kill()
+            each.wait()
     return code
 
 
 if __name__ == "__main__":
-    if sys.argv[1] == "run":
-        sys.exit(_run(sys.argv[2:]))
-    sys.stdin.read()  # until the other end is closed
-    for folder in sys.argv[2:]:
-        end_all(Path(folder))
+    os._exit(_run(sys.argv[1:]))  # at once, though a thread reads

@@ -6,8 +6,6 @@ import platform
 import secrets
 import shutil
 import sqlite3
-import subprocess
-import sys
 import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -107,8 +105,6 @@ def run_notebooks(run: Request, tasks: list[Task], stop: Sequence = ()) -> Itera
             stack.enter_context(files.exclusive_lock(run.lock))
         except sqlite3.Error as error:
             raise PipelineError(f"{run.lock} cannot be locked: {error}") from error
-        watch = [sys.executable, "-P", processes.__file__, "end", *(each.staging for each in tasks)]
-        stack.enter_context(subprocess.Popen(watch, stdin=subprocess.PIPE, start_new_session=True))
         _clean(run)
         stack.callback(_clean, run)
         for task in tasks:

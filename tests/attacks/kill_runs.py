@@ -144,7 +144,7 @@ def victim(whom: str, project: Project, command: subprocess.Popen, mark: str) ->
         with suppress(psutil.NoSuchProcess):
             line = process.cmdline()
             is_kernel = any("ipykernel" in word for word in line)
-            is_parent = "run" in line
+            is_parent = any("execution.py" in word for word in line)
             is_worker = "papermill" in line and not is_parent
             if {"kernel": is_kernel, "worker": is_worker, "parent": is_parent}[whom]:
                 return process.pid

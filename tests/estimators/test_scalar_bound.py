@@ -1,5 +1,6 @@
 """The example's bound in closed form, and the proof of its infimum."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -139,6 +140,14 @@ def test_proof_does_not_depend_on_the_unit_of_time():
     )
     target = INFIMUM * (1 - 1e-5)
     assert prove_infimum(faster, target) == prove_infimum(PAPER, target)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_is_not_proved(value):
+    with pytest.raises(ValueError, match="must be finite"):
+        prove_infimum(PAPER, value)
+    with pytest.raises(ValueError, match="must be finite"):
+        prove_infimum(PAPER, 0.0, value)
 
 
 def test_a_sector_wider_than_its_slope_is_refused():

@@ -563,13 +563,26 @@ with open(Path(checkpoint_dir, "saved"), "a+") as saved:
     [
         (["--set", "runs"], "runs is not of the form NAME=VALUE"),
         (["--profile", "fast"], "invalid choice: 'fast'"),
+        (["--jobs", "9" * 5000], "invalid int value: '9999"),
+        (["x" * 5000], "unrecognized arguments: xxxx"),
     ],
 )
-def test_a_wrong_command_is_an_error(capsys, arguments, message):
+def test_a_wrong_command_is_a_short_error(capsys, arguments, message):
     with pytest.raises(SystemExit) as exit_:
         cli.main(["figures", *arguments])
     assert exit_.value.code == 2
-    assert message in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert message in said
+    assert len(said.splitlines()[-1]) < 300
+
+
+@pytest.mark.parametrize("option", ["--dask", "--build"])
+def test_a_long_value_is_not_repeated_whole(project, monkeypatch, capsys, option):
+    monkeypatch.chdir(project.add("good").root)
+    assert cli.main(["figures", option, "x" * 5000]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("robsmooth: ")
+    assert len(said) < 650
 
 
 def test_a_wrong_request_is_one_line_and_exit_code_2(project, monkeypatch, capsys):
