@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import fields
 from pathlib import Path
-from typing import NoReturn
+from typing import Never
 
 import robsmooth
 from robsmooth._support import validation
@@ -102,7 +102,7 @@ def bench(options: argparse.Namespace) -> int:
 
 
 class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
+    def error(self, message: str) -> Never:
         super().error(validation.line(message))
 
 

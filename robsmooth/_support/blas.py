@@ -15,7 +15,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 class _OneThread:
     """The limit, which is the process's: the first call sets it and the last one takes it back.
 
-    An interrupt may come at any step; so each step may be repeated, and the way out is.
+    An interrupt may come at any step; so the way out may be taken again, and is.
     """
 
     def __init__(self) -> None:
@@ -40,9 +40,8 @@ class _OneThread:
             finally:
                 try:
                     self._leave(call)
-                except BaseException:
+                finally:  # again, as an interrupt may have ended it
                     self._leave(call)
-                    raise
 
         return limited  # type: ignore[return-value]
 

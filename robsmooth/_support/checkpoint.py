@@ -95,14 +95,9 @@ class Journal:
             for number, text in enumerate([identity, *records]):
                 self._insert(number, text)
             database.execute("COMMIT")
-        there, here = _texts(json.loads(self._whole(0))), _texts(json.loads(identity))
-        differences = [
-            f"{name} is {_short(there, name)} there and {_short(here, name)} here"
-            for name in sorted(there | here)
-            if there.get(name) != here.get(name)
-        ]
-        if differences:
-            what = f"is of another computation: {validation.line('; '.join(differences), 400)}"
+        there, here = (_texts(json.loads(text)) for text in (self._whole(0), identity))
+        if found := validation.differences("{} is {} there and {} here", there, here):
+            what = f"is of another computation: {validation.line('; '.join(found), 400)}"
             raise CheckpointError(f"the checkpoint {path} {what}; {ANEW}")
         # The number of records on opening, and the last of them.
         self._found = self._value("SELECT max(number) FROM record")
@@ -178,9 +173,3 @@ def _texts(identity: Mapping, prefix: str = "") -> dict[str, str]:
         inner = isinstance(value, Mapping) and value
         texts |= _texts(value, f"{prefix}{name}.") if inner else {prefix + name: _text(value)}
     return texts
-
-
-def _short(texts: Mapping[str, str], name: str) -> str:
-    """Return a text of these, of a long one both ends."""
-    text = texts.get(name, "absent")
-    return text if len(text) <= 40 else f"{text[:16]}...{text[-8:]}"

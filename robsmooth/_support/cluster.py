@@ -168,13 +168,8 @@ class _Call(tuple):
 
 def _compute(wanted: dict[str, str], function: bytes, arguments: bytes) -> Any:
     """Check the worker's software and do a call."""
-    here = software()
-    differences = ", ".join(
-        f"{name} {here.get(name, 'absent')[:12]} and not {wanted.get(name, 'absent')[:12]}"
-        for name in sorted(here | wanted)
-        if here.get(name) != wanted.get(name)
-    )
-    if differences:
+    if found := validation.differences("{} {} and not {}", software(), wanted):
+        differences = ", ".join(found)
         advice = "start the workers in the same environment, and again after each change of it"
         raise RuntimeError(f"a worker has other software than the client: {differences}; {advice}")
     return _loads(function)(*pickle.loads(arguments))
@@ -208,9 +203,8 @@ def _result(future: "Future", client: "Client") -> list[Any]:
 def _check_client(client: "Client") -> None:
     distributed = sys.modules.get("distributed")
     if distributed is None or not isinstance(client, distributed.Client):
-        raise TypeError(
-            f"client must be a distributed.Client or None, got {validation.shown(client)}"
-        )
+        given = validation.shown(client)
+        raise TypeError(f"client must be a distributed.Client or None, got {given}")
     if client.asynchronous:
         raise TypeError("client must be synchronous: make it without asynchronous=True")
     if client.status != "running":

@@ -42,6 +42,16 @@ def line(text: object, most: int = 240) -> str:
     return text if len(text) <= most else f"{text[:most]}..."
 
 
+def differences(form: str, one: dict[str, str], other: dict[str, str]) -> list[str]:
+    """Return a text of the name, and of both ends of long texts, where two dicts differ."""
+    pairs = [(name, *(each.get(name, "absent") for each in (one, other))) for name in one | other]
+    return [form.format(name, _ends(a), _ends(b)) for name, a, b in sorted(pairs) if a != b]
+
+
+def _ends(text: str) -> str:
+    return text if len(text) <= 40 else f"{text[:16]}...{text[-8:]}"
+
+
 def is_single(value: object) -> bool:
     """Return whether a value is no array and no list, though perhaps no number either."""
     return not isinstance(value, list | tuple) and np.ndim(value) == 0  # type: ignore[arg-type]

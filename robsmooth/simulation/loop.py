@@ -187,16 +187,15 @@ def _uncertainties(plant: AugmentedSystem, given: Uncertainties) -> tuple[Matrix
     for s, (value, block) in enumerate(zip(values, blocks_of(plant), strict=False)):
         inputs, outputs = (np.r_[each].tolist() for each in block.places[0])
         if callable(value):
-            got: object
-            cause = None
+            rule = f"zeta of shape ({len(outputs)}, paths) to shape ({len(inputs)}, paths)"
+            rule = f"uncertainties[{s}] must map (t, zeta) with {rule}, got"
             try:
-                got = np.shape(value(0.0, np.zeros((len(outputs), 2))))
+                shape = np.shape(value(0.0, np.zeros((len(outputs), 2))))
             except Exception as error:
-                got, cause = f"{type(error).__name__}: {validation.line(error)}", error
-            if got != (len(inputs), 2):
-                rule = f"of shape ({len(outputs)}, paths) to shape ({len(inputs)}, paths)"
-                rule = f"must map (t, zeta) with zeta {rule}, got {got} for 2 paths"
-                raise ValueError(f"uncertainties[{s}] {rule}") from cause
+                what = f"{type(error).__name__}: {validation.line(error)}"
+                raise ValueError(f"{rule} {what}") from error
+            if shape != (len(inputs), 2):
+                raise ValueError(f"{rule} {shape} for 2 paths")
             functions.append(Function(inputs, outputs, value, elementwise=False))
         norm = np.linalg.norm(delta[np.ix_(inputs, outputs)], 2)
         if norm > 1.0 + 1e-12:
