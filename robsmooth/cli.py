@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import fields
 from pathlib import Path
-from typing import Never
 
 import robsmooth
 from robsmooth._support import validation
@@ -101,13 +100,8 @@ def bench(options: argparse.Namespace) -> int:
     return subprocess.run(command, cwd=_project()).returncode
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> Never:
-        super().error(validation.line(message))
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="robsmooth", description=__doc__)
+    parser = argparse.ArgumentParser(prog="robsmooth", description=__doc__)
     version = f"robsmooth {robsmooth.__version__}"
     parser.add_argument("--version", action="version", version=version)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

@@ -233,16 +233,6 @@ class WorstCase(Frozen):
     def __repr__(self) -> str:
         return f"WorstCase(mean_square={self.mean_square:.5g}, nominal={self.nominal:.5g})"
 
-    def plot(self, ax: "plots.Axes | None" = None) -> "plots.Axes":
-        """Draw the entries of Delta, whose blocks are the channels; matplotlib is needed."""
-        ax, most = plots.axes_or_new(ax), np.abs(self.Delta).max(initial=0.0) or 1.0
-        entries = ax.imshow(self.Delta, cmap="PuOr", vmin=-most, vmax=most)
-        ax.figure.colorbar(entries, ax=ax, label=r"entry of $\Delta$")
-        ax.set(xlabel=r"row of $\tilde\zeta$", ylabel=r"row of $\tilde\xi$")
-        ax.locator_params(integer=True)
-        ax.set_title(f"mean square error {self.mean_square:.4g} (nominal: {self.nominal:.4g})")
-        return ax
-
 
 @one_thread
 def worst_case(smoother: Estimator, output: str = "smoothed", loop: str = "theory") -> WorstCase:

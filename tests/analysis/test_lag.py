@@ -19,7 +19,6 @@ from robsmooth import (
     homodyne,
 )
 from robsmooth.analysis.covariance import worst_case
-from robsmooth.analysis.families import uncertain_cancellation
 from robsmooth.analysis.lag import best_lag, choose_lag, lag_sweep
 from robsmooth.estimators import baselines
 from robsmooth.estimators.baselines import optimal_fixed_lag_error, optimal_two_sided_error
@@ -99,7 +98,8 @@ def test_best_lag_is_that_of_a_fine_grid(order):
 
 def test_best_lag_is_none_where_the_model_of_the_delay_is_worse_than_the_filter():
     # two signals nearly cancel: what is left is too fast for a model of order one
-    system = uncertain_cancellation(0.0, 1e-4)
+    A, B1 = [[0, -1], [1, -0.5]], np.array([[-2, 0], [1, 0]]) / 8**0.5
+    system = UncertainSystem(A, B1, [[1, 0]], [[-1, 1]], [[0, 1e-4]])
     lag, error = best_lag(system, 1)
     filtering = np.trace(optimal_fixed_lag_error(system, 0.0))
     assert lag == 0.0

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import robsmooth as rs
-from robsmooth.analysis.families import uncertain_resonance
 from tests.helpers.attacks import all_pass_error, switching_error
 from tests.helpers.certificates import against_the_model, certified
 from tests.helpers.observers import Observers
 from tests.helpers.strategies import admissible_delta, random_system, seeds
-from tests.helpers.systems import DRIVE, cancelling, classical
+from tests.helpers.systems import DRIVE, cancelling, classical, resonance
 
 
 @st.composite
@@ -86,7 +85,7 @@ def test_no_attack_is_above_what_is_certified(plant, seed):
 
 def test_uncertainty_in_step_with_a_resonance_is_worse_than_every_constant():
     """So the attacks above are more than another search for the worst constant."""
-    smoother = rs.minimax_smoother(rs.augment(uncertain_resonance(0.06, 10.0), 0.5, 2))
+    smoother = rs.minimax_smoother(rs.augment(resonance(0.06, 10.0), 0.5, 2))
     worst = rs.worst_case(smoother, "guaranteed", "real")
     switched = switching_error(smoother, (worst.Delta, -worst.Delta), np.pi / 2.0)
     passed = max(all_pass_error(smoother, sign * worst.Delta, 1.0) for sign in (1.0, -1.0))

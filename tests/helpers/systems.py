@@ -60,3 +60,10 @@ def classical(plant, copies):
 def worst(estimator, output="smoothed"):
     """The worst constant error of an estimator in a real loop."""
     return rs.worst_case(estimator, output, loop="real").mean_square
+
+
+def resonance(size, noise):
+    """A resonance of quality 10 and unit variance, whose squared frequency is known to `size`."""
+    A, B1 = [[0.0, 1.0], [-1.0, -0.1]], [[0.0, 0.0], [np.sqrt(0.2), 0.0]]
+    detuning = rs.Uncertainty([[0.0], [1.0]], [[size, 0.0]], [[0.0]])
+    return rs.UncertainSystem(A, B1, [[1.0, 0.0]], [[1.0, 0.0]], [[0.0, noise]], [detuning])

@@ -48,9 +48,6 @@ JUDGED = {
     },
     "constant minimax": {"nominal": 0.05, "worst constant": 0.07, "certified": 0.2},
 }
-SIZES = np.array([0.01, 0.1, 0.5])
-RATIOS = np.array([[1.0, 3.0, 2000.0], [1.0, 1.05, 50.0], [0.99, 1.0, np.nan]])
-FAMILY = SIZES, np.array([0.01, 0.1, 1.0]), RATIOS
 PATHS = sample_paths(CLASSICAL, runs=1, duration=3.1e-5, step=3.1e-7)
 SWEPT = lag_sweep(SYSTEM, [1e-6, 2e-6, 4e-6], [1, 2, 3])
 
@@ -68,14 +65,10 @@ MAKERS = {
     "fig2": diagrams.homodyne_loop,
     "fig3": lambda: figures.plots.sector(homodyne.PAPER, 0.088),
     "fig4": lambda: swept(CURVES),
-    "delay": lambda: figures.plots.delay_error(3.1e-6, (1, 2), 4.6e5),
     "monte_carlo": lambda: figures.plots.mean_squares(
         CASES, RESULTS, {"smoother": 0.06, "NGCF": 0.1}
     ),
     "where_smoothing_pays": lambda: figures.plots.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
-    "where_robustness_pays": lambda: figures.plots.where_robustness_pays(
-        dict.fromkeys(("a gain", "a resonance", "a reference", "a difference"), FAMILY)
-    ),
     "candidates": lambda: figures.plots.candidates(
         JUDGED, {"optimum": 0.045}, "rad$^2$", (0.04, 0.1)
     ),
@@ -193,12 +186,6 @@ def test_an_error_beyond_the_limits_is_a_number_at_the_edge():
     assert [text for text in texts if "→" in text] == ["0.2 →"]
 
 
-def test_the_map_of_robustness_is_hatched_where_there_is_no_guarantee():
-    for axes in MAKERS["where_robustness_pays"]().axes[:4]:
-        tell = hatched(axes, "no guarantee")
-        assert [[tell(a, b) for a in 100 * SIZES] for b in FAMILY[1]] == np.isnan(RATIOS).tolist()
-
-
 def test_the_smoothed_path_is_drawn_at_the_time_that_it_is_for():
     (axes,) = MAKERS["sample_path"]().axes
     lines = {line.get_label(): line for line in axes.lines}
@@ -293,8 +280,6 @@ def test_what_is_in_several_figures_looks_the_same_in_all():
         compared = swept({"other": SLOPES, name: SLOPES})
         simulated = MAKERS["monte_carlo"]()
         assert line(compared, name).get_color() == line(simulated, name).get_color()
-    errors = figures.plots.delay_error(3.1e-6, (2, 1), 4.6e5)
-    assert line(errors, "order 2").get_color() == line(MAKERS["delay"](), "order 2").get_color()
 
 
 def test_names_without_a_look_of_their_own_get_what_is_left():

@@ -51,8 +51,8 @@ def test_an_edit_runs_only_the_notebooks_that_import_it_again(keys):
     "code, module",
     [
         ("import robsmooth.io.records", "robsmooth.io.records"),
-        ("from robsmooth.analysis import families", "robsmooth.analysis.families"),
-        ("from robsmooth.analysis.families import LAG", "robsmooth.analysis.families"),
+        ("from robsmooth.analysis import lag", "robsmooth.analysis.lag"),
+        ("from robsmooth.analysis.lag import best_lag", "robsmooth.analysis.lag"),
         ("import robsmooth as x\nx.best_lag", "robsmooth.analysis.lag"),
         ("import robsmooth\nrobsmooth.baselines.ngcf", "robsmooth.estimators.baselines"),
         ("from robsmooth import monte_carlo", "robsmooth.homodyne.montecarlo.run"),
@@ -75,7 +75,7 @@ def test_each_form_of_import_is_followed(code, module):
         "from robsmooth import *",
         "import robsmooth as rs\nrs.nothing",
         "import importlib\nimportlib.import_module(name)",
-        "from robsmooth.analysis import families\nexec(code)",
+        "from robsmooth.analysis import lag\nexec(code)",
     ],
 )
 def test_what_cannot_be_told_counts_as_everything(code):

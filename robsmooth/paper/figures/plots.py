@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from robsmooth._support import files
-from robsmooth._support.plots import STYLE, draw_curves, styles
+from robsmooth._support.plots import STYLE, styles
 from robsmooth.homodyne.parameters import HomodyneParameters
 from robsmooth.simulation.statistics import MeanSquare
-from robsmooth.systems.delay import pade_delay
 
 Array = NDArray[np.float64]
 Errors = Mapping[str, float]
@@ -100,21 +99,6 @@ def sector(parameters: HomodyneParameters, variance: float) -> Figure:
     return with_legend(figure)
 
 
-def delay_error(delay: float, orders: Sequence[int], bandwidth: float) -> Figure:
-    """Draw the errors of Pade models of a delay (s), and mark the filter's bandwidth (rad/s)."""
-    omega = np.geomspace(bandwidth / 10, bandwidth * 100, 400)
-    exact = np.exp(-1j * omega * delay)
-    models = {order: pade_delay(delay, order).response(omega)[:, 0, 0] for order in orders}
-    figure, axes = plt.subplots()
-    draw_curves(axes, omega, {order: np.abs(of - exact) for order, of in models.items()})
-    axes.axvline(bandwidth, label="bandwidth", **DOTTED)
-    axes.set(xlabel=r"angular frequency $\omega$ (rad/s)", xscale="log")
-    axes.set(ylabel=r"$|H(i\omega) - e^{-i\omega\delta}|$", yscale="log", ylim=(1e-12, 4.0))
-    axes.set(xlim=(omega[0], 20 * bandwidth))  # beyond, all errors are of order one
-    axes.legend(loc="lower right")
-    return figure
-
-
 def mean_squares(
     cases: Sequence[str], results: Mapping[str, list[MeanSquare]], printed: Errors
 ) -> Figure:
@@ -161,23 +145,6 @@ def draw_candidates(axes: Axes, errors: Mapping[str, Errors], limits: tuple[floa
         if beyond := ", ".join(f"{value:.3g}" for value in values if value > limits[1]):
             axes.annotate(f"{beyond} →", (limits[1], height + 0.2), ha="right", color="0.3")
     axes.set(xlim=limits)
-
-
-def where_robustness_pays(maps: Mapping[str, tuple[Array, Array, Array]]) -> Figure:
-    """Draw for each family the ratios of certified errors (M, N) over sizes (N,), noises (M,)."""
-    rows = (len(maps) + 1) // 2
-    figure, panels = plt.subplots(rows, 2, figsize=(3.4, 0.5 + 1.7 * rows), sharey=True)
-    levels = [1.0, 1.1, 2.0, 10.0, 100.0, 1000.0]
-    for axes, (title, (sizes, noises, ratios)) in zip(panels.flat, maps.items(), strict=True):
-        gains = np.log(np.maximum(ratios, 1.0))
-        shading = shade(axes, 100.0 * sizes, noises, gains, np.log(levels), "no guarantee")
-        axes.set(xscale="log", yscale="log", title=title)
-        label_ticks(axes.xaxis, (1, 2, 5, 10, 20, 50))
-    figure.supxlabel("uncertainty (%)")
-    figure.supylabel("measurement noise / signal")
-    bar = figure.colorbar(shading, ax=panels, label="certified error, classical / minimax")
-    bar.set_ticks(np.log(levels), labels=[f"{level:g}" for level in levels])
-    return figure
 
 
 def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
