@@ -61,6 +61,10 @@ def analysis_bound(
     For the smoothed error the delay has a Pade model of order 10, or of a higher one, with which
     the worst input's error agrees to 0.1% with that of the exact delay.
 
+    Source: I. R. Petersen, V. A. Ugrinovskii and A. V. Savkin, *Robust Control Design Using
+    H-infinity Methods*, Springer, 2000, on the S-procedure for stochastic uncertainty
+    constraints.
+
     Parameters
     ----------
     smoother, output, loop, copy_noise : as in `error_covariance`
@@ -69,11 +73,6 @@ def analysis_bound(
     ------
     ArithmeticError
         Where the two do not agree at order 80: the delay is very long for the estimator.
-
-    References
-    ----------
-    I. R. Petersen, V. A. Ugrinovskii and A. V. Savkin, *Robust Control Design Using H-infinity
-    Methods*, Springer, 2000, on the S-procedure for stochastic uncertainty constraints.
 
     Examples
     --------

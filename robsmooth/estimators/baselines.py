@@ -55,16 +55,14 @@ def fixed_lag_smoother(
 ) -> Estimator:
     """Return the stable fixed-lag smoother of Chirarattananon and Anderson for the nominal system.
 
+    Source: S. Chirarattananon and B. D. O. Anderson, "Stable fixed-lag smoothing of continuous
+    time processes", IEEE Trans. Inf. Theory 20(1), 1974.
+
     Parameters
     ----------
     system : UncertainSystem
     delay, order : float and int, the delay of the smoothed estimate (s), its model's Pade order
     copies : as in `kalman_bucy`, with the same exceptions
-
-    References
-    ----------
-    S. Chirarattananon and B. D. O. Anderson, "Stable fixed-lag smoothing of continuous time
-    processes", IEEE Trans. Inf. Theory 20(1), 1974.
 
     Examples
     --------
@@ -77,14 +75,12 @@ def fixed_lag_smoother(
 def ngcf(system: UncertainSystem) -> RobustSmoother:
     """Return the nonlinear guaranteed cost filter: `minimize_bound` without delay.
 
+    Source: I. R. Petersen, "Robust guaranteed cost state estimation for nonlinear stochastic
+    uncertain systems via an IQC approach", Systems & Control Letters 58(11), 2009.
+
     Parameters
     ----------
     system : UncertainSystem
-
-    References
-    ----------
-    I. R. Petersen, "Robust guaranteed cost state estimation for nonlinear stochastic uncertain
-    systems via an IQC approach", Systems & Control Letters 58(11), 2009.
 
     Examples
     --------
@@ -101,6 +97,9 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     With the Kalman filter's P, gain and :math:`A_f = A - K C_2`, observing for a further time
     :math:`\delta` removes :math:`P\int_0^\delta e^{A_f's} C_2' R^{-1} C_2 e^{A_f s}\,ds\,P`.
 
+    Source: T. Kailath and P. Frost, "An innovations approach to least-squares estimation, part
+    II", IEEE Trans. Autom. Control 13(6), 1968.
+
     Parameters
     ----------
     system : UncertainSystem
@@ -114,11 +113,6 @@ def optimal_fixed_lag_error(system: UncertainSystem, delay: float) -> Matrix:
     ------
     InfeasibleDesignError, ArithmeticError
         As in `kalman_bucy`; where the filter's time constants are too far apart for the precision.
-
-    References
-    ----------
-    T. Kailath and P. Frost, "An innovations approach to least-squares estimation, part II", IEEE
-    Trans. Autom. Control 13(6), 1968.
 
     Examples
     --------

@@ -14,7 +14,7 @@ import numpy as np
 from IPython import get_ipython
 
 from robsmooth.estimators.conditions import COSTS
-from robsmooth.explorer.own_system import COPY, OwnSystem
+from robsmooth.explorer.own_system import OwnSystem
 from robsmooth.explorer.panels import JUDGED, OVERVIEW, PANELS, THEORY, Panel, png
 from robsmooth.explorer.snapshot import DESIGNS, SLIDERS, Settings, Snapshot, take_snapshot
 
@@ -89,8 +89,7 @@ class Explorer:
         _, light, self._by_hand = columns
         light.children += (reset,)
         self._by_hand.layout.flex = "1 1 100%"
-        code = widgets.VBox([widgets.HTML(COPY), self._code])
-        self._views = widgets.Tab([figures, theory, code])
+        self._views = widgets.Tab([figures, theory, self._code])
         self._views.titles = "Figures", "For theorists", "The code"
         self._shown = widgets.VBox([self._verdict, self._views])
         self._reset()

@@ -42,10 +42,6 @@ _EQUATIONS = (
     "with independent noises dW, a column of B1 and D21 each. A row of a matrix is a line."
 )
 _WORKING = '<span class="robsmooth-spinner"></span> Designing the smoothers: about ten seconds …'
-_TO_CLIPBOARD = (
-    "navigator.clipboard.writeText(this.closest('.widget-vbox').querySelector('textarea').value)"
-)
-COPY = f'<button class="jupyter-button" onclick="{_TO_CLIPBOARD}">Copy the code</button>'
 
 
 def code_of(typed: dict[str, str]) -> str:
@@ -133,10 +129,9 @@ class OwnSystem:
         self.example.observe(self._fill, "value")
         self.reset.on_click(self._fill)
         self.button.on_click(self.compare)
-        self._found = widgets.VBox([widgets.HTML(COPY), self.code])
         self._fill()
         buttons = widgets.HBox([self.button, self.reset])
-        parts = [self.example, widgets.HTML(_EQUATIONS), grid, buttons, self.answer, self._found]
+        parts = [self.example, widgets.HTML(_EQUATIONS), grid, buttons, self.answer, self.code]
         self.widget = widgets.VBox(parts)
 
     def _fill(self, _=None) -> None:
@@ -147,7 +142,7 @@ class OwnSystem:
 
     def _answer(self, answer: str, code: str) -> None:
         self.answer.value, self.code.value = answer, code
-        self._found.layout.display = "flex" if code else "none"
+        self.code.layout.display = "block" if code else "none"
 
     def compare(self, _=None) -> None:
         """Show the code and, once it has run, its answer."""

@@ -1,16 +1,14 @@
 """The tables of the notebooks."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from scipy.optimize import brentq
 
-from robsmooth._numerics.riccati import RiccatiError
 from robsmooth._support.notation import matrix as matrix
 from robsmooth._support.tables import Table
-from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.homodyne import HomodyneParameters
 from robsmooth.homodyne.loop import homodyne_loop, linearised
@@ -25,26 +23,6 @@ def estimate(found: MeanSquare) -> str:
         return "none" if math.isnan(value) else f"{value:.5g}"
     digits = max(0, 1 - int(f"{error:.1e}".partition("e")[2]))
     return f"{value:.{digits}f} ± {error:.{digits}f}"
-
-
-def sign_readings(tau: float, multipliers: Sequence[float]) -> Table:
-    """Return the gains at a tau and lambda for each reading of the X equation."""
-    records: list[dict[str, Any]] = []
-
-    def add(text: str, A_c: Matrix, B_c: Matrix, C_c: Matrix, bound: float) -> None:
-        gains = {"$A_c[0,0]$": A_c[0, 0], "$B_c[0,1]$": B_c[0, 1], "$C_c[0,0]$": C_c[0, 0]}
-        records.append({"sign": text} | gains | {"$C_c[1,0]$": C_c[1, 0], "$V$": bound})
-
-    for text, sign in {"+, as written": 1.0, "-, flipped": -1.0, "left out": 0.0}.items():
-        try:
-            design, bound = published.signed_design(tau, multipliers, sign)
-            add(text, design.A_c, design.B_c, design.C_c, bound)
-        except RiccatiError:
-            records.append({"sign": text, "$A_c[0,0]$": "no real solution"})
-    names = ("A_c", "B_c", "C_c", "V at the printed tau, lambda")
-    add("printed", *map(published.printed, names))
-    caption = "The gains at the printed tau and lambda for each reading of the X equation."
-    return Table.of_records(records, caption, digits=5)
 
 
 def simulations(results: Mapping[str, Any], caption: str) -> Table:

@@ -1,15 +1,7 @@
-r"""Plant and estimator as one nonlinear equation, and its steps.
+"""Plant and estimator as one nonlinear equation, and its steps: Heun's, in exponential form.
 
-With :math:`z = [x; \hat x_p]` and the channels of uncertainties, nonlinearities and copies,
-
-.. math::
-
-    dz &= [Fz + G\tilde\xi]\,dt + B\,dW, \qquad \tilde\zeta = Lz - Rz, \qquad
-    \tilde\xi = \Delta\tilde\zeta + \rho(t, \tilde\zeta),
-
-where R z are the references, :math:`\Delta` has constant uncertainties and the statistically
-equivalent slopes of the nonlinearities, and :math:`\rho` the rest. A step is Heun's in exponential
-form (`docs/source/simulation.md`).
+`docs/source/simulation.md` has the equation with the letters of the code. Delta has the constant
+uncertainties and the statistically equivalent slopes of the nonlinearities, rho has the rest.
 """
 
 from collections.abc import Callable, Sequence

@@ -135,7 +135,7 @@ def test_the_page_answers_with_the_librarys_sentence_and_table():
     assert all(escape(name) in page.answer.value for name in choice.candidates)
     page.example.index = 0
     assert page.answer.value == page.code.value == ""
-    assert page._found.layout.display == "none"
+    assert page.code.layout.display == "none"
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_the_page_says_why_there_is_no_answer(field, typed):
     page.compare()
     assert page.answer.value.startswith("<p>There is no answer: ")
     assert "<b>" not in page.answer.value
-    assert page._found.layout.display == "none"
+    assert page.code.layout.display == "none"
 
 
 def test_a_model_of_the_delay_that_is_too_coarse_is_said_first():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from robsmooth import homodyne, lag_sweep, sample_paths, worst_case
+from robsmooth import homodyne, lag_sweep, sample_paths
 from robsmooth.analysis.covariance import DeltaSweep
 from robsmooth.estimators import baselines
 from robsmooth.homodyne.montecarlo import MeanSquare
@@ -60,6 +60,16 @@ def swept(curves):
     return figure
 
 
+def mapped(ratio):
+    """What smoothing saves over delay and noise, for the highest order."""
+    figure, axes = plt.subplots()
+    saved, lags, noises = 100 * (1 - ratio[0, :, -1]), np.array(LAGS), np.array(NOISES)
+    shade(axes, lags, noises, saved, np.arange(0, 61, 10), missing="no design")
+    figures.plots.hatch(axes, lags, noises, -saved, "no gain", hatch="-----")
+    axes.set(xscale="log", yscale="log", xlabel="delay (s)", ylabel="noise / the paper's")
+    return figure
+
+
 MAKERS = {
     "fig1": diagrams.smoother_loop,
     "fig2": diagrams.homodyne_loop,
@@ -68,14 +78,13 @@ MAKERS = {
     "monte_carlo": lambda: figures.plots.mean_squares(
         CASES, RESULTS, {"smoother": 0.06, "NGCF": 0.1}
     ),
-    "where_smoothing_pays": lambda: figures.plots.where_smoothing_pays(STUDY, 0.4, 3.1e-6),
+    "map": lambda: mapped(ERRORS["smoothed"] / ERRORS["filtered"]),
     "candidates": lambda: figures.plots.candidates(
         JUDGED, {"optimum": 0.045}, "rad$^2$", (0.04, 0.1)
     ),
     "sample_path": lambda: PATHS.plot().figure,
     "lag_sweep": lambda: SWEPT.plot().figure,
     "worst_lag_sweep": lambda: SWEPT.plot(error="worst").figure,
-    "worst_case": lambda: worst_case(baselines.ngcf(SYSTEM), "filtered").plot().figure,
     "study": lambda: STUDY.plot().figure,
 }
 
@@ -234,22 +243,21 @@ def test_a_map_with_all_its_values_has_no_hatch():
 
 
 def test_no_gain_and_no_design_are_told_apart():
-    smoothed = ERRORS["smoothed"].copy()
-    smoothed[:, 0] = np.nan  # at the least noise there is no design
-    errors = ERRORS | {"smoothed": smoothed}
-    figure = figures.plots.where_smoothing_pays(replace(STUDY, quantities=errors), 0.4, 3.1e-6)
-    no_design = hatched(figure.axes[0], "no design or lock")
-    ratio = (smoothed / ERRORS["filtered"])[0, :, -1]
+    ratio = ERRORS["smoothed"] / ERRORS["filtered"]
+    ratio[:, 0] = np.nan  # at the least noise there is no design
+    (axes, *_) = mapped(ratio).axes
+    ratio = ratio[0, :, -1]
+    no_design = hatched(axes, "no design")
     points = [(lag, noise) for noise in NOISES for lag in LAGS]
     assert [no_design(*point) for point in points] == list(np.isnan(ratio).ravel())
-    no_gain = hatched(figure.axes[0], "no gain")
+    no_gain = hatched(axes, "no gain")
     assert [no_gain(*point) for point in points] == list((ratio > 1).ravel())
     assert (ratio > 1).any()
 
 
 def test_optimum_of_the_linear_loop_is_relative_to_the_filter_of_the_linear_loop():
     def drawn(study):
-        axes = figures.plots.where_smoothing_pays(study, 0.4, 3.1e-6).axes[1]
+        axes = study.plot(plt.subplots()[1], 0.4, NOISES[1])
         (line,) = (line for line in axes.lines if "linear loop" in line.get_label())
         return line.get_ydata()
 

@@ -111,12 +111,8 @@ def test_a_choice_has_a_row_for_each_candidate():
         assert frame.loc[name, "refused"] == each.refused
 
 
-def test_a_worst_case_is_drawn_as_its_delta_into_the_axes_that_are_given(figures):
-    worst = example("WorstCase")
+def test_a_sweep_is_drawn_into_the_axes_that_are_given(figures):
     _, axes = figures.subplots()
-    assert worst.plot(axes) is axes
-    np.testing.assert_array_equal(axes.images[0].get_array(), worst.Delta)
-    assert figures.gcf() is axes.figure
     before = len(axes.lines)
     assert rs.delta_sweep(KALMAN, [0.0, 1.0]).plot(axes, "mine") is axes
     assert axes.lines[before].get_label() == "mine"

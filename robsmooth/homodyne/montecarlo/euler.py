@@ -1,14 +1,8 @@
-r"""The compiled loop of the published protocol: Euler-Maruyama, and the errors at the end.
+"""The compiled loop of the published protocol: Euler-Maruyama, and the errors at the end.
 
-One step of a path, with the `Coefficients`:
-
-.. math::
-
-    \phi &\leftarrow \phi + a\phi + q\,g_2,\\
-    \hat x &\leftarrow \hat x + F\hat x + b_c\sin(c\hat x) + b_s[\sin(\phi - r\hat x) + w g_1] .
-
-The order n is the length of the tuple `order`, which the compiler knows. Each order is compiled
-once and kept on disk. Numba inlines the callees, because linked ones use registers worse.
+`docs/source/simulation.md` has the step, with the names of `Coefficients`. The order n is the
+length of the tuple `order`, which the compiler knows. Each order is compiled once and kept on disk.
+Numba inlines the callees, because linked ones use registers worse.
 """
 
 from collections import namedtuple

@@ -147,34 +147,6 @@ def draw_candidates(axes: Axes, errors: Mapping[str, Errors], limits: tuple[floa
     axes.set(xlim=limits)
 
 
-def where_smoothing_pays(study: Any, gamma: float, lag: float) -> Figure:
-    """Draw what smoothing saves of the filtered error over delay, noise and order of a `Study`."""
-    ratio = study.ratio[study.gammas.index(gamma)]
-    lags, noises = np.array(study.lags), np.array(study.noises)
-    middle = int(np.argmin(np.abs(np.log(noises))))
-    figure, (top, bottom) = plt.subplots(2, sharex=True, figsize=(3.4, 5.4))
-
-    saved = 100 * (1 - ratio[:, -1])
-    shading = shade(top, lags, noises, saved, np.arange(0, 61, 10), missing="no design or lock")
-    hatch(top, lags, noises, -saved, "no gain", hatch="-----")
-    there = ~np.isnan(saved).all(axis=1)
-    best = lags[np.nanargmax(saved[there], axis=1)]
-    points = LOOSE | {"markeredgecolor": "k"}
-    top.plot(best, noises[there], "o", color="w", label="best delay", **points)
-    top.plot(lag, noises[middle], "*", color="C1", ms=9, label="the paper's", **points)
-    top.set(xscale="log", yscale="log", ylabel="shot noise / the paper's")
-    label_ticks(top.yaxis, (0.1, 0.3, 1, 3, 10))
-    figure.colorbar(shading, ax=top, label="saved by smoothing (%)", pad=0.02)
-
-    study.plot(bottom, gamma, study.noises[middle])
-    bottom.axhline(1.0, color="k", linestyle="-", linewidth=0.6)
-    bottom.axvline(lag, color="0.6", linestyle="-", linewidth=0.8)
-    bottom.set(xlabel="delay (µs)", ylim=(0.4, 1.6), xlim=lags[[0, -1]])
-    label_ticks(bottom.xaxis, (0.3e-6, 1e-6, 3e-6, 10e-6, 30e-6), unit=1e-6)
-    handles = [*top.patches, *top.lines, *bottom.get_legend_handles_labels()[0]]
-    return with_legend(figure, handles=handles)
-
-
 def shade(
     axes: Axes, x: Array, y: Array, values: Array, levels: Sequence[float], missing: str
 ) -> ContourSet:
