@@ -66,7 +66,7 @@ def mapped(ratio):
     saved, lags, noises = 100 * (1 - ratio[0, :, -1]), np.array(LAGS), np.array(NOISES)
     shade(axes, lags, noises, saved, np.arange(0, 61, 10), missing="no design")
     figures.plots.hatch(axes, lags, noises, -saved, "no gain", hatch="-----")
-    axes.set(xscale="log", yscale="log", xlabel="delay (s)", ylabel="noise / the paper's")
+    axes.set(xscale="log", yscale="log", xlabel="delay (s)", ylabel="shot noise / the paper's")
     return figure
 
 

@@ -133,7 +133,7 @@ NEEDS = {
     "system.to_statespace()": "to_statespace needs the package control: [control]",
     "sweep.plot()": "a plot needs the package matplotlib: [plot]",
     "sweep.to_frame()": "a data frame needs the package pandas: [frames]",
-    "rs.smooth_record(kalman.discretize(1e-7), 'y.csv', 'w.npy')": (
+    "open('y.csv', 'w').close(); rs.smooth_record(kalman.discretize(1e-7), 'y.csv', 'w.npy')": (
         "a data frame, CSV or Parquet needs the package pyarrow: [records]"
     ),
     "from robsmooth.workbench import connect; connect('tcp://127.0.0.1:8786').__enter__()": (
