@@ -16,9 +16,6 @@ from matplotlib.transforms import Bbox
 SMALLEST = 5.5  # points, also of a subscript
 DIMENSIONLESS = {
     r"slope $\Delta_2$",
-    r"row of $\tilde\zeta$",
-    r"row of $\tilde\xi$",
-    r"entry of $\Delta$",
     r"measurement uncertainty $\Delta_2$",
     r"uncertainty $\Delta_2$",
     "detector's signal",
