@@ -152,8 +152,8 @@ def readme_block(results: dict) -> str:
         f"fast as C++ and {ratio(peers['NumPy, float32'], 'single')} times as fast as NumPy.",
         f"With a model of its delay a record is smoothed at "
         f"{records['robsmooth']['rate'] / 1e6:.0f} million samples a "
-        f"second from memory, and at {csv / 1e6:.1f} million from a CSV file; "
-        f"with its exact delay, the default of a classical design, at {exact / 1e6:.1f} million.",
+        f"second from memory, and at {csv / 1e6:.1f} million from CSV to NPY; with its exact "
+        f"delay, the default of a classical design, at {exact / 1e6:.1f} million from memory.",
         f"{waits(results)} [The bench](benchmarks/results.md) has all measurements and the {aims} "
         "that they miss.",
     )

@@ -70,7 +70,7 @@ def judge(estimator: Estimator, output: str = "smoothed") -> Judgement:
     if constant.mean_square == 0.0:  # nothing drives w, whatever the uncertainty
         return Judgement(0.0, 0.0, 0.0)
     certified = math.inf
-    with suppress(UnstableLoopError):  # an uncertainty's argument grows without bound
+    with suppress(UnstableLoopError, ArithmeticError):  # it grows, or the delay is too long
         certified = analysis_bound(estimator, output, loop="real").mean_square
     return Judgement(constant.nominal, constant.mean_square, certified)
 
@@ -212,7 +212,7 @@ def best_smoother(
     errors = {name: each.error(against) for name, each in candidates.items()}
     best = min(errors, key=errors.__getitem__)
     if math.isinf(errors[best]):
-        none = InfeasibleDesignError("A finite error", "no candidate has one")
+        none = InfeasibleDesignError("A finite error", "none is found; is the delay too long?")
         raise failures.get("minimax" if against == "admissible" else "constant minimax", none)
     if errors[_CLASSICAL] <= (1.0 + _WORTHWHILE) * errors[best]:
         best = _CLASSICAL

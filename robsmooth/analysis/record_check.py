@@ -69,7 +69,7 @@ class RecordCheck(Frozen):
         counts[counts == 0.0] = np.nan
         means = np.array([np.nansum(part) for part in squares]) / counts
         time = self.dt * np.cumsum([len(part) for part in squares])
-        within = {"color": "0.85", "label": "99% of records of the model"}
+        within = {"color": "0.85", "label": "99% of the points of the model"}
         low, high = chi2.interval(1.0 - _LEVEL, counts) / counts
         along.fill_between(time, low, high, step="pre", **within)
         along.plot(time, means, "k.")

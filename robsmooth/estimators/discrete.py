@@ -286,7 +286,8 @@ class DiscreteSmoother(Exports):
         if isinstance(self._engine, ExactFilter):
             return self._engine
         rule = "an exact smoother, of a classical or a tuned design without delay='model'"
-        raise ValueError(f"{name} is for {rule}: this one runs a model of its delay")
+        advice = "take choice.candidates['classical'].estimator"
+        raise ValueError(f"{name} is for {rule}: this one runs a model of its delay; {advice}")
 
     def _take(self, given: Samples, output: str, spread: bool) -> Pair:
         rows = len(given.y) if given.intervals is None else _ROWS

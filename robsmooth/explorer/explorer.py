@@ -185,7 +185,8 @@ def _guarantee(found: Snapshot) -> str:
         none, price = math.isinf(plain.certified), least.nominal / plain.nominal - 1.0
         rest = "has none" if none else f"guarantees {plain.certified:.4f} rad²"
         parts.append(f"The classical design {rest}.")
-        parts.append(f"The price of the lowest, without uncertainty, is {price:+.1%}.")
+        more = f"{abs(price):.1%} {'higher' if price > 0.0 else 'lower'}"
+        parts.append(f"Without uncertainty the error of the lowest is {more}.")
     deviation = found.own.with_sine.filtered**0.5
     outside = math.erfc(found.settings.parameters.sector_range() / (2.0**0.5 * deviation))
     if outside > _ESCAPES:

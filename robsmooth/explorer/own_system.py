@@ -56,7 +56,7 @@ def code_of(typed: dict[str, str]) -> str:
     channels = "".join(f"    {_channel(entry, values)},\n" for entry in entries)
     delay, order, against = (typed[name] for name in ("delay", "order", "against"))
     if not _NUMBER.fullmatch(delay):
-        raise ValueError(f"delay must be a number with a decimal point, got {delay!r}")
+        raise ValueError(f"delay must be a number of seconds, such as 0.5 or 3, got {delay!r}")
     return f"""\
 import robsmooth as rs
 
@@ -142,7 +142,7 @@ class OwnSystem:
 
     def _answer(self, answer: str, code: str) -> None:
         self.answer.value, self.code.value = answer, code
-        self.code.layout.display = "block" if code else "none"
+        self.code.layout.display = "flex" if code else "none"
 
     def compare(self, _=None) -> None:
         """Show the code and, once it has run, its answer."""

@@ -28,7 +28,7 @@ SEED = 11  # of the sample path
 _HINTS = {  # where a design by hand is refused with these words
     "a larger tau": "Move τ up. ",
     "M(lambda) > 0": "λ₁ and λ₂ must be positive. ",
-    "multiplier constraint": "Move a λ down. ",
+    "multiplier constraint": "Move one of λ₁ to λ₄ down. ",
 }
 _MOST_STATES = 2 + 5  # the phase, and an estimator of the largest order
 DESIGNS = ("classical", "tuned", "minimax", "paper's V", "by hand")

@@ -266,12 +266,12 @@ def _checked(
             wrong = wrong if regular else late < SHORTEST
             if wrong.any():
                 i = int(wrong.argmax())
-                advice = "times must rise"
-                if regular and done + i == 1 and (late[i] > 10 or 0 < late[i] < 0.1):
-                    advice += f" by dt: divide them by {late[i]:.6g}, or say time=False"
-                elif regular:
-                    gaps = " by dt: put a row of nan for each missing row; regular=False is only "
-                    advice += gaps + "for means that reach to the next row's time"
+                advice = "times must rise" + " by dt: " * regular
+                if regular and done + i == 1 and late[i] > 0:
+                    advice += f"is dt {late[i] * dt:.6g}? Or divide them by {late[i]:.6g}, or "
+                if regular:
+                    advice += "put a row of nan for each missing row; regular=False is only for "
+                    advice += "means that reach to the next row's time"
                 after = f"{late[i]:.6g} samples after the row before"
                 off = f"{drift[i]:+.6g} off regular times with dt = {dt:g} s"
                 time = f"{times[i]:.15g} s is {after} and {off}"

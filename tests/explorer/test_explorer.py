@@ -200,8 +200,8 @@ def test_the_verdict_has_the_numbers_of_the_library():
     assert second == (
         "The minimax design has the lowest guarantee: for every curve in the sector, the smoothed "
         f"error is at most {robust.certified:.4f} rad². The classical design guarantees "
-        f"{plain.certified:.4f} rad². The price of the lowest, without uncertainty, is "
-        f"{robust.nominal / plain.nominal - 1.0:+.1%}."
+        f"{plain.certified:.4f} rad². Without uncertainty the error of the lowest is "
+        f"{robust.nominal / plain.nominal - 1.0:.1%} higher."
     )
     least = rs.statistical_linearisation(uncertain.parameters, classical.estimator()).smoothed
     assert third == (
@@ -462,7 +462,10 @@ def test_without_a_design_the_reason_is_said_and_escaped():
     [
         ({"tau": 0.2e-6}, "There is no design. Move τ up. Assumption 3.1"),
         ({"lambda1": 0.0}, "There is no design. λ₁ and λ₂ must be positive. M(lambda) &gt; 0"),
-        ({"lambda2": 1.0}, "There is no design. Move a λ down. The multiplier constraint"),
+        (
+            {"lambda2": 1.0},
+            "There is no design. Move one of λ₁ to λ₄ down. The multiplier",
+        ),
     ],
 )
 def test_a_design_by_hand_that_is_refused_comes_with_advice(change, hint):

@@ -263,7 +263,7 @@ def test_times_are_pointed_out_and_checked_unsaid(tmp_path, clock):
 @pytest.mark.parametrize("scale", [1e6, 60.0, 1 / 60.0])
 def test_a_column_of_times_in_another_unit_is_told(tmp_path, scale):
     values = with_times(scale * DT * np.arange(30))
-    with pytest.raises(ValueError, match=r"row 1, .* divide them by") as raised:
+    with pytest.raises(ValueError, match=r"row 1, .* is dt .* Or divide them by") as raised:
         smoothed(tmp_path, "y.npy", values, time=0)
     scale_told = float(re.search(r"divide them by (\S+),", str(raised.value))[1])
     assert scale_told == pytest.approx(scale, rel=1e-5)
