@@ -89,7 +89,7 @@ def test_worst_input_meets_the_constraints_and_attains_the_bound(design, output)
     loop = open_loop(design, output, "theory")
     if loop.delay > 0.0:
         plant = design.plant
-        finer = augment(plant.system, plant.delay, 20, J_21=plant.J_21)
+        finer = augment(plant.system, plant.delay, 14, J_21=plant.J_21)
         loop = model_loop(replace(design, plant=finer), "theory")
     K = found.feedback
     # another route than the gradient: the loop with this input, and its energies
