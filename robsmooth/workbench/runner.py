@@ -200,7 +200,9 @@ def _profiles(folder: Path) -> dict:
     tables = {"notebooks": names, **dict.fromkeys(PROFILES, table)}
     try:
         profiles = tomllib.loads((folder / "profiles.toml").read_text(encoding="utf-8"))
-        jsonschema.validate(profiles, {"properties": tables, "required": ["notebooks"]})
+        schema = {"properties": tables, "required": ["notebooks"]}
+        for error in jsonschema.Draft202012Validator(schema).iter_errors(profiles):
+            raise error  # the first: there may be very many
     except jsonschema.ValidationError as error:
         raise PipelineError(f"profiles.toml, {error.json_path}: {error.message:.200}") from error
     except (OSError, ValueError, RecursionError, MemoryError) as error:
