@@ -24,7 +24,7 @@ from robsmooth.systems.augmented import AugmentedSystem, check_is_plant
 
 _ERRORS = {"admissible": "certified", "constant": "worst_constant"}
 _WORSE = 1.01  # times the filtered error
-_WORTHWHILE = 0.01  # the least gain, of the classical error, for which another design is chosen
+WORTHWHILE = 0.01  # the least gain, of the classical error, for which another design is chosen
 _CLASSICAL = "classical"
 
 
@@ -212,9 +212,9 @@ def best_smoother(
     errors = {name: each.error(against) for name, each in candidates.items()}
     best = min(errors, key=errors.__getitem__)
     if math.isinf(errors[best]):
-        none = InfeasibleDesignError("A finite error", "none is found; is the delay too long?")
+        none = InfeasibleDesignError("A finite error", "is the delay too long?", "is not found")
         raise failures.get("minimax" if against == "admissible" else "constant minimax", none)
-    if errors[_CLASSICAL] <= (1.0 + _WORTHWHILE) * errors[best]:
+    if errors[_CLASSICAL] <= (1.0 + WORTHWHILE) * errors[best]:
         best = _CLASSICAL
     smoothed, classical = candidates[_CLASSICAL].judgement.nominal, candidates[_CLASSICAL].estimator
     coarse = ""

@@ -84,26 +84,29 @@ def analysis_bound(
     opened, plant = open_loop(smoother, output, loop), smoother.plant
     if not opened.delay:
         return _least_bound(opened, plant)
-    found = None
+    before = 0.0
     for order in _DELAY_ORDERS:
         finer = augment(plant.system, plant.delay, order, J_21=plant.J_21)
-        modelled, before = replace(smoother, plant=finer), found
-        with_model = certificate.model_loop(modelled, loop)
-        found = _least_bound(with_model, plant)
+        modelled = replace(smoother, plant=finer)
+        model = certificate.model_loop(modelled, loop)
+        found = _least_bound(model, plant)
         if math.isinf(found.mean_square):
             return found
-        itself = np.eye(len(found.feedback))
-        model, exact = (
-            mean_square(scaled(replace(each, outputs=found.feedback))[0], itself)
-            for each in (with_model, open_loop(modelled, output, loop))
-        )
-        pairs = (model, exact), (before.mean_square if before else 0.0, found.mean_square)
-        if all(abs(one - other) <= _AGREEMENT * other for one, other in pairs):
-            return found
+        if abs(before - found.mean_square) <= _AGREEMENT * found.mean_square:
+            loops = model, open_loop(modelled, output, loop)
+            error, exact = (_error_under(found.feedback, each) for each in loops)
+            if abs(error - exact) <= _AGREEMENT * exact:
+                return found
+        before = found.mean_square
     raise ArithmeticError(
         f"the certified error needs a model of the delay of an order above {order}, because "
         f"{plant.delay:g} s is very long for this estimator: take a shorter delay"
     )
+
+
+def _error_under(feedback: Matrix, loop: OpenLoop) -> float:
+    """Return the mean square error where a feedback of all states is the input."""
+    return mean_square(scaled(replace(loop, outputs=feedback))[0], np.eye(len(feedback)))
 
 
 def _least_bound(opened: OpenLoop, plant: AugmentedSystem) -> AnalysisBound:

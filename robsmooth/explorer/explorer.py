@@ -13,6 +13,7 @@ import ipywidgets as widgets
 import numpy as np
 from IPython import get_ipython
 
+from robsmooth.analysis.choice import WORTHWHILE
 from robsmooth.estimators.conditions import COSTS
 from robsmooth.explorer.own_system import OwnSystem
 from robsmooth.explorer.panels import JUDGED, OVERVIEW, PANELS, THEORY, Panel, png
@@ -27,7 +28,6 @@ _COLUMNS = {
     "A design by hand": ("tau", "lambda1", "lambda2", "lambda3", "lambda4"),
 }
 _CHOICES = {"design": ("design", DESIGNS), "cost": ("error kept low", COSTS)}
-_AS_GOOD = 1.01  # times the lowest error: the classical design is preferred up to this
 # A slider's number can be typed, and looks like it; a tab is as wide as its title.
 _STYLE = """<style>
 .robsmooth-explorer .widget-readout { border: 1px solid #bbb; }
@@ -203,7 +203,7 @@ def _named(design: str) -> str:
 def _best(errors: dict[str, float]) -> tuple[str, str]:
     """Return the name of the lowest error, which is the classical one's within 1%, and so."""
     best, plain = min(errors, key=errors.get), "classical"
-    if best != plain and errors[plain] <= _AS_GOOD * errors[best]:
+    if best != plain and errors[plain] <= (1.0 + WORTHWHILE) * errors[best]:
         return plain, ", within 1%"
     return best, ""
 

@@ -9,7 +9,6 @@ from html import escape
 import ipywidgets as widgets
 import numpy as np
 
-import robsmooth as rs
 from robsmooth._support.validation import Matrix
 
 _ENTRY = re.compile(r"(A|C2)\s*\[(\d+),\s*(\d+)\]\s+([\d.]+)\s*%", re.IGNORECASE)
@@ -150,12 +149,10 @@ class OwnSystem:
         try:
             code = code_of({name: field.value for name, field in self.fields.items()})
             self._answer(_WORKING, code)
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always")
+            with warnings.catch_warnings(action="ignore"):  # the choice has what is said
                 exec(code, names)  # it is made of numbers alone
-            coarse = [each.message for each in caught if each.category is rs.CoarseDelayWarning]
-            said = [f"Take care: {each}." for each in coarse]
             choice, table = names["choice"], names["choice"].table
+            said = [f"Take care: {choice.coarse}."] if choice.coarse else []
             answer = "".join(f"<p>{escape(each)}</p>" for each in (*said, choice.sentence))
             rows = [[f"{x:#.4g}" if isinstance(x, float) else x for x in row] for row in table.rows]
             answer += replace(table, caption="", rows=rows).html()

@@ -14,7 +14,8 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -22,6 +23,7 @@ import psutil
 import robsmooth
 from tests.attacks.kill_computations import CALLS, Run
 from tests.helpers.clusters import LOOPBACK
+from tests.helpers.sockets import free_port
 from tests.helpers.tries import Attack, command
 from tests.helpers.waiting import wait_until
 
@@ -38,8 +40,7 @@ class Cluster:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.started = folder, []
-        with closing(socket.create_server(("127.0.0.1", 0))) as free:
-            self.port = free.getsockname()[1]
+        self.port = free_port()
         self.address = f"tcp://127.0.0.1:{self.port}"
         self.start()
 
@@ -59,13 +60,11 @@ class Cluster:
         """Start what a cluster is made of."""
         self.scheduler = self._start("scheduler", "--port", str(self.port))
         wait_until(self._answers)
-        self.join("--nworkers", "2")
+        self.nanny = self.join("--nworkers", "2")
 
-    def join(self, *options: str, path: str = "") -> None:
+    def join(self, *options: str, path: str = "") -> psutil.Popen:
         """Let workers join, with the package of a folder where one is named."""
-        nanny = self._start("worker", self.address, "--nthreads", "1", *options, path=path)
-        if options:
-            self.nanny = nanny
+        return self._start("worker", self.address, "--nthreads", "1", *options, path=path)
 
     def _answers(self) -> bool:
         with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1.0):
@@ -160,8 +159,7 @@ def attack(name: str, tries: int, draw: random.Random, scale: float = 1.0) -> At
             stack.callback(shutil.rmtree, folder)
             cluster, path = Cluster(folder), folder / f"{call}{number}.sqlite"
             stack.callback(cluster.end)
-            hurt = lambda cluster, ended: way(cluster, ended, draw)  # noqa: E731
-            found = run(call, path, cluster, scale, hurt)
+            found = run(call, path, cluster, scale, partial(way, draw=draw))
             attack.answers["the same bits" if found == wanted else found] += 1
             if found != wanted and not SENTENCES.search(found):
                 attack.add(f"{found or 'no answer'} and not {wanted}")

@@ -4,7 +4,6 @@ import os
 import re
 import shlex
 import signal
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ from pathlib import Path
 import psutil
 
 from tests.helpers.labs import ROOT, STAMPS
+from tests.helpers.sockets import free_port
 from tests.helpers.waiting import PATIENCE
 
 URL = re.compile(r"http://(?:localhost|127\.0\.0\.1):\d+/\S*")
@@ -23,9 +23,7 @@ URL = re.compile(r"http://(?:localhost|127\.0\.0\.1):\d+/\S*")
 def running_explorer(folder: Path) -> Iterator[tuple[str, psutil.Popen]]:
     """Start the explorer without a browser; give its address, and end it as Ctrl-C does."""
     log = folder / "log.txt"
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    options = f"LAB=--no-browser --port={port}"
+    options = f"LAB=--no-browser --port={free_port()}"
     # without what a make around us has set
     environment = {name: each for name, each in os.environ.items() if not name.startswith("MAKE")}
     environment["JUPYTER_RUNTIME_DIR"] = str(folder / "runtime")

@@ -22,7 +22,7 @@ import pytest
 from robsmooth._support import cluster as cluster_module
 from robsmooth._support.cluster import connect, in_order, worker_threads, workers
 from tests.helpers.clusters import LOOPBACK, cluster_of_threads, start_cluster
-from tests.helpers.sockets import listening
+from tests.helpers.sockets import free_port, listening
 from tests.helpers.waiting import PATIENCE, wait_until
 
 # Functions that are sent to a worker are made within tests: they travel by value then, because a
@@ -375,9 +375,7 @@ def test_a_worker_without_this_package_then_a_scheduler_that_freezes_and_is_kill
     package.mkdir(parents=True)
     for folder in (package, package.parent):
         (folder / "__init__.py").touch()
-    with closing(socket.socket()) as bound:
-        bound.bind(("127.0.0.1", 0))
-        port = bound.getsockname()[1]
+    port = free_port()
     address = f"tcp://127.0.0.1:{port}"
     started = []
     try:
