@@ -36,6 +36,7 @@ _FINISHED = 1e-4  # the gap of a search that has found the minimum
 _MARGINS = (0.0, *10.0 ** np.arange(-9.0, -1.0))  # of theta, from the edge of what has a bound
 _LEAST_RATIO = 1e-12  # of a multiplier to that before
 _NEGLIGIBLE = 1e-7  # of an effect's terms: less is rounding
+_NONE = np.empty(0)
 
 
 class Certificate(NamedTuple):
@@ -163,11 +164,13 @@ def model_loop(estimator: Estimator, loop: str = "real") -> OpenLoop:
     return replace(open_loop(estimator, "filtered", loop), truth=truth, estimate=estimate)
 
 
-def _largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
+def _largest_fraction(problem: ConstraintProblem, theta: Matrix) -> tuple[float, np.ndarray]:
     """Return the largest fraction of the uncertainty, up to 1, that has a bound, and its theta."""
     if not np.linalg.eigvals(problem.A).real.max() < 0.0:
-        return 0.0, np.empty(0)
-    theta, fraction, step = problem.initial_multipliers(), 0.0, 1.0
+        return 0.0, _NONE
+    positive = theta.size and theta.all()
+    theta = theta[problem.active] if positive else problem.initial_multipliers()
+    fraction, step = 0.0, 1.0
     while fraction < 1.0 and step > _SMALLEST_STEP:  # each theta is the start of the next
         trial = min(1.0, fraction + step)
         for feasible in np.multiply.outer(_MULTIPLES, theta):
@@ -187,9 +190,12 @@ def _largest_fraction(problem: ConstraintProblem) -> tuple[float, np.ndarray]:
     return fraction, theta
 
 
-def certify(problem: ConstraintProblem) -> tuple[float, float, np.ndarray]:
-    """Return the least bound, or infinity, the largest fraction with a bound, and its theta."""
-    fraction, theta = _largest_fraction(problem)
+def certify(problem: ConstraintProblem, start: Matrix = _NONE) -> tuple[float, float, np.ndarray]:
+    """Return the least bound, or infinity, the largest fraction with a bound, and its theta.
+
+    The search begins at `start`, where all the k + 3g multipliers of that are positive.
+    """
+    fraction, theta = _largest_fraction(problem, start)
     if fraction < 1.0:
         return math.inf, fraction, theta
     before = math.inf
