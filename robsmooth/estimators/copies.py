@@ -202,7 +202,9 @@ def call(address: int, time: float, arguments: NDArray, values: NDArray) -> None
 
 
 @intrinsic
-def _call(_typing, address, time, arguments, values, count):
+def call_at(_typing, address, time, arguments, values, count):
+    """Do as `call`, with pointers to the first of `count` arguments and values."""
+
     def generate(_context, builder, _signature, given):
         real, word = ir.DoubleType(), ir.IntType(64)
         kind = ir.FunctionType(ir.VoidType(), [real, word, word, word])
@@ -216,6 +218,6 @@ def _call(_typing, address, time, arguments, values, count):
 @overload(call)
 def _compiled_call(address, time, arguments, values):
     def called(address, time, arguments, values):
-        _call(address, time, arguments.ctypes.data, values.ctypes.data, arguments.size)
+        call_at(address, time, arguments.ctypes.data, values.ctypes.data, arguments.size)
 
     return called

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from robsmooth._numerics.vectors import BLOCK, LANES, fma, load, store
 from robsmooth._support.kernels import kept
 from robsmooth._support.validation import Matrix
-from robsmooth.estimators.copies import CalledFunctions, call, is_compiled, of_rows
+from robsmooth.estimators.copies import CalledFunctions, call_at, is_compiled, of_rows
 from robsmooth.simulation import noise
 from robsmooth.simulation.noise import DRAWS, SOURCES, WORDS, sine
 from robsmooth.systems.functions import Combination, on_arrays
@@ -85,53 +85,47 @@ def empty_memory(scheme: Scheme, blocks: int, lag: int, constraints: int) -> Mem
     )
 
 
-@njit
-def add_product(matrix, x, out):
-    """Add a matrix times the rows of x to the rows of `out`."""
+@njit(forceinline=True)
+def add_product(matrix, x, given, out, start=0):
+    """Write to the rows of `out` those given and a matrix times those of x, from `start` on."""
     for i in range(matrix.shape[0]):
         for path in range(0, BLOCK, LANES):
-            (total,) = load(out, i * BLOCK + path, NUMBER)
+            (total,) = load(given, i * BLOCK + path, NUMBER)
             for j in range(matrix.shape[1]):
-                (number,) = load(x, j * BLOCK + path, NUMBER)
+                (number,) = load(x, start + j * BLOCK + path, NUMBER)
                 total = fma(matrix[i, j], number, total)
             store(out, i * BLOCK + path, (total,))
 
 
-@njit
-def find_remainder(time, scheme, calls, z, arguments, values):
+@njit(forceinline=True)
+def find_remainder(time, rows, linear, addresses, ends, zeros, z, arguments, values):
     """Write the functions' arguments in z, and their values less what is linear."""
-    arguments[:] = 0.0
-    add_product(scheme.arguments, z, arguments)
-    begin = begin_values = 0
-    for i in range(calls.addresses.size):
-        end, end_values = calls.ends[i]
-        given, found = arguments[begin:end], values[begin_values:end_values]
-        call(calls.addresses[i], time, given, found)
-        begin, begin_values = end, end_values
-    add_product(scheme.linear, arguments, values)
+    add_product(rows, z, zeros, arguments)
+    call_blocks(time, addresses, ends, arguments, values)
+    add_product(linear, arguments, values, values)
+
+
+@njit(forceinline=True)
+def call_blocks(time, addresses, ends, arguments, values):
+    """Write the functions' values. A slice in place of a pointer would count references."""
+    given, found = arguments.ctypes.data, values.ctypes.data
+    for i in range(addresses.size):
+        begin, begin_values = (ends[i - 1, 0], ends[i - 1, 1]) if i else (0, 0)
+        size, row = BLOCK * (ends[i, 0] - begin), 8 * BLOCK
+        call_at(addresses[i], time, given + row * begin, found + row * begin_values, size)
 
 
 @njit
-def advance(time, step, scheme, calls, z, new, arguments, values, later):
-    """Write z a step after `time` to `new`, which has the noise; `values` is rho at z."""
-    add_product(scheme.transition, z, new)
-    if calls.addresses.size:
-        add_product(scheme.first, values, new)
-        find_remainder(time + step, scheme, calls, new, arguments, later)
-        later -= values
-        add_product(scheme.second, later, new)
-
-
-@njit
-def add_errors(outputs, delayed, sums):
-    """Add the squared errors of the filtered and of the smoothed estimate."""
-    m = delayed.shape[0]
+def add_errors(outputs, past, slot, counted, sums):
+    """Keep w; if counted, add the squared errors of the filtered and the smoothed estimate."""
+    slots, m, paths = past.shape
     for i in range(m):
-        for path in range(delayed.shape[1]):
+        for path in range(paths):
+            past[slot, i, path] = outputs[i, path]
             filtered = outputs[i, path] - outputs[m + i, path]
-            smoothed = delayed[i, path] - outputs[2 * m + i, path]
-            sums[0, path] += filtered * filtered
-            sums[1, path] += smoothed * smoothed
+            smoothed = past[(slot + 1) % slots, i, path] - outputs[2 * m + i, path]
+            sums[0, path] += filtered * filtered if counted else 0.0
+            sums[1, path] += smoothed * smoothed if counted else 0.0
 
 
 @njit
@@ -155,7 +149,7 @@ def check_constraints(checks, zeta, subtracted, values, sums):
     K, paths = len(checks.used), zeta.shape[1]
     xi, used = np.zeros((len(checks.delta), paths)), np.zeros((K, paths))
     left = np.zeros_like(used)
-    add_product(checks.delta, zeta, xi)
+    add_product(checks.delta, zeta, xi, xi)
     for i in range(len(checks.driven)):
         xi[checks.driven[i]] += values[i]
     add_energies(checks.used, xi, used)
@@ -183,6 +177,14 @@ def find_divergence(signals, sizes, beginning, growth):
 
 
 @njit
+def rows_of(count):
+    """Return rows of zeros."""
+    rows = noise.aligned(count * BLOCK, np.float64).reshape(count, BLOCK)
+    rows[:] = 0.0
+    return rows
+
+
+@njit
 def draw(generator, size, count, normals):
     """Draw `size` normal variables a step for `count` steps: (count, at least size, BLOCK)."""
     pairs = (size + DRAWS - 1) // DRAWS
@@ -193,40 +195,38 @@ def draw(generator, size, count, normals):
 @njit
 def advance_block(scheme, calls, checks, memory, run, path, start, count, records):
     """Take steps of the block from `path` on; before step zero nothing is averaged."""
-    generators, z, past, sizes, averages, diverged = memory
+    # out of the tuples once: each time it counts a reference
+    generators, states, past, sizes, averages, diverged = memory
     step, growth_rate, lag, before, _ = run
-    S, N = scheme.of_state.shape
-    f, m = scheme.first.shape[1], past.shape[1]
-    new, outputs = np.empty_like(z), np.empty((3 * m, BLOCK))
-    arguments = np.empty((scheme.arguments.shape[0], BLOCK))
-    values, later = np.zeros((f, BLOCK)), np.zeros((f, BLOCK))
-    signals = np.empty((scheme.signals.shape[0], BLOCK))
+    transition, K_1, K_2, of_state, of_measurement, rows, linear, reads, signals_of = scheme
+    (addresses, ends), minus_K_2 = calls, -K_2
+    (S, N), f, m = of_state.shape, K_1.shape[1], past.shape[1]
+    z, new, outputs, signals = rows_of(S), rows_of(S), rows_of(3 * m), rows_of(len(signals_of))
+    arguments, values, later = rows_of(len(rows)), rows_of(f), rows_of(f)
+    zeros = rows_of(max(S, len(rows), len(signals_of)))
+    z[:] = states
     a = checks.delta.shape[1]
     space = np.empty((2, CHUNK * (S + DRAWS) * BLOCK), np.float32)
-    find_remainder(start * step, scheme, calls, z, arguments, values)
+    find_remainder(start * step, rows, linear, addresses, ends, zeros, z, arguments, values)
     for first in range(start, start + count, CHUNK):
         steps = min(CHUNK, start + count - first)
-        of_state = draw(generators[0], N, steps, space[0])
-        of_measurement = draw(generators[1], S - N, steps, space[1])
+        of_z = draw(generators[0], N, steps, space[0])
+        of_y = draw(generators[1], S - N, steps, space[1])
         for k in range(steps):
             now = first + k + 1  # the end of the step
-            new[:] = 0.0
-            add_product(scheme.of_state, of_state[k], new)
-            add_product(scheme.of_measurement, of_measurement[k], new)
-            advance((now - 1) * step, step, scheme, calls, z, new, arguments, values, later)
-            z[:] = new
-            find_remainder(now * step, scheme, calls, z, arguments, values)
-            outputs[:] = 0.0
-            add_product(scheme.outputs, z, outputs)
-            past[(before + now) % (lag + 1)] = outputs[:m]
-            if now > 0:
-                add_errors(outputs, past[(before + now - lag) % (lag + 1)], averages[:2])
+            add_product(of_state, of_z, zeros, new, k * of_z.shape[1] * BLOCK)
+            add_product(of_measurement, of_y, new, new, k * of_y.shape[1] * BLOCK)
+            add_product(transition, z, new, new)
+            add_product(K_1, values, new, new)
+            find_remainder(now * step, rows, linear, addresses, ends, zeros, new, arguments, later)
+            add_product(K_2, later, new, z)
+            add_product(minus_K_2, values, z, z)
+            find_remainder(now * step, rows, linear, addresses, ends, zeros, z, arguments, values)
+            add_product(reads, z, zeros, outputs)
+            add_errors(outputs, past, (before + now) % (lag + 1), now > 0, averages)
             if records.size:
-                record = records[now - start - 1]
-                record[:] = 0.0
-                add_product(scheme.signals, z, record)
-        signals[:] = 0.0
-        add_product(scheme.signals, z, signals)
+                add_product(signals_of, z, zeros, records[now - start - 1])
+        add_product(signals_of, z, zeros, signals)
         growth = np.exp(growth_rate * step * (before + now))
         counted = signals[:, : run[4] - path]
         found = find_divergence(counted, sizes, first == -before, growth)
@@ -236,6 +236,7 @@ def advance_block(scheme, calls, checks, memory, run, path, start, count, record
         if now > 0:
             zeta, subtracted = signals[3 * m : 3 * m + a], signals[3 * m + a : 3 * m + 2 * a]
             check_constraints(checks, zeta, subtracted, values, averages[2:])
+    states[:] = z
 
 
 @kept(parallel=True, nogil=True)
@@ -267,7 +268,7 @@ def begin_block(memory, root, seed, path):
     noise.seed_paths(noise.mix(seed), np.uint64(path), memory.generators[1])
     normals = np.empty((root.shape[1] + DRAWS) * BLOCK, np.float32)
     drawn = draw(memory.generators[0], root.shape[1], 1, normals)
-    add_product(root, drawn[0], memory.states[: root.shape[0]])
+    add_product(root, drawn, memory.states, memory.states)
 
 
 class Function(NamedTuple):
