@@ -97,6 +97,14 @@ def add_product(matrix, x, given, out, start=0):
             store(out, i * BLOCK + path, (total,))
 
 
+@njit
+def add_rows(x, y, out):
+    """Write the sum of two arrays; NumPy's operators take seconds to compile for their errors."""
+    for i in range(len(out)):
+        for path in range(BLOCK):
+            out[i, path] = x[i, path] + y[i, path]
+
+
 @njit(forceinline=True)
 def find_remainder(time, rows, linear, addresses, ends, zeros, z, arguments, values):
     """Write the functions' arguments in z, and their values less what is linear."""
@@ -151,10 +159,12 @@ def check_constraints(checks, zeta, subtracted, values, sums):
     left = np.zeros_like(used)
     add_product(checks.delta, zeta, xi, xi)
     for i in range(len(checks.driven)):
-        xi[checks.driven[i]] += values[i]
+        row = xi[checks.driven[i] : checks.driven[i] + 1]
+        add_rows(row, values[i : i + 1], row)
     add_energies(checks.used, xi, used)
     add_energies(checks.allowed, zeta, left)
-    add_energies(checks.allowed, zeta + subtracted, sums[K : 2 * K])
+    add_rows(zeta, subtracted, zeta)
+    add_energies(checks.allowed, zeta, sums[K : 2 * K])
     for k in range(K):
         for path in range(paths):
             sums[k, path] += used[k, path]
@@ -204,7 +214,7 @@ def advance_block(scheme, calls, checks, memory, run, path, start, count, record
     z, new, outputs, signals = rows_of(S), rows_of(S), rows_of(3 * m), rows_of(len(signals_of))
     arguments, values, later = rows_of(len(rows)), rows_of(f), rows_of(f)
     zeros = rows_of(max(S, len(rows), len(signals_of)))
-    z[:] = states
+    add_rows(states, zeros, z)
     a = checks.delta.shape[1]
     space = np.empty((2, CHUNK * (S + DRAWS) * BLOCK), np.float32)
     find_remainder(start * step, rows, linear, addresses, ends, zeros, z, arguments, values)
@@ -236,7 +246,7 @@ def advance_block(scheme, calls, checks, memory, run, path, start, count, record
         if now > 0:
             zeta, subtracted = signals[3 * m : 3 * m + a], signals[3 * m + a : 3 * m + 2 * a]
             check_constraints(checks, zeta, subtracted, values, averages[2:])
-    states[:] = z
+    add_rows(z, zeros, states)
 
 
 @kept(parallel=True, nogil=True)
