@@ -18,6 +18,10 @@ from robsmooth._support.tables import Table
 from robsmooth.workbench import provenance
 
 PACKAGES = ("jax", "diffrax", "dynamax", "filterpy", "stonesoup", "statsmodels", "slycot")
+# Both compilers then make code for ordinary machines on one that has AVX-512.
+AVX2 = dict.fromkeys(("NUMBA_CPU_NAME", cpp.OTHER_PROCESSOR), "x86-64-v3") | {
+    "NUMBA_CPU_FEATURES": ""
+}
 ALONE = ("race", "throughput", "from_files", "kalman", "latency", "riccati", "growth")
 
 
@@ -68,6 +72,10 @@ def measure(quick: bool, peers: str) -> dict:
     results = {}
     for parts in [ALONE] if quick else [[part] for part in ALONE]:
         results |= in_own_process("alone", *parts, "--peers", peers, *effort)
+    if machine.widest() == "avx512f" and not quick:
+        narrow = in_own_process("alone", "race", "--peers", "C++", **AVX2)["race"]
+        named = {name + machine.FOR_AVX2: peer for name, peer in narrow["peers"].items()}
+        results["race"]["peers"] |= named
     results["processes"] = in_own_process("processes", *effort)
     results["any_loop"] = any_loop(quick)
     results["scales"] = scales.scales(scales.QUICK if quick else scales.FULL)
@@ -83,10 +91,11 @@ def measure(quick: bool, peers: str) -> dict:
     return results
 
 
-def in_own_process(module: str, *arguments: str) -> dict:
+def in_own_process(module: str, *arguments: str, **environment: str) -> dict:
     """Return what a module of the benchmark prints in a process of its own."""
     command = [sys.executable, "-m", f"benchmarks.{module}", *arguments]
-    return json.loads(subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout)
+    how = {"stdout": subprocess.PIPE, "text": True, "check": True}
+    return json.loads(subprocess.run(command, env=os.environ | environment, **how).stdout)
 
 
 def keep(results: dict) -> None:

@@ -7,12 +7,18 @@ from numba import config
 from threadpoolctl import threadpool_info
 
 SETS = ("avx512f", "avx2", "avx", "sse4.2", "sve", "neon")  # the first that there is, is named
+FOR_AVX2 = ", for AVX2"  # behind the names of those that a wider machine has compiled for it
+
+
+def widest() -> str:
+    """Return the widest vector instructions that this machine has."""
+    features = binding.get_host_cpu_features()
+    return next((name for name in SETS if features.get(name)), "scalar")
 
 
 def instruction_set() -> str:
     """Return the widest vector instructions that compiled code may use."""
-    features = binding.get_host_cpu_features()
-    found = next((name for name in SETS if features.get(name)), "scalar")
+    found = widest()
     named = f"{found.removesuffix('f').upper()}, {binding.get_host_cpu_name()}"
     return f"{named}, compiled for {config.CPU_NAME}" if config.CPU_NAME else named
 

@@ -38,7 +38,8 @@ def peers_table(results: dict) -> Table:
             f"Euler-Maruyama steps of a path a second, on {pinned}, and how many times as fast "
             f"robsmooth is: medians of {race['rounds']} interleaved rounds, with quartiles. Off "
             "by: the worse of both mean squares against robsmooth's with "
-            f"{race['reference_paths']} other paths, in standard errors."
+            f"{race['reference_paths']} other paths, in standard errors. Those for AVX2 are "
+            "compiled for machines without AVX-512, and compared with each other."
         ),
     )
 

@@ -15,6 +15,7 @@ from benchmarks.problem import Peer, Problem, Sample, Simulate, Unavailable
 SOURCE = Path(__file__).with_name("loop.cpp")
 FLAGS = ("-O3", "-std=c++17", "-fPIC", "-shared", "-Wno-psabi")
 THIS_PROCESSOR = ("-march=native", "-mcpu=native")  # as the compilers of x86 and others have it
+OTHER_PROCESSOR = "ROBSMOOTH_BENCH_PROCESSOR"  # in the environment: what to compile for instead
 WIDTH = 1920  # a multiple of the paths in a block of `loop.cpp`
 
 
@@ -40,7 +41,8 @@ def compiled(order: int) -> ctypes.CDLL:
     """Compile `loop.cpp` for estimators of an order and load it."""
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "loop.so"
-        for processor in THIS_PROCESSOR:
+        other = os.environ.get(OTHER_PROCESSOR)
+        for processor in (f"-march={other}",) if other else THIS_PROCESSOR:
             command = [compiler(), *FLAGS, processor, f"-DORDER={order}", SOURCE, "-o", target]
             run = subprocess.run(command, capture_output=True, text=True)
             if run.returncode == 0:
