@@ -36,6 +36,8 @@ _FINISHED = 1e-4  # the gap of a search that has found the minimum
 _MARGINS = (0.0, *10.0 ** np.arange(-9.0, -1.0))  # of theta, from the edge of what has a bound
 _LEAST_RATIO = 1e-12  # of a multiplier to that before
 _NEGLIGIBLE = 1e-7  # of an effect's terms: less is rounding
+_LEAST_SHARE = 1e-4  # of a first multiplier: a smaller one next to vanishes
+_LEAST_SLOPE = 1e-9  # of the bound, towards that share
 _NONE = np.empty(0)
 
 
@@ -168,9 +170,9 @@ def _largest_fraction(problem: ConstraintProblem, theta: Matrix) -> tuple[float,
     """Return the largest fraction of the uncertainty, up to 1, that has a bound, and its theta."""
     if not np.linalg.eigvals(problem.A).real.max() < 0.0:
         return 0.0, _NONE
+    fraction, step = 0.0, 1.0
     positive = theta.size and theta.all()
     theta = theta[problem.active] if positive else problem.initial_multipliers()
-    fraction, step = 0.0, 1.0
     while fraction < 1.0 and step > _SMALLEST_STEP:  # each theta is the start of the next
         trial = min(1.0, fraction + step)
         for feasible in np.multiply.outer(_MULTIPLES, theta):
@@ -193,17 +195,21 @@ def _largest_fraction(problem: ConstraintProblem, theta: Matrix) -> tuple[float,
 def certify(problem: ConstraintProblem, start: Matrix = _NONE) -> tuple[float, float, np.ndarray]:
     """Return the least bound, or infinity, the largest fraction with a bound, and its theta.
 
-    The search begins at `start`, where all the k + 3g multipliers of that are positive.
+    The search begins near `start`, k + 3g multipliers, if there are any.
     """
     fraction, theta = _largest_fraction(problem, start)
     if fraction < 1.0:
         return math.inf, fraction, theta
-    before = math.inf
+    before, floor = math.inf, _LEAST_SHARE * problem.initial_multipliers()
     for _ in range(_RESTARTS):  # while the search gains
-        bound = problem.at(theta).mean_square
-        if bound > (1.0 - _LEAST_DECREASE) * before:
+        found, lifted = problem.at(theta), np.maximum(theta, floor)
+        if found.mean_square > (1.0 - _LEAST_DECREASE) * before:
             break
-        before, theta = bound, _quasi_newton(problem, theta)
+        if found.slack @ (lifted - theta) < -_LEAST_SLOPE * found.mean_square:
+            with suppress(RiccatiError):  # the search alone stays where a multiplier vanishes
+                problem.at(lifted)
+                theta = lifted
+        before, theta = found.mean_square, _quasi_newton(problem, theta)
     if not problem.gap(theta) < _FINISHED:  # at the edge of what has a bound, near the minimum
         theta = min(theta, _by_programme(problem, theta), key=lambda t: problem.at(t).mean_square)
     return problem.at(theta).mean_square, fraction, theta

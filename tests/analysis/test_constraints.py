@@ -208,6 +208,19 @@ def test_an_estimator_is_not_judged_by_its_own_model_of_a_long_delay(order):
     assert_allclose(found.mean_square, certify(problem)[0], rtol=1e-3)
 
 
+@settings(max_examples=15)
+@given(designs(cost="smoothed"))
+def test_where_a_search_starts_does_not_change_the_bound(design):
+    """The multipliers of a coarser delay model are the start: without it the bound is the same."""
+    found, system = analysis_bound(design, "smoothed"), design.plant.system
+    order = (found.feedback.shape[1] - len(design.A_c) - system.n) // system.m
+    finer = replace(
+        design, plant=augment(system, design.plant.delay, order, J_21=design.plant.J_21)
+    )
+    problem = ConstraintProblem(scaled(model_loop(finer, "theory"))[0], design.plant)
+    assert_allclose(found.mean_square, certify(problem)[0], rtol=1e-6)
+
+
 @pytest.mark.parametrize(("delay", "error"), [(30.72, 13.812), (47.43, 14.241)])
 def test_a_coarse_model_may_agree_with_the_delay_by_accident_under_its_own_worst_input(
     delay, error
