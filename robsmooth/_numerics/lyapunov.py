@@ -99,7 +99,9 @@ def _settled(A: Matrix, B: Matrix, span: float, root: bool) -> tuple:
             if count < doublings:
                 continue
             forgotten = (np.abs(np.linalg.diagonal(E)) <= _FORGOTTEN).all()  # of undriven states
-            variances, increments = (_variances(each, root) for each in (W, moved))
+            variances, increments = (
+                (each**2).sum(axis=-1) if root else np.linalg.diagonal(each) for each in (W, moved)
+            )
             if forgotten and (increments <= _SETTLED * variances).all():
                 return _sum(W, moved, root), grown, transition, first, transitions
     raise UnstableLoopError(
@@ -135,10 +137,6 @@ def _doubled(A: Matrix, B: Matrix, first: float, root: bool) -> Iterator[tuple]:
 
 def _sum(W: Matrix, moved: Matrix, root: bool) -> Matrix:
     return _compressed(W, moved) if root else W + (moved + moved.mT) / 2
-
-
-def _variances(W: Matrix, root: bool) -> Matrix:
-    return (W**2).sum(axis=-1) if root else np.linalg.diagonal(W)
 
 
 def _after(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]:

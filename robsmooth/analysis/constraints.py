@@ -11,7 +11,7 @@ import numpy as np
 
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Frozen, Matrix
-from robsmooth.estimators import certificate
+from robsmooth.estimators.certificate import NONE, ConstraintProblem, certify, model_loop
 from robsmooth.estimators.constant import mean_square
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import OpenLoop, open_loop, scaled, which_loop
@@ -83,19 +83,20 @@ def analysis_bound(
     loop = which_loop(loop, copy_noise)
     opened, plant = open_loop(smoother, output, loop), smoother.plant
     if not opened.delay:
-        return _least_bound(opened, plant, np.empty(0))
+        return _least_bound(opened, plant)
     # the own delay model has nearly the same multipliers, at less cost
-    found, before = _least_bound(certificate.model_loop(smoother, loop), plant, np.empty(0)), 0.0
+    found, before = _least_bound(model_loop(smoother, loop), plant), 0.0
     for order in _DELAY_ORDERS:
         finer = augment(plant.system, plant.delay, order, J_21=plant.J_21)
         modelled = replace(smoother, plant=finer)
-        model = certificate.model_loop(modelled, loop)
+        model = model_loop(modelled, loop)
         found = _least_bound(model, plant, found.multipliers)
         if math.isinf(found.mean_square):
             return found
         if abs(before - found.mean_square) <= _AGREEMENT * found.mean_square:
-            loops = model, open_loop(modelled, output, loop)
-            error, exact = (_error_under(found.feedback, each) for each in loops)
+            both = model, open_loop(modelled, output, loop)
+            closed = (scaled(replace(each, outputs=found.feedback))[0] for each in both)
+            error, exact = (mean_square(each, np.eye(len(found.feedback))) for each in closed)
             if abs(error - exact) <= _AGREEMENT * exact:
                 return found
         before = found.mean_square
@@ -105,21 +106,16 @@ def analysis_bound(
     )
 
 
-def _error_under(feedback: Matrix, loop: OpenLoop) -> float:
-    """Return the mean square error where a feedback of all states is the input."""
-    return mean_square(scaled(replace(loop, outputs=feedback))[0], np.eye(len(feedback)))
-
-
-def _least_bound(opened: OpenLoop, plant: AugmentedSystem, start: Matrix) -> AnalysisBound:
-    """Return the least bound on an error without delay."""
+def _least_bound(opened: OpenLoop, plant: AugmentedSystem, start: Matrix = NONE) -> AnalysisBound:
+    """Return the least bound on an error without delay, as `certify` finds it."""
     opened, x = scaled(opened)
-    problem, g = certificate.ConstraintProblem(opened, plant), plant.system.g
-    bound, fraction, theta = certificate.certify(problem, start)
+    problem, g = ConstraintProblem(opened, plant), plant.system.g
+    bound, fraction, theta = certify(problem, start)
     if fraction < 1.0 and g:
         # the input of a nonlinearity, or of a copy, may have no effect by itself
         differences = np.repeat([True, False], [len(plant.M_i) - 2 * g, 2 * g])
-        reduced = certificate.ConstraintProblem(opened, plant, differences)
-        found = certificate.certify(reduced)
+        reduced = ConstraintProblem(opened, plant, differences)
+        found = certify(reduced)
         if found[1] > fraction:
             problem, (bound, fraction, theta) = reduced, found
     if fraction < 1.0:

@@ -38,7 +38,7 @@ _LEAST_RATIO = 1e-12  # of a multiplier to that before
 _NEGLIGIBLE = 1e-7  # of an effect's terms: less is rounding
 _LEAST_SHARE = 1e-4  # of a first multiplier: a smaller one next to vanishes
 _LEAST_SLOPE = 1e-9  # of the bound, towards that share
-_NONE = np.empty(0)
+NONE = np.empty(0)
 
 
 class Certificate(NamedTuple):
@@ -169,7 +169,7 @@ def model_loop(estimator: Estimator, loop: str = "real") -> OpenLoop:
 def _largest_fraction(problem: ConstraintProblem, theta: Matrix) -> tuple[float, np.ndarray]:
     """Return the largest fraction of the uncertainty, up to 1, that has a bound, and its theta."""
     if not np.linalg.eigvals(problem.A).real.max() < 0.0:
-        return 0.0, _NONE
+        return 0.0, NONE
     fraction, step = 0.0, 1.0
     positive = theta.size and theta.all()
     theta = theta[problem.active] if positive else problem.initial_multipliers()
@@ -192,10 +192,10 @@ def _largest_fraction(problem: ConstraintProblem, theta: Matrix) -> tuple[float,
     return fraction, theta
 
 
-def certify(problem: ConstraintProblem, start: Matrix = _NONE) -> tuple[float, float, np.ndarray]:
+def certify(problem: ConstraintProblem, start: Matrix = NONE) -> tuple[float, float, np.ndarray]:
     """Return the least bound, or infinity, the largest fraction with a bound, and its theta.
 
-    The search begins near `start`, k + 3g multipliers, if there are any.
+    The start is the multipliers of all k + 3g constraints, or none.
     """
     fraction, theta = _largest_fraction(problem, start)
     if fraction < 1.0:

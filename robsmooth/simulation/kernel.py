@@ -189,9 +189,7 @@ def find_divergence(signals, sizes, beginning, growth):
 @njit
 def rows_of(count):
     """Return rows of zeros."""
-    rows = noise.aligned(count * BLOCK, np.float64).reshape(count, BLOCK)
-    rows[:] = 0.0
-    return rows
+    return noise.aligned(count * BLOCK, np.float64).reshape(count, BLOCK)
 
 
 @njit

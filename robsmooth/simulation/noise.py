@@ -164,8 +164,8 @@ def mix(z):
 
 @njit
 def aligned(size, dtype):
-    """Return an array of this type whose vectors do not lie across cache lines."""
-    room = np.empty(size + CACHE_LINE, dtype)
+    """Return zeros of this type whose vectors do not lie across cache lines."""
+    room = np.zeros(size + CACHE_LINE, dtype)
     start = -room.ctypes.data % CACHE_LINE // room.itemsize
     return room[start : start + size]
 

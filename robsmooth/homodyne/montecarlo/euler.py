@@ -104,7 +104,6 @@ def simulate_block(order, coefficients, readout, schedule, seed, first_path, res
     gaussians = noise.aligned(CHUNK * DRAWS * BLOCK, np.float32)
     state = noise.aligned((1 + len(order)) * BLOCK, coefficients.dtype)  # phase, then estimator
     delayed = noise.aligned(BLOCK, coefficients.dtype)
-    state[:] = 0
     noise.seed_paths(seed, first_path, generator)
     result[:] = 0
     advance(order, coefficients, readout, before, state, generator, gaussians, result, stop)

@@ -133,8 +133,6 @@ def simulate_block(order, pair, coefficients, readout, schedule, seed, first_pat
     state = noise.aligned(2 * (1 + n) * BLOCK, coefficients.dtype)  # phase, y, d, T
     history = noise.aligned((delay + 1) * BLOCK, coefficients.dtype)  # of the phase, a ring
     result[:] = 0
-    state[:] = 0
-    history[:] = 0
     noise.seed_paths(seed, first_path, generator)
     noise.fill_gaussians(generator, m // DRAWS, gaussians)
     for path in range(0, BLOCK, LANES):
