@@ -153,7 +153,8 @@ def simulate_block(order, pair, coefficients, readout, schedule, seed, first_pat
                 store(history, record + path, load(state, path, zero))
                 (delayed,) = load(history, before + path, zero)
                 take_step(model, draws, path, state, delayed, now >= warm_up, result)
-    result[: SLIPS * BLOCK] /= steps + 1
+    for i in range(SLIPS * BLOCK):
+        result[i] /= steps + 1
 
 
 @kept(parallel=True, nogil=True)
