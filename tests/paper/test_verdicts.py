@@ -20,6 +20,7 @@ OTHERWISE = {
     "robust filter against Kalman filter": lambda: statements.robust_against_kalman(
         simulated(**{"NGCF, time averages": 0.08})
     ),
+    "bound on the smoothed error": lambda: statements.bounds_the_smoothed("smoothed"),
     "sector": lambda: statements.sector(replace(homodyne.PAPER, beta=0.6)),
     "scaled nonlinearity": ('power_of_gamma = "1"', 'power_of_gamma = "-1"'),
     "inverse of M": lambda: statements.inverse_of_M(
@@ -138,6 +139,7 @@ def test_verdicts_are_of_the_four_kinds_and_say_why(verdicts):
         ("largest d_0", reproduction.NOT_REPRODUCED),
         ("error covariance, smoother", reproduction.NOT_REPRODUCED),
         ("error covariance, NGCF", reproduction.NOT_REPRODUCED),
+        ("bound on the smoothed error", reproduction.NOT_REPRODUCED),
         ("41%", reproduction.NOT_REPRODUCED),
         ("less sensitive", reproduction.REPRODUCED),
         ("inverse of M", reproduction.REPRODUCED),
