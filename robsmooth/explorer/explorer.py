@@ -162,12 +162,8 @@ def verdict(found: Snapshot | str) -> list[str]:
         return [waiting, JUDGING]
     errors = {name: getattr(each.with_sine, cost) for name, each in found.found.items()}
     best, tie = _best(errors)
-    return [
-        waiting,
-        _guarantee(found),
-        f"With the sine itself, the {_named(best)} has the lowest error "
-        f"here{tie}: {errors[best]:.4f} rad².",
-    ]
+    sine = f"With the sine, the {_named(best)} has the lowest error{tie}: {errors[best]:.4f} rad²."
+    return [waiting, _guarantee(found), sine]
 
 
 def _guarantee(found: Snapshot) -> str:
@@ -190,8 +186,7 @@ def _guarantee(found: Snapshot) -> str:
     deviation = found.own.with_sine.filtered**0.5
     outside = math.erfc(found.settings.parameters.sector_range() / (2.0**0.5 * deviation))
     if outside > _ESCAPES:
-        often = f"{outside:.2%} of the time"
-        parts.append(f"The sine leaves the sector {often}; no guarantee covers that.")
+        parts.append(f"For {outside:.2%} of the time the sine is outside the sector: no guarantee.")
     return " ".join(parts)
 
 

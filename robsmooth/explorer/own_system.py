@@ -87,8 +87,7 @@ def _matrix(name: str, text: str) -> Matrix:
 
 def _channel(line: str, values: dict[str, Matrix]) -> str:
     """Return the code of an uncertainty from a line such as A[0,0] 10%."""
-    found = _ENTRY.fullmatch(line)
-    if found is None:
+    if not (found := _ENTRY.fullmatch(line)):
         raise ValueError(f"an uncertain entry must be {_RULE}, got {line!r}")
     name, row, column = found[1].upper(), int(found[2]), int(found[3])
     matrix, (rows, columns) = values[name], values[name].shape

@@ -57,8 +57,7 @@ class Panel:
 def png(pixels: np.ndarray) -> bytes:
     """Return pixels as an image."""
     target = io.BytesIO()
-    quick = {"compress_level": 1}
-    mpl.image.imsave(target, pixels, format="png", pil_kwargs=quick)
+    mpl.image.imsave(target, pixels, format="png", pil_kwargs={"compress_level": 1})
     return target.getvalue()
 
 
@@ -92,8 +91,7 @@ def _sector(axes: Axes, found: Snapshot) -> dict:
         reach = side * parameters.sector_range()
         axes.axvline(reach, color="0.4", linestyle="--", linewidth=0.8)
     words = {"xlabel": "phase error (rad)", "ylabel": "detector's signal"}
-    limits = {"xlim": (-np.pi, np.pi), "ylim": (-2.0, 2.0)}
-    return words | limits
+    return words | {"xlim": (-np.pi, np.pi), "ylim": (-2.0, 2.0)}
 
 
 def _errors(axes: Axes, found: Snapshot) -> dict:

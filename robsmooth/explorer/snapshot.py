@@ -25,10 +25,12 @@ BEST_MULTIPLIERS = [1.0, 0.5, 0.0, 0.0]
 DELAYS = 1e-6 * np.linspace(0.0, 15.0, 16)  # of the curves over the delay, s
 STEP, SHOWN, BEFORE = 0.4e-6, 250, 25  # sample path: step in s, steps shown, steps before them
 SEED = 11  # of the sample path
-_HINTS = {  # where a design by hand is refused with these words
-    "a larger tau": "Move τ up. ",
-    "M(lambda) > 0": "λ₁ and λ₂ must be positive. ",
+_HINTS = {  # what to do where a design by hand is refused with these words
+    "a larger tau": "Move τ up, or the noise factor down. ",
+    "M(lambda) > 0": "Move λ₁ and λ₂ above 0. ",
     "multiplier constraint": "Move one of λ₁ to λ₄ down. ",
+    "ratios of the multipliers": "Move λ₃ and λ₄ down, or λ₁ up. ",
+    "not in lock": "Move the noise factor or κ down. ",
 }
 _MOST_STATES = 2 + 5  # the phase, and an estimator of the largest order
 DESIGNS = ("classical", "tuned", "minimax", "paper's V", "by hand")
@@ -186,8 +188,8 @@ def take_snapshot(settings: Settings, complete: bool = True) -> Snapshot | str:
         for name in (DESIGNS[0], settings.design):
             found[name] = own = _findings(replace(settings, design=name), complete)
     except refusals as refusal:
-        hints = _HINTS.items() if settings.design == "by hand" else ()
-        return "".join(hint for cause, hint in hints if cause in str(refusal)) + f"{refusal}."
+        hints = "".join(hint for cause, hint in _HINTS.items() if cause in str(refusal))
+        return f"{hints}The reason: {refusal}."
     for name in DESIGNS[:4] if complete else ():
         with suppress(*refusals):
             found[name] = found.get(name) or _findings(replace(settings, design=name), complete)
@@ -214,9 +216,7 @@ def _designed(settings: Settings) -> tuple[rs.Estimator, StatisticalLinearisatio
 def over_delays(parameters: rs.homodyne.HomodyneParameters, order: int) -> Matrix:
     """Return the optimum and the classical smoother's nominal error at each of `DELAYS`."""
     system = parameters.uncertain_system()
-    errors = [
-        (optimal_error(system, each), classical_error(system, order, each)) for each in DELAYS
-    ]
+    errors = [(optimal_error(system, d), classical_error(system, order, d)) for d in DELAYS]
     return np.array(errors).T
 
 

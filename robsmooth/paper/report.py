@@ -29,8 +29,7 @@ def write(figures: Path, data: Path) -> list[Verdict]:
 
 def write_scorecard(readme: Path, verdicts: Iterable[Verdict]) -> None:
     """Put the counts of the scorecard between its marks in the README."""
-    text = readme.read_text(encoding="utf-8")
-    before, begin, rest = text.partition(_BEGIN)
+    before, begin, rest = readme.read_text(encoding="utf-8").partition(_BEGIN)
     _, end, after = rest.partition(_END)
     if not (begin and end):
         raise ValueError(f"{readme.name} must have the marks {_BEGIN!r} and {_END!r}")
@@ -43,11 +42,9 @@ def write_scorecard(readme: Path, verdicts: Iterable[Verdict]) -> None:
 
 def scorecard(verdicts: Iterable[Verdict]) -> Table:
     """Return how many printed numbers and statements have each verdict."""
-    numbers, statements = Counter(), Counter()
-    for verdict in verdicts:
-        (statements if isinstance(verdict.value, str) else numbers)[verdict.verdict] += 1
-    rows = [(outcome, numbers[outcome], statements[outcome]) for outcome in OUTCOMES]
-    total = ("all", numbers.total(), statements.total())
+    counts = Counter((each.verdict, isinstance(each.value, str)) for each in verdicts)
+    rows = [(outcome, counts[outcome, False], counts[outcome, True]) for outcome in OUTCOMES]
+    total = ("all", sum(row[1] for row in rows), sum(row[2] for row in rows))
     columns = ("verdict", "printed numbers", "statements")
     caption = "What of the paper reproduces. Each entry of a printed matrix counts as a number."
     return Table(columns, [*rows, total], caption)

@@ -25,6 +25,7 @@ from robsmooth.explorer.snapshot import (
     DESIGNS,
     SLIDERS,
     STEP,
+    Snapshot,
     over_delays,
     sample_path,
     take_snapshot,
@@ -125,8 +126,9 @@ def test_the_code_finds_the_numbers_of_the_design(name):
 def test_where_there_is_no_design_the_code_raises_what_is_said():
     with pytest.raises(rs.InfeasibleDesignError) as refusal:
         exec(INFEASIBLE.code(), {})
-    assert f"{refusal.value}." == take_snapshot(INFEASIBLE)
-    assert verdict(take_snapshot(INFEASIBLE)) == [f"There is no design. {refusal.value}."]
+    said = take_snapshot(INFEASIBLE)
+    assert said.endswith(f"The reason: {refusal.value}.")
+    assert verdict(said) == [f"There is no design. {said}"]
 
 
 def test_a_design_by_hand_starts_at_one_that_exists():
@@ -204,9 +206,7 @@ def test_the_verdict_has_the_numbers_of_the_library():
         f"{robust.nominal / plain.nominal - 1.0:.1%} higher."
     )
     least = rs.statistical_linearisation(uncertain.parameters, classical.estimator()).smoothed
-    assert third == (
-        f"With the sine itself, the classical design has the lowest error here: {least:.4f} rad²."
-    )
+    assert third == (f"With the sine, the classical design has the lowest error: {least:.4f} rad².")
 
 
 def judged_as(found, **certified):
@@ -458,18 +458,32 @@ def test_without_a_design_the_reason_is_said_and_escaped():
 
 
 @pytest.mark.parametrize(
-    ("change", "hint"),
+    ("change", "advice", "reason", "followed"),
     [
-        ({"tau": 0.2e-6}, "There is no design. Move τ up. Assumption 3.1"),
-        ({"lambda1": 0.0}, "There is no design. λ₁ and λ₂ must be positive. M(lambda) &gt; 0"),
+        ({"tau": 0.2e-6}, "Move τ up, or the noise factor down.", "Assumption 3.1", {"tau": 2e-6}),
+        ({"tau": 0.2e-6}, "Move τ up, or the noise factor down.", "Assumption 3.1", {"noise": 0.1}),
+        ({"lambda1": 0.0}, "Move λ₁ and λ₂ above 0.", "M(lambda) &gt; 0", {"lambda1": 0.1}),
+        ({"lambda2": 1.0}, "Move one of λ₁ to λ₄ down.", "The multiplier", {"lambda2": 0.5}),
         (
-            {"lambda2": 1.0},
-            "There is no design. Move one of λ₁ to λ₄ down. The multiplier",
+            AS_PRINTED,
+            "Move λ₃ and λ₄ down, or λ₁ up.",
+            "Assumption 3.2",
+            {"lambda3": 0.0, "lambda4": 0.0, "tau": 2e-6},
+        ),
+        (
+            {"noise": 5.0, "kappa": 2.5e5, "tau": 1e-5, "lambda1": 0.01},
+            "Move the noise factor or κ down.",
+            "the loop is not in lock",
+            {"noise": 1.0, "kappa": 4e4},
         ),
     ],
 )
-def test_a_design_by_hand_that_is_refused_comes_with_advice(change, hint):
-    assert hint in values(Explorer(replace(PAPER, design="by hand", **change)))[1]
+def test_a_design_by_hand_that_is_refused_comes_with_advice_that_helps(
+    change, advice, reason, followed
+):
+    refused = replace(PAPER, design="by hand", **change)
+    assert f"There is no design. {advice} The reason: {reason}" in values(Explorer(refused))[1]
+    assert isinstance(take_snapshot(replace(refused, **followed), complete=False), Snapshot)
 
 
 def test_a_design_by_hand_starts_at_the_best_tau_of_the_settings():
