@@ -186,7 +186,7 @@ def _guarantee(found: Snapshot) -> str:
     deviation = found.own.with_sine.filtered**0.5
     outside = math.erfc(found.settings.parameters.sector_range() / (2.0**0.5 * deviation))
     if outside > _ESCAPES:
-        parts.append(f"For {outside:.2%} of the time the sine is outside the sector: no guarantee.")
+        parts.append(f"The sine leaves the sector {outside:.2%} of the time: no guarantee then.")
     return " ".join(parts)
 
 
