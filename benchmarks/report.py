@@ -119,7 +119,8 @@ def markdown(results: dict) -> str:
         "The paper's literal protocol: its loop with the printed smoother, Euler-Maruyama steps of "
         "0.01 µs.",
         tables.peers_table(results).markdown(),
-        "![How time and memory grow](scaling.png)",
+        "![Time grows in proportion to runs and to steps, memory does not grow with runs, and the "
+        "time of a step grows with the order of the delay model](scaling.png)",
         *(table.markdown() for table in tables.scale_tables(results)),
         tables.any_loop_table(results).markdown(),
         "## Records",

@@ -136,6 +136,7 @@ def shown(path: Path) -> nbformat.NotebookNode:
             lines = cell.source.splitlines()
             cell.source = "\n".join(line for line in lines if not _SET_BY_PIPELINE.match(line))
     notebook.cells = [cell for cell in notebook.cells if cell.source != "# Parameters"]
+    results.name_images(notebook.cells)
     links = f"[Inputs and results](../results.md), [the notebook as executed](path:{path.name})"
     notebook.cells.insert(1, nbformat.v4.new_markdown_cell(links, id="site-links"))
     return notebook

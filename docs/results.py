@@ -17,6 +17,8 @@ _SAVED = re.compile(r"""save_figure\([^"']*["'](\w+)["']\)""")
 _IMAGE = re.compile(r"!\[(.+?)\]\((\w+)\.png\)")
 _TABLE = re.compile(r"(?:^\|.*\n)+", flags=re.MULTILINE)
 _WIDTH = re.compile(r'<svg[^>]*?\swidth="([\d.]+)pt"')
+_LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
+_ALTERNATIVE = 240  # characters that a reader of a screen hears before the caption itself
 _POINTS = 72  # to the inch
 _COLUMN = 3.4  # inches
 
@@ -152,6 +154,27 @@ def _captions(cells: Sequence[nbformat.NotebookNode]) -> Iterator[tuple[str, str
                 yield name, caption
 
 
+def alternative(caption: str) -> str:
+    """Return the first sentences of a caption, as the text for who cannot see the figure."""
+    words = re.sub(r"\\mathrm|[$*`{}\\]", "", _LINK.sub(r"\1", caption)).replace("\n", " ")
+    first, *others = re.split(r"(?<=[.!?]) (?=[A-Z])", words)
+    if re.fullmatch(r"Fig\. *", first) and others:
+        first += f" {others.pop(0)}"
+    for sentence in others:
+        if len(first) + len(sentence) > _ALTERNATIVE:
+            break
+        first += f" {sentence}"
+    return first.strip()
+
+
+def name_images(cells: Sequence[nbformat.NotebookNode]) -> None:
+    """Give the image of each cell the text of the caption below it, for the site."""
+    for cell, below in pairwise(cells):
+        if cell.cell_type == "code" and below.source.startswith("*"):
+            caption = below.source.split("\n\n")[0].strip("*")
+            cell.metadata.setdefault("mystnb", {})["image"] = {"alt": alternative(caption)}
+
+
 def _results(
     files: Iterable[str], figures: Path, captions: Mapping[str, str]
 ) -> tuple[Result, ...]:
@@ -233,7 +256,8 @@ def _facts(run: Run) -> str:
 def _files(results: Iterable[Result]) -> str:
     rows = []
     for result in results:
-        seen = [f"![{result.stem}]({result.name}.png){{width=9em}}"] if result.is_figure else []
+        words = alternative(result.caption) if result.is_figure else ""
+        seen = [f"![{words}]({result.name}.png){{width=9em}}"] if words else []
         seen += [f"[table](#table-{result.stem})"] if result.table else []
         links = [
             f"[{suffix}]({result.name}.{suffix})"
@@ -293,7 +317,7 @@ def print_size(found: Iterable[Run], source: Path) -> str:
 
 
 def _figure(result: Result, options: Mapping[str, str], caption: str) -> str:
-    given = {"alt": result.stem, **options}
+    given = {"alt": alternative(result.caption), **options}
     lines = (
         f":::{{figure}} {result.name}.png",
         *(f":{name}: {value}" for name, value in given.items()),

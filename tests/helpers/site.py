@@ -9,18 +9,21 @@ OF_A_BROWSER = {"stylesheet", "icon", "preload", "prefetch", "modulepreload"}
 
 
 class Page(HTMLParser):
-    """A page, read: its anchors, where its links lead, what a browser loads with it, its words."""
+    """A page, read: anchors, links, what a browser loads with it, texts of images, words."""
 
     def __init__(self, path):
         super().__init__()
         self.path = path
         self.anchors, self.links, self.loaded, self.words = [], [], [], []
+        self.images = []
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag, attrs):
         attributes = dict(attrs)
         if "id" in attributes:
             self.anchors.append(attributes["id"])
+        if tag == "img":
+            self.images.append((attributes["src"], attributes.get("alt", "")))
         if tag == "a" and "href" in attributes:
             self.links.append(attributes["href"])
         if tag == "link" and OF_A_BROWSER & set(attributes["rel"].split()):

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from importlib import metadata
+from itertools import pairwise
 from pathlib import Path
 
 import nbformat
@@ -157,9 +158,52 @@ def test_the_gallery_has_each_figure_with_its_caption_and_its_notebook():
     ]
     _, title, figure = results.gallery(runs).split("\n\n", 3)[1:]
     assert title == "## How?"
-    assert figure.startswith(":::{figure} fig1.png\n:alt: fig1\n:target: notebooks/01_how.html\n")
+    head = ":::{figure} fig1.png\n:alt: A loop.\n:target: notebooks/01_how.html\n"
+    assert figure.startswith(head)
     assert "A loop. [Where it is made](notebooks/01_how.ipynb)" in results.gallery(runs)
     assert "Verdicts" not in results.gallery(runs) and "Values" not in results.gallery(runs)
+
+
+@pytest.mark.parametrize(
+    ("caption", "words"),
+    [
+        (
+            "Fig. 4. *Error* of the [NGCF](x.md).",
+            "Fig. 4. Error of the NGCF.",
+        ),
+        (r"Where $\Delta_2 = -1$ the `edge` is.", "Where Delta_2 = -1 the edge is."),
+        (f"First. {'Much ' * 60}later. Last.", "First."),
+    ],
+)
+def test_an_image_is_told_in_the_first_words_of_its_caption(caption, words):
+    assert results.alternative(caption) == words
+
+
+def saved_figures():
+    """The cells that save a figure, and the cells below them."""
+    for path in sorted(ROOT.glob("notebooks/[0-9][0-9]_*.ipynb")):
+        cells = nbformat.read(path, as_version=4).cells
+        results.name_images(cells)
+        for cell, below in pairwise(cells):
+            if cell.cell_type == "code" and "save_figure(" in cell.source:
+                yield pytest.param(cell, below, id=re.search(r'"(\w+)"\)', cell.source)[1])
+
+
+@pytest.mark.parametrize(("cell", "below"), [*saved_figures()])
+def test_each_figure_of_a_notebook_has_words_that_say_what_it_shows(cell, below):
+    words = cell.metadata["mystnb"]["image"]["alt"]
+    assert 20 < len(words) < 500
+    assert below.source.startswith("*" + words[:3]) or below.source.startswith("*$")
+    assert not set("$*\\{}\n") & set(words)
+
+
+def test_the_images_of_the_pages_have_words_that_say_what_they_show():
+    pages = [ROOT / "README.md", ROOT / "benchmarks/results.md", *build.SOURCE.rglob("*.md")]
+    texts = [path.read_text(encoding="utf-8") for path in pages]
+    images = re.findall(r"!\[(.*?)\]\(([^)]*)\)", "\n".join(texts))
+    assert len(images) >= 2
+    for words, file in images:
+        assert len(words.split()) > 8, file
 
 
 def test_the_citation_has_what_the_file_says():

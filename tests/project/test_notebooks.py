@@ -157,6 +157,13 @@ def test_the_site_shows_every_notebook_and_loads_files_of_its_own_only(site, fir
             assert file.is_file(), f"{name} loads {address}"
 
 
+def test_every_image_of_the_site_has_words_that_say_what_it_shows(site):
+    images = [image for page in site.values() for image in page.images]
+    assert len(images) > 30
+    for source, words in images:
+        assert len(words.split()) > 3 and "_images" not in words, source
+
+
 def test_the_site_does_not_say_where_it_was_made(site, first_run):
     for path in first_run.joinpath("site").rglob("*"):
         if path.suffix in {".html", ".ipynb", ".json", ".js"}:
