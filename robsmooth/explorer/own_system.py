@@ -15,14 +15,14 @@ _ENTRY = re.compile(r"(A|C2)\s*\[(\d+),\s*(\d+)\]\s+([\d.]+)\s*%", re.IGNORECASE
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 _RULE = "A[row,column] or C2[row,column], counted from zero, and a per cent: A[0,0] 10%"
 _FIELDS = {  # matrices, with what their rows are, and more
-    "A": ("how the states change (1/s)", "state"),
+    "A": ("how the states change", "state"),
     "B1": ("noise that drives each state", "state"),
     "C0": ("what to estimate", "wanted number"),
     "C2": ("what each sensor measures", "sensor"),
     "D21": ("noise of each sensor", "sensor"),
     "uncertain": ("counted from zero: A[0,0] 10%", ""),
     "against": ("the uncertain numbers", ""),
-    "delay": ("how late w may be known (s)", ""),
+    "delay": ("how late w may be known", ""),
     "order": ("states of the delay's model", ""),
 }
 _MATRICES = [*_FIELDS][:5]
@@ -38,7 +38,8 @@ EXAMPLES = {  # values of the fields but the order, as in README and `robsmooth.
 _EQUATIONS = (
     "The states x move, and w is wanted a delay after it was there; the sensors give dy:<br>"
     "<b>dx = A x dt + B1 dW,&emsp;w = C0 x,&emsp;dy = C2 x dt + D21 dW</b><br>"
-    "with independent noises dW, a column of B1 and D21 each. A row of a matrix is a line."
+    "with independent noises dW, a column of B1 and D21 each. A row of a matrix is a line. "
+    "All numbers share one unit of time, such as seconds."
 )
 _WORKING = '<span class="robsmooth-spinner"></span> Designing the smoothers: about ten seconds …'
 
@@ -55,7 +56,7 @@ def code_of(typed: dict[str, str]) -> str:
     channels = "".join(f"    {_channel(entry, values)},\n" for entry in entries)
     delay, order, against = (typed[name] for name in ("delay", "order", "against"))
     if not _NUMBER.fullmatch(delay):
-        raise ValueError(f"delay must be a number of seconds, such as 0.5 or 3, got {delay!r}")
+        raise ValueError(f"delay must be a number, such as 0.5 or 3, got {delay!r}")
     return f"""\
 import robsmooth as rs
 

@@ -31,7 +31,7 @@ class UncertainSystem(Frozen):
 
     Attributes
     ----------
-    A : (n, n) array, drift, 1/s
+    A : (n, n) array, drift, 1/s; here and in messages, s is the unit of time that you choose
     B1 : (n, q) array, process noise intensity; `W` are independent standard Wiener processes
     C0 : (m, n) array, the outputs to estimate, w = C0 x
     C2 : (l, n) array
