@@ -47,15 +47,14 @@ class RecordCheck(Frozen):
         """The result in words; its false-alarm rate is 1%."""
         found = []
         if self.p_mean < _LEVEL / 3.0:
-            found.append("their mean is not zero (an offset, or a known input left out)")
+            found.append("have a mean that is not zero (an offset, or a known input left out)")
         if self.p_mean_square < _LEVEL / 3.0:
-            more = "larger" if self.mean_square > 1.0 else "smaller"
-            found.append(f"they are {more} than it says, by {self.mean_square**0.5:.3g} times")
+            found.append(f"are {self.mean_square**0.5:.3g} times as large as the model says")
         if self.p_white < _LEVEL / 3.0:
-            found.append("they are correlated in time (a rate, a gain or a state is wrong)")
+            found.append("are correlated in time (a rate, a gain or a state is wrong)")
         if not found:
             return "The record agrees with the model."
-        return f"The record does not agree with the model. Of the innovations: {'; '.join(found)}."
+        return f"The record does not agree with the model: its innovations {' and '.join(found)}."
 
     def __repr__(self) -> str:
         p = f"p_mean={self.p_mean:.2g}, p_mean_square={self.p_mean_square:.2g}"
@@ -118,8 +117,8 @@ def check_record(
     >>> system = rs.UncertainSystem([[-1.0]], [[1.0, 0.0]], [[1.0]], [[1.0]], [[0.0, 0.1]])
     >>> smoother = rs.baselines.kalman_bucy(system).discretize(dt=0.01)
     >>> y = 2.0 * np.random.default_rng(0).standard_normal((5000, 1))
-    >>> rs.check_record(smoother, y).sentence[:44]
-    'The record does not agree with the model. Of'
+    >>> rs.check_record(smoother, y).sentence[:56]
+    'The record does not agree with the model: its innovation'
     """
     validation.instance("smoother", smoother, DiscreteSmoother)
     z = smoother.innovations(y, reference=reference, inputs=inputs)

@@ -35,7 +35,6 @@ _STYLE = """<style>
 .robsmooth-old { opacity: 0.5; transition: opacity 0.2s 0.3s; }
 </style>"""
 _WRAPPED = {"flex_flow": "row wrap"}
-_ESCAPES = 1e-3  # of the time, beyond the sector: more is said
 
 
 class Explorer:
@@ -185,7 +184,7 @@ def _guarantee(found: Snapshot) -> str:
         parts.append(f"Without uncertainty the error of the lowest is {more}.")
     deviation = found.own.with_sine.filtered**0.5
     outside = math.erfc(found.settings.parameters.sector_range() / (2.0**0.5 * deviation))
-    if outside > _ESCAPES:
+    if outside > 1e-3:  # of the time
         parts.append(f"The sine leaves the sector {outside:.2%} of the time: no guarantee then.")
     return " ".join(parts)
 
