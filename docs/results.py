@@ -156,7 +156,9 @@ def _captions(cells: Sequence[nbformat.NotebookNode]) -> Iterator[tuple[str, str
 
 def alternative(caption: str) -> str:
     """Return the first sentences of a caption, as the text for who cannot see the figure."""
-    words = re.sub(r"\\mathrm|[$*`{}\\]", "", _LINK.sub(r"\1", caption)).replace("\n", " ")
+    words = _LINK.sub(r"\1", caption).replace("\n", " ")
+    words = words.replace(r"\ge", "≥").replace(r"\le", "≤").replace(r"\mathrm", "")
+    words = re.sub(r"[$*`{}\\]", "", re.sub(r"(?<=[A-Za-z])\\", " ", words))
     first, *others = re.split(r"(?<=[.!?]) (?=[A-Z])", words)
     if re.fullmatch(r"Fig\. *", first) and others:
         first += f" {others.pop(0)}"

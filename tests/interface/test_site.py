@@ -172,6 +172,7 @@ def test_the_gallery_has_each_figure_with_its_caption_and_its_notebook():
             "Fig. 4. Error of the NGCF.",
         ),
         (r"Where $\Delta_2 = -1$ the `edge` is.", "Where Delta_2 = -1 the edge is."),
+        (r"Here $\hat\phi \ge 0$.", "Here hat phi ≥ 0."),
         (f"First. {'Much ' * 60}later. Last.", "First."),
     ],
 )
