@@ -36,8 +36,11 @@ def test_every_link_of_the_page_on_an_index_is_absolute_and_leads_to_a_file(chec
     for address in found:
         assert re.match(r"https?://", address)
         for home in (f"github.com/someone/robsmooth/blob/{TAG}/", f"someone/robsmooth/{TAG}/"):
-            _, _, path = address.partition(home)
+            path, _, heading = address.partition(home)[2].partition("#")
             assert (ROOT / path).exists()
+            if heading:
+                text = (ROOT / path).read_text(encoding="utf-8").lower().replace(" ", "-")
+                assert f"#-{heading}\n" in text
     images = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", page)
     assert images and all(each.startswith("https://raw.githubusercontent.com/") for each in images)
 
