@@ -117,8 +117,7 @@ def lag_sweep(
         raise TypeError(f"{rule}: {validation.line(error)}") from error
     errors = np.array([(case.nominal, case.mean_square) for case in cases]).T
     errors = errors.reshape(2, len(orders), len(lags))
-    optimal = np.array([optimal_error(system, lag) for lag in lags])
-    return LagSweep(lags, orders, *errors, optimal)
+    return LagSweep(lags, orders, *errors, np.array([optimal_error(system, lag) for lag in lags]))
 
 
 @one_thread

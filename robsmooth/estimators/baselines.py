@@ -192,8 +192,7 @@ def worst_optimal_error(system: UncertainSystem, delay: float) -> float:
         A, C2, ends = system.A, system.C2, np.cumsum(sizes)[:-1]
         for (c, size), part, shape in zip(channels, np.split(entries, ends), shapes, strict=True):
             A, C2 = with_feedback(A, C2, c, size * cut_at_one(part.reshape(shape)) @ c.C)
-        known = replace(system, A=A, C2=C2)
-        return -math.log(np.trace(optimal_fixed_lag_error(known, delay)))
+        return -math.log(np.trace(optimal_fixed_lag_error(replace(system, A=A, C2=C2), delay)))
 
     corners = np.random.default_rng(0).choice((-1.0, 1.0), (_CORNERS, sum(sizes)))
     starts = np.vstack([np.zeros(sum(sizes)), np.unique(np.vstack([corners, -corners]), axis=0)])

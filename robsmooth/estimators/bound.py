@@ -224,8 +224,7 @@ def log_bound(problem: DesignProblem, theta: np.ndarray) -> float:
         spectrum = np.linalg.eigvalsh(Y)
         if spectrum[0] < -conditions.EQUALITY_SLACK * np.abs(spectrum).max():
             return math.inf
-        X = stabilising(*equations.equation_X(), _STABILITY_MARGIN)
-        *_, v, _ = equations.solution(X, Y)
+        *_, v, _ = equations.solution(stabilising(*equations.equation_X(), _STABILITY_MARGIN), Y)
         if np.isfinite(v):
             return float(np.log(max(v, np.finfo(float).tiny)))
     return math.inf

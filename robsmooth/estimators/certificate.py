@@ -73,8 +73,7 @@ class ConstraintProblem:
         self.forbidding = ~N.any(axis=(1, 2)) & ~seen
         self.active = ~self.forbidding & ~seen & kept
         allowed = null_space(M[self.forbidding].sum(axis=0))
-        between = allowed.T @ M[self.active].sum(axis=0) @ allowed
-        unbounded = null_space(between)
+        unbounded = null_space(allowed.T @ M[self.active].sum(axis=0) @ allowed)
         self.free = allowed @ null_space(unbounded.T)
         self.inputs, self.unbounded = loop.inputs @ self.free, loop.inputs @ allowed @ unbounded
         self.M, self.N = self.free.T @ M[self.active] @ self.free, N[self.active]
@@ -171,8 +170,7 @@ def _largest_fraction(problem: ConstraintProblem, theta: Matrix) -> tuple[float,
     if not np.linalg.eigvals(problem.A).real.max() < 0.0:
         return 0.0, NONE
     fraction, step = 0.0, 1.0
-    positive = theta.size and theta.all()
-    theta = theta[problem.active] if positive else problem.initial_multipliers()
+    theta = theta[problem.active] if theta.size and theta.all() else problem.initial_multipliers()
     while fraction < 1.0 and step > _SMALLEST_STEP:  # each theta is the start of the next
         trial = min(1.0, fraction + step)
         for feasible in np.multiply.outer(_MULTIPLES, theta):

@@ -49,8 +49,7 @@ def of_measurements(plant: AugmentedSystem) -> np.ndarray:
 
 def multiplier_level(plant: AugmentedSystem, multipliers: Sequence[float]) -> float:
     """Return the largest eigenvalue of J'MJ, at most 1 by (eqcons)."""
-    level = plant.J.T @ plant.M(multipliers) @ plant.J
-    return float(np.linalg.eigvalsh(level).max(initial=0.0))
+    return float(np.linalg.eigvalsh(plant.J.T @ plant.M(multipliers) @ plant.J).max(initial=0.0))
 
 
 def check_multipliers(plant: AugmentedSystem, multipliers: np.ndarray, limit: bool) -> None:

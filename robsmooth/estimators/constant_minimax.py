@@ -81,8 +81,7 @@ def constant_minimax_smoother(
     natural = Natural.of(plant, output)
     drifts = natural.drift.V.size > 0  # then the error is that against the delay model's output
     loop_of = model_loop if drifts else partial(open_loop, output="smoothed", loop="real")
-    candidates = _candidates(natural.plant)
-    found = [(*worst_delta(loop_of(each), _STARTS), each) for each in candidates]
+    found = [(*worst_delta(loop_of(each), _STARTS), each) for each in _candidates(natural.plant)]
     start = min(found, key=itemgetter(0))
     if math.isinf(start[0]):
         raise InfeasibleDesignError(

@@ -256,8 +256,7 @@ class DiscreteSmoother(Exports):
         if validation.boolean("return_std", return_std):
             self._exact("return_std")
         validation.choice("output", output, OUTPUTS)
-        given = self._given(y, reference, inputs, intervals)
-        found, spread = self._take(given, output, return_std)
+        found, spread = self._take(self._given(y, reference, inputs, intervals), output, return_std)
         return (found, spread) if return_std else found
 
     def two_sided(self, y: ArrayLike, **beside: ArrayLike | None) -> Pair:

@@ -227,8 +227,7 @@ class _SampledModel:
         root = lyapunov.noise_root(gain, self._noise, time)
         at_end = self._readout(self._gain, length) @ expm((length - time) * gain) @ root
         model = np.hstack([step, self._drive(held, time / length * ramp)])
-        noise = root[:n] @ np.vstack([root[:n], at_end]).T
-        return model, expm(time * self._gain.A), noise
+        return model, expm(time * self._gain.A), root[:n] @ np.vstack([root[:n], at_end]).T
 
 
 def _slots(memory: Memory, ring: int) -> NDArray[np.int64]:

@@ -107,8 +107,7 @@ def reference_outputs(estimator: Estimator, reference: Reference) -> Matrix:
                 rows[i] = _argument_weights(system, i) @ read_outs[name]
     elif reference is not None:
         rows = validation.matrix("reference", reference, rows.shape)
-    runs = estimator.B_c[:, system.l :].any(axis=0)
-    rows = np.vstack([rows, rows * runs[:, None]])
+    rows = np.vstack([rows, rows * estimator.B_c[:, system.l :].any(axis=0)[:, None]])
     return np.pad(rows, ((sum(estimator.plant.output_sizes) - len(rows), 0), (0, 0)))
 
 

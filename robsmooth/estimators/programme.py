@@ -43,8 +43,7 @@ def _channels(plant: AugmentedSystem) -> list[_Channel]:
 
 def copies_are_known(plant: AugmentedSystem) -> bool:
     """Return whether no uncertainty sees the states that the copies' outputs drive."""
-    channels = _channels(plant)
-    seen = np.vstack([np.zeros((0, plant.n)), *(c.C for c in channels if not c.copied)])
+    seen = np.vstack([np.zeros((0, plant.n)), *(c.C for c in _channels(plant) if not c.copied)])
     return not reaches(plant.A_p, plant.known[0], seen)
 
 

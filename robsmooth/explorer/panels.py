@@ -88,8 +88,7 @@ def _sector(axes: Axes, found: Snapshot) -> dict:
     density = np.exp(-(error**2) / (2.0 * found.own.with_sine.filtered))
     axes.fill_between(error, -2.0, 0.9 * density - 2.0, color="0.75", linewidth=0, label="errors")
     for side in (-1.0, 1.0):
-        reach = side * parameters.sector_range()
-        axes.axvline(reach, color="0.4", linestyle="--", linewidth=0.8)
+        axes.axvline(side * parameters.sector_range(), color="0.4", linestyle="--", linewidth=0.8)
     words = {"xlabel": "phase error (rad)", "ylabel": "detector's signal"}
     return words | {"xlim": (-np.pi, np.pi), "ylim": (-2.0, 2.0)}
 

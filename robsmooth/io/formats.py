@@ -192,8 +192,7 @@ class Chunks(Record):
 
     def __init__(self, chunks: Iterator[Any]) -> None:
         self._rest = map(in_memory, chunks)
-        none = Array(np.empty((0, 0)))
-        self._head = next((part for part in self._rest if part.size != 0), none)
+        self._head = next((part for part in self._rest if part.size != 0), Array(np.empty((0, 0))))
         for name in ("width", "names", "index", "dates"):
             setattr(self, name, getattr(self._head, name))
 

@@ -115,8 +115,7 @@ def signed_design(tau: float, multipliers: Matrix, sign: float = -1.0) -> tuple[
     plant = paper_plant()
     equations = design_equations(plant, tau, multipliers)
     X = solve_riccati(*equations.equation_X(quadratic_sign=sign))
-    Y = solve_riccati(*equations.equation_Y)
-    A_c, B_c, C_c, bound, _ = equations.gains(X.X, Y.X)
+    A_c, B_c, C_c, bound, _ = equations.gains(X.X, solve_riccati(*equations.equation_Y).X)
     # the paper prints no C_a; the plant's reads out the smoothed estimate
     return Estimator(plant=plant, A_c=A_c, B_c=B_c, C_c=C_c, C_a=plant.C_a, C_f=C_c[:1]), bound
 

@@ -236,8 +236,7 @@ def advance_block(scheme, calls, checks, memory, run, path, start, count, record
                 add_product(signals_of, z, zeros, records[now - start - 1])
         add_product(signals_of, z, zeros, signals)
         growth = np.exp(growth_rate * step * (before + now))
-        counted = signals[:, : run[4] - path]
-        found = find_divergence(counted, sizes, first == -before, growth)
+        found = find_divergence(signals[:, : run[4] - path], sizes, first == -before, growth)
         if found >= 0:
             diverged[0], diverged[1] = path + found, now
             return

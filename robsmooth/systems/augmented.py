@@ -119,8 +119,7 @@ class AugmentedSystem(Frozen):
     def M(self, multipliers: ArrayLike) -> Matrix:
         """Return M(lambda), the sum of lambda_i M_i."""
         multipliers = validation.matrix("multipliers", multipliers, [len(self.M_i)])
-        zero = np.zeros([sum(self.input_sizes)] * 2)
-        return sum(map(np.multiply, multipliers, self.M_i), zero)
+        return sum(map(np.multiply, multipliers, self.M_i), np.zeros([sum(self.input_sizes)] * 2))
 
     @cached_property
     def J(self) -> Matrix:

@@ -96,8 +96,7 @@ def sector(function: Function, reach: float) -> Sector:
     if not upper - lower > _FLAT * max(abs(lower), abs(upper)):
         line = f"a line of slope {upper:.5g}, which belongs into A and C2"
         raise ValueError(f"function must not be linear, got {line}")
-    middle = (lower + upper) / 2
-    return Sector(function, reach, lower, upper, middle, (upper - lower) / 2)
+    return Sector(function, reach, lower, upper, (lower + upper) / 2, (upper - lower) / 2)
 
 
 def _largest(slopes: Matrix) -> float:
