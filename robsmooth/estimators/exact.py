@@ -44,7 +44,7 @@ class ExactFilter(Engine):
         super().__init__(functions, self._model.arguments, shift)
         y, reference, inputs, _ = self._model.nothing(1)
         self._row = y, inputs, reference
-        self.states, self._C0 = self._model.n, np.ascontiguousarray(estimator.nominal[0].C0)
+        self.states, self._C0 = self._model.n, np.array(estimator.nominal[0].C0, order="C")
         self._even = self._model.sampled([dt])
         ratio = self._delay / dt
         self.samples_back = math.ceil(ratio - MULTIPLE_TOLERANCE)

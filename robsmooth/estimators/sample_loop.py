@@ -279,9 +279,9 @@ def step(
     rings = states, covariances, closed, seen, innovations, intervals, lost
     memory = Memory(*rings, pattern, counts, now, now, states[-1])
     reading = Reading(readout, lags, times, Within(within_model, within_gain, within_noise))
-    kinds = np.empty(0, dtype=np.int64)
     given, results = (y, inputs, reference), (result, result[:0], y[:0])
-    return advance(functions, arguments, sampled, kinds, memory, reading, given, results, 0, 1)
+    kinds, rows = np.empty(0, dtype=np.int64), (np.int64(0), np.int64(1))  # typed as elsewhere
+    return advance(functions, arguments, sampled, kinds, memory, reading, given, results, *rows)
 
 
 @kept()
