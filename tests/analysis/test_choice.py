@@ -26,8 +26,12 @@ SYSTEMS = {
 
 
 @cache
-def choice(name, against="admissible", output="smoothed"):
+def _made_once(name, against, output):
     return rs.best_smoother(rs.augment(*SYSTEMS[name]), against, output)
+
+
+def choice(name, against="admissible", output="smoothed"):
+    return _made_once(name, against, output)  # a cache tells defaults from what is given
 
 
 def made(found, name="minimax", against="admissible"):
