@@ -18,7 +18,7 @@ from robsmooth.simulation.loop import Steps, nonlinear_loop
 
 PATHS = 512
 NUMPY = "NumPy, one thread"
-ROUNDS, QUICK = 9, 3
+ROUNDS, QUICK = 9, 1
 
 
 def numpy_errors(smoother: rs.Estimator, result: rs.SimulationResult, runs: int, seed: int) -> list:

@@ -22,7 +22,7 @@ from robsmooth.paper import published
 from robsmooth.simulation.groups import GROUPS_OF_A_CALL
 
 RUNS, RUN_STEPS = 65_536, 5000  # eight calls, of the largest groups of paths that there are
-QUICK_RUNS = 8192
+QUICK_RUNS = 2048
 EMPTY_CALLS, QUICK_EMPTY_CALLS = 1000, 100
 SIZES = (5e9, 1e12, 1e13, 1e14, 1e15)  # path-steps; the first is the published simulation
 ASSUMED = (
