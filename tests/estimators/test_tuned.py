@@ -99,13 +99,13 @@ def test_it_is_never_worse_than_the_classical_smoother_of_a_random_system(seed, 
 
 
 @pytest.mark.parametrize("against", AGAINST)
-@pytest.mark.parametrize("time", [1e-9, 1e9])
-def test_it_does_not_depend_on_units(time, against):
+def test_it_does_not_depend_on_units(against):
     system = cancelling(DRIVE, GAIN)
-    here = tuned_fixed_lag_smoother(rs.augment(system, 1.0, 1), against)
-    other = in_other_units(system, time, [1e6, 1e-5], [1e4])
-    there = tuned_fixed_lag_smoother(rs.augment(other, 1.0 / time, 1), against)
-    assert_allclose(ERRORS[against](there), ERRORS[against](here), rtol=1e-3)
+    here = ERRORS[against](tuned_fixed_lag_smoother(rs.augment(system, 1.0, 1), against))
+    for time in (1e-9, 1e9):
+        other = in_other_units(system, time, [1e6, 1e-5], [1e4])
+        there = tuned_fixed_lag_smoother(rs.augment(other, 1.0 / time, 1), against)
+        assert_allclose(ERRORS[against](there), here, rtol=1e-3)
 
 
 @pytest.mark.parametrize("against", AGAINST)
