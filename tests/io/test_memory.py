@@ -304,7 +304,8 @@ def test_an_iterator_keeps_the_kind_of_its_times():
 def test_floats_that_cannot_tell_samples_apart_are_refused():
     times = 1.7e9 + 1e-7 * np.arange(6)
     frame = pd.DataFrame(np.column_stack([times, Y[:6]]), columns=["t", "I", "Q"])
-    smoother = discrete().estimator.discretize(1e-7)
+    system = discrete().estimator.plant.system  # with a short delay: the ring of samples is small
+    smoother = baselines.fixed_lag_smoother(system, 1e-6, 2).discretize(1e-7)
     with pytest.raises(ValueError, match="do not tell samples of 1e-07 s apart: give dates"):
         smooth_record(smoother, frame, time="t", regular=False)
 
