@@ -20,7 +20,8 @@ from robsmooth.estimators.loop import OpenLoop, drifting_error, open_loop, scale
 
 _ITERATIONS = 200
 _LONGEST_STEP, _SHORTEST_STEP = 1e3, 1e-9  # relative to the unit ball
-_CHANGE = 1e-13  # of the error, relative: less is rounding
+_ROUGH = 1e-5  # of the error, relative: three steps that gain less end the search from a start
+_FINE = 1e-13  # the same from the best end: less is rounding
 _DIFFERENCE = 1e-6
 _STEEP = 1e100  # stands for an infinite slope
 _STEPS_WITHOUT_GAIN = 3  # in a row: then the search ends
@@ -61,14 +62,15 @@ def slopes(loop: OpenLoop, Delta: Matrix) -> tuple[float, Slopes]:
 
 
 def worst_delta(loop: OpenLoop, starts: int) -> tuple[float, Matrix]:
-    """Return the largest mean square error that a search finds, and its Delta."""
+    """Return the largest error of a rough search from each start and a fine one, and its Delta."""
     largest, worst = -math.inf, None
     for start in _starts(loop, starts):
-        value, blocks = _ascent(loop, start)
+        value, blocks = _ascent(loop, start, _ROUGH)
         if value > largest:
             largest, worst = value, blocks
         if math.isinf(value):
             break
+    largest, worst = _ascent(loop, worst, _FINE)
     return largest, loop.assemble(worst)
 
 
@@ -124,7 +126,7 @@ def _slopes_in_blocks(loop: OpenLoop, blocks: list[Matrix]) -> list[Matrix]:
     return result
 
 
-def _ascent(loop: OpenLoop, blocks: list[Matrix]) -> tuple[float, list[Matrix]]:
+def _ascent(loop: OpenLoop, blocks: list[Matrix], least: float) -> tuple[float, list[Matrix]]:
     """Return the error that a projected gradient search reaches, and its blocks."""
     value, step, without_gain = mean_square(loop, loop.assemble(blocks)), 1.0, 0
     moved = True
@@ -138,10 +140,10 @@ def _ascent(loop: OpenLoop, blocks: list[Matrix]) -> tuple[float, list[Matrix]]:
             for block, gradient in zip(blocks, gradients, strict=True)
         ]
         found = mean_square(loop, loop.assemble(trial))
-        moved = found >= (1.0 - _CHANGE) * value
+        moved = found >= (1.0 - _FINE) * value
         if not moved:
             step /= 4.0
             continue
-        without_gain = 0 if found > (1.0 + _CHANGE) * value else without_gain + 1
+        without_gain = 0 if found > (1.0 + least) * value else without_gain + 1
         value, blocks, step = found, trial, min(3.0 * step, _LONGEST_STEP)
     return value, blocks

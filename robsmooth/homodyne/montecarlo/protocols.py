@@ -173,8 +173,7 @@ class ErgodicSimulation(Simulation):
         errors = outputs[splitting.ERRORS]
         excess = outputs[splitting.CONTROLS] - self.control[:, None]
         # The last bits of BLAS depend on the number of paths and on its threads.
-        weighted = (self.weights[:, :, None] * excess).sum(axis=1)
-        return np.vstack([errors, errors - weighted])
+        return np.vstack([errors, errors - (self.weights[:, :, None] * excess).sum(axis=1)])
 
 
 PROTOCOLS: dict[str, type[Simulation]] = {"ergodic": ErgodicSimulation, "paper": PaperSimulation}
