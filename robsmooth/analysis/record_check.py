@@ -145,7 +145,6 @@ def _correlations(values: Matrix, seen: NDArray[np.bool_], lag: int) -> Matrix:
     """Return the correlations at a lag, NaN where pairs are too few."""
     pairs = seen[lag:].T.astype(float) @ seen[:-lag]
     size = np.sqrt((values**2).sum(axis=0) / seen.sum(axis=0))
-    few = (pairs < _PAIRS * values.shape[1]) | (5 * lag > len(values))
-    enough = np.where(few, np.nan, pairs)
+    enough = np.where((pairs < _PAIRS * values.shape[1]) | (5 * lag > len(values)), np.nan, pairs)
     with np.errstate(invalid="ignore", divide="ignore"):
         return values[lag:].T @ values[:-lag] / np.outer(size, size) / np.sqrt(enough)

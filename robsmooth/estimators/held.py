@@ -87,8 +87,7 @@ class HeldEstimator(Engine):
                 part = given.y[first:last], state, reading.readout, result[first:last]
                 return hold(self._sizes, self._transposed, *part)
 
-            finite = in_parts(take, len(missing), self.states**2)
-            self._functions.check(finite, "the estimate")
+            self._functions.check(in_parts(take, len(missing), self.states**2), "the estimate")
         else:
             samples = given.y[:, :0], np.where(missing, 0.0, given.y), given.reference
             results = result, result[:0], given.y[:0]

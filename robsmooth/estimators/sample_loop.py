@@ -202,8 +202,11 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
             memory.closed[now], memory.seen[now], memory.lost[now] = closed, seen, lost
             closed, seen = memory.closed[now], memory.seen[now]
             memory.pattern[:], memory.intervals[now] = present, sampled.interval[kind]
-            sizes = np.sqrt(np.outer(np.diag(P), np.diag(P)))
-            counts[1] = (np.abs(after - P) <= _STEADY * sizes).all()
+            counts[1] = 1
+            for i in range(n):
+                for j in range(n):
+                    if not abs(after[i, j] - P[i, j]) <= _STEADY * np.sqrt(P[i, i] * P[j, j]):
+                        counts[1] = 0
             P[:] = after
         else:
             counts[1] += 1
@@ -211,7 +214,8 @@ def advance(functions, arguments, sampled, kinds, memory, reading, given, result
             state[i] = following[i]
         counts[0] += 1
         if len(normalised):
-            normalised[k] = np.where(present, z, np.nan)
+            for i in range(l):
+                normalised[k, i] = z[i] if present[i] else np.nan
         if counts[2] == NEVER:
             _determine(memory, z)
             normalised[k : k + 1] = np.nan

@@ -188,8 +188,7 @@ def _choice(
         times = [record.index]
     clock = times[0] if times else None
     measured = _positions(record, "columns", columns, smoother.l)
-    used = {*known, *times, *measured, record.index}
-    rest = [i for i in range(record.width) if i not in used]
+    rest = [i for i in range(record.width) if i not in {*known, *times, *measured, record.index}]
     if time is None and clock is None:
         times = [i for i in rest if i in record.dates or _rises_evenly(record, i)][:1]
     if columns is None:

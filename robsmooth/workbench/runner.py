@@ -249,8 +249,7 @@ def _unchanged(run: Request, digests: Mapping[str, str]) -> dict[str, str]:
 def _fresh(task: Task) -> tuple[str, ...] | None:
     """Return the files of the last run if it need not be repeated, else None."""
     key, digests = _stored(task.stamp)
-    same = key == task.key and _unchanged(task.run, digests) == digests
-    return tuple(digests) if same else None
+    return tuple(digests) if key == task.key and _unchanged(task.run, digests) == digests else None
 
 
 def _start(task: Task) -> processes.Execution:
