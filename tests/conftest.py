@@ -1,5 +1,6 @@
 """What tests share: reproducible property tests, one BLAS thread, and a run of all notebooks."""
 
+import signal
 import sys
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from threadpoolctl import threadpool_limits
 from tests.helpers.runs import once, quick
 
 TESTS = Path(__file__).parent
+# A shell that starts the tests in the background ignores Ctrl-C for them, and for all they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 settings.register_profile(
     "robsmooth",
     deadline=None,  # the first call of a solver pays for its import

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import LinAlgError, schur
-from scipy.linalg.lapack import dgebal, dtrsyl
+from scipy.linalg.lapack import dgebal
 
+from robsmooth._numerics.schur import SchurForm
 from robsmooth._support.blas import one_thread
 from robsmooth._support.validation import Frozen, Matrix
 
@@ -21,7 +22,7 @@ RESIDUAL_TOLERANCE = 1e-8
 ERROR_TOLERANCE = 1e-6
 _NEARLY_LINEAR = 1e-5  # the square root of the relative effect of the quadratic part
 _REFINEMENTS = 20
-_ROUNDING = 1e-15  # a step smaller than this, relative to the solution, is the last
+_LAST = 1e-12  # a step smaller than this, relatively, is the last: the next is its square
 _LARGEST = 1e75  # a norm, so that products of four stay within the floats
 
 
@@ -105,20 +106,15 @@ def _refine(A: Matrix, Q: Matrix, S: Matrix, X: Matrix) -> tuple[Matrix, float]:
     """Iterate Newton's method until rounding; return the solution and the last step's size."""
     X, error = (X + X.T) / 2, np.inf
     for _ in range(_REFINEMENTS):
-        closed = A - S @ X
-        if not np.isfinite(closed).all():
-            raise RiccatiError("the solver returned entries that are not finite")
-        T, U = schur(closed.T)
-        _check_stability(T.diagonal().max())  # the real parts are on a real Schur form's diagonal
-        # the step Z solves closed' Z + Z closed + residual = 0
-        Z, scale, _ = dtrsyl(T, T, -U.T @ _residual(A, Q, S, X) @ U, tranb="T")
-        Z = U @ (Z / scale) @ U.T
+        closed = SchurForm(A - S @ X)
+        _check_stability(closed.poles.real.max())
+        Z = closed.lyapunov(_residual(A, Q, S, X), transposed=True)
         step = (Z + Z.T) / 2
         size = np.linalg.norm(step) / (np.linalg.norm(X + step) or 1.0)
         if size > error / 2 and error < ERROR_TOLERANCE:
             break  # what is left is rounding
         X, error = X + step, size
-        if error < _ROUNDING:
+        if error < _LAST:
             break
     return X, float(error)
 

@@ -84,16 +84,16 @@ def analysis_bound(
     opened, plant = open_loop(smoother, output, loop), smoother.plant
     if not opened.delay:
         return _least_bound(opened, plant)
-    # the own delay model has nearly the same multipliers, at less cost
+    # the own delay model has a bound where a finer one has, and nearly the same multipliers
     found, before = _least_bound(model_loop(smoother, loop), plant), 0.0
     for order in _DELAY_ORDERS:
+        if math.isinf(found.mean_square):
+            return found
         finer = augment(plant.system, plant.delay, order, J_21=plant.J_21)
         modelled = replace(smoother, plant=finer)
         model = model_loop(modelled, loop)
         found = _least_bound(model, plant, found.multipliers)
-        if math.isinf(found.mean_square):
-            return found
-        if abs(before - found.mean_square) <= _AGREEMENT * found.mean_square:
+        if abs(before - found.mean_square) <= _AGREEMENT * min(before, found.mean_square):
             both = model, open_loop(modelled, output, loop)
             closed = (scaled(replace(each, outputs=found.feedback))[0] for each in both)
             error, exact = (mean_square(each, np.eye(len(found.feedback))) for each in closed)

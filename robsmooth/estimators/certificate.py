@@ -11,11 +11,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, block_diag, null_space, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, block_diag, null_space
 from scipy.optimize import minimize
 
 from robsmooth._numerics.modes import hardly_decays, is_stable, separations
 from robsmooth._numerics.riccati import RiccatiError, solve_riccati
+from robsmooth._numerics.schur import SchurForm
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
@@ -88,7 +89,7 @@ class ConstraintProblem:
         if through > _NEGLIGIBLE * np.linalg.norm(P) * np.linalg.norm(self.loop.inputs):
             raise RiccatiError("inputs without a bound have an effect on the error")
         feedback = gain @ P
-        covariance = solve_continuous_lyapunov(self.A + self.inputs @ feedback, -self.B @ self.B.T)
+        covariance = SchurForm(self.A + self.inputs @ feedback).lyapunov(self.B @ self.B.T)
         allowed = fraction * np.tensordot(self.N, covariance, axes=2)
         used = np.tensordot(self.M, feedback @ covariance @ feedback.T, axes=2) / fraction
         both, between = 2.0 * P @ covariance, np.tensordot(theta, self._between_outputs, axes=1)
@@ -104,8 +105,9 @@ class ConstraintProblem:
 
     def initial_multipliers(self) -> np.ndarray:
         """Return the best theta for a vanishing uncertainty, each constraint by itself."""
-        P = solve_continuous_lyapunov(self.A.T, -self.C.T @ self.C)
-        covariance = solve_continuous_lyapunov(self.A, -self.B @ self.B.T)
+        form = SchurForm(self.A)
+        P = form.lyapunov(self.C.T @ self.C, transposed=True)
+        covariance = form.lyapunov(self.B @ self.B.T)
         largest = np.trace(self.N, axis1=1, axis2=2) * np.trace(covariance)
         allowed = np.maximum(np.tensordot(self.N, covariance, axes=2), _LEAST_ENERGY * largest)
         sensitivity = self.inputs.T @ P

@@ -9,9 +9,10 @@ from collections.abc import Iterator
 from contextlib import suppress
 
 import numpy as np
-from scipy.linalg import expm, expm_frechet, solve_continuous_lyapunov
+from scipy.linalg import expm
 
 from robsmooth._numerics.modes import hardly_decays, is_stable
+from robsmooth._numerics.schur import SchurForm
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.descent import Slopes
@@ -30,29 +31,33 @@ _STEPS_WITHOUT_GAIN = 3  # in a row: then the search ends
 def mean_square(loop: OpenLoop, Delta: Matrix) -> float:
     """Return the mean square error, or infinity where it has no limit."""
     A = loop.A + loop.inputs @ Delta @ loop.outputs
-    if not hardly_decays(A):
-        return _moments(loop, A)[0]
-    with suppress(UnstableLoopError):
-        error, _ = drifting_error(A, loop.B, loop.truth, loop.estimate, loop.delay)
-        return float(np.trace(error))
-    return _moments(loop, A)[0] if is_stable(A) else math.inf
+    form = SchurForm(A)
+    if hardly_decays(form):
+        with suppress(UnstableLoopError):
+            error, _ = drifting_error(A, loop.B, loop.truth, loop.estimate, loop.delay)
+            return float(np.trace(error))
+        if not is_stable(form):
+            return math.inf
+    return _error(loop, form.lyapunov(loop.B @ loop.B.T), expm(loop.delay * A))
 
 
 def slopes(loop: OpenLoop, Delta: Matrix) -> tuple[float, Slopes]:
     """Return the error and its slopes, or raise an ArithmeticError for an unstable loop."""
     A = loop.A + loop.inputs @ Delta @ loop.outputs
-    if not is_stable(A):
+    form = SchurForm(A)
+    if not is_stable(form):
         raise ArithmeticError("the loop is not stable")
-    value, P, through, after = _moments(loop, A)
-    truth, estimate, delay = loop.truth, loop.estimate, loop.delay
-    mixed = truth.T @ after
+    P = form.lyapunov(loop.B @ loop.B.T)
+    truth, estimate, delay, N = loop.truth, loop.estimate, loop.delay, len(A)
+    # the exponential of this matrix has the derivative of that of A' in its corner
+    both = np.block([[A.T, estimate.T @ truth @ P], [np.zeros_like(A), A.T]])
+    both = expm(delay * both)
+    through, derivative = both[:N, :N].T, both[:N, N:]
+    mixed = truth.T @ estimate @ through
     weight = truth.T @ truth + estimate.T @ estimate - mixed - mixed.T
-    S = solve_continuous_lyapunov(A.T, -weight)
-    drift = 2.0 * S @ P
-    if delay > 0.0:
-        mixed = estimate.T @ truth @ P
-        drift -= 2.0 * delay * expm_frechet(delay * A.T, mixed, compute_expm=False)
-    return value, Slopes(
+    S = form.lyapunov(weight, transposed=True)
+    drift = 2.0 * (S @ P - derivative)
+    return _error(loop, P, through), Slopes(
         A=drift,
         B=2.0 * S @ loop.B,
         inputs=drift @ (Delta @ loop.outputs).T,
@@ -85,14 +90,11 @@ def cut_at_one(block: Matrix) -> Matrix:
     return U * np.minimum(scales, 1.0) @ V
 
 
-def _moments(loop: OpenLoop, A: Matrix) -> tuple[float, Matrix, Matrix, Matrix]:
-    """Return the error, the covariance of X, X's transition over the delay, and the estimate's."""
-    P = solve_continuous_lyapunov(A, -loop.B @ loop.B.T)
-    through = expm(loop.delay * A)
-    after = loop.estimate @ through  # the mean of the estimate to come, given the state now
-    cross = np.trace(after @ P @ loop.truth.T)
+def _error(loop: OpenLoop, P: Matrix, through: Matrix) -> float:
+    """Return the error for the covariance of X and X's transition over the delay."""
+    cross = np.trace(loop.estimate @ through @ P @ loop.truth.T)
     squares = (np.trace(rows @ P @ rows.T) for rows in (loop.truth, loop.estimate))
-    return float(sum(squares) - 2.0 * cross), P, through, after
+    return float(sum(squares) - 2.0 * cross)
 
 
 def _starts(loop: OpenLoop, count: int) -> Iterator[list[Matrix]]:

@@ -11,12 +11,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError
 from scipy.optimize import minimize
 
+from robsmooth._numerics.schur import SchurForm
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
 from robsmooth.estimators.loop import matrices
+from robsmooth.systems.augmented import padded
 
 _REFUSED = 1e2  # more than the logarithm of any error in natural units
 _GRADIENT = 1e-9  # of the logarithm, at the end of a search
@@ -39,7 +41,7 @@ class Slopes(NamedTuple):
         drift = self.A[own, own]
         gain = (
             self.A[own, :n] @ plant.C2_tilde.T
-            + self.B[own] @ np.pad(plant.system.D21, (0, plant.system.g)).T
+            + self.B[own] @ padded(plant.system.D21, *plant.D21_bar.shape).T
             + self.inputs[own] @ plant.D21_tilde.T
         )
         arguments = (plant.D12_tilde.T @ self.outputs[:, own])[m:]
@@ -84,7 +86,7 @@ def descend(
     ArithmeticError or LinAlgError where it has no value.
     """
     A, B, _, _ = matrices(estimator, "real")
-    covariance = solve_continuous_lyapunov(A, -B @ B.T)[estimator.plant.n :, estimator.plant.n :]
+    covariance = SchurForm(A).lyapunov(B @ B.T)[estimator.plant.n :, estimator.plant.n :]
     sizes, directions = np.linalg.eigh(covariance)
     sizes = np.sqrt(np.maximum(sizes, 1e-14 * sizes.max()))
     estimator = estimator.in_coordinates((directions / sizes).T, directions * sizes)

@@ -23,7 +23,7 @@ from robsmooth._support import validation
 from robsmooth._support.errors import UnstableLoopError
 from robsmooth._support.validation import Matrix
 from robsmooth.estimators.estimator import Estimator
-from robsmooth.systems.augmented import AugmentedSystem
+from robsmooth.systems.augmented import AugmentedSystem, padded
 from robsmooth.systems.channels import REFERENCES
 from robsmooth.systems.system import UncertainSystem
 
@@ -79,7 +79,7 @@ def matrices(
     """Return A, B, inputs and outputs of `OpenLoop`, with a reference subtracted."""
     validation.choice("loop", loop, LOOPS)
     plant, gain = estimator.plant, estimator.B_c
-    noise = plant.D21_bar if loop == "theory" else np.pad(plant.system.D21, (0, plant.system.g))
+    noise = plant.D21_bar if loop == "theory" else padded(plant.system.D21, *plant.D21_bar.shape)
     none = np.zeros((plant.n, len(estimator.A_c)))
     copies = plant.D12_tilde @ estimator.C_c - reference_outputs(estimator, reference)
     return (
@@ -107,8 +107,8 @@ def reference_outputs(estimator: Estimator, reference: Reference) -> Matrix:
                 rows[i] = _argument_weights(system, i) @ read_outs[name]
     elif reference is not None:
         rows = validation.matrix("reference", reference, rows.shape)
-    rows = np.vstack([rows, rows * estimator.B_c[:, system.l :].any(axis=0)[:, None]])
-    return np.pad(rows, ((sum(estimator.plant.output_sizes) - len(rows), 0), (0, 0)))
+    none = np.zeros((len(estimator.plant.C1_tilde) - 2 * system.g, rows.shape[1]))
+    return np.vstack([none, rows, rows * estimator.B_c[:, system.l :].any(axis=0)[:, None]])
 
 
 def _argument_weights(system: UncertainSystem, index: int) -> Matrix:

@@ -102,13 +102,13 @@ class AugmentedSystem(Frozen):
         vars(self).update(input_sizes=input_sizes, output_sizes=output_sizes)
         vars(self).update(
             A_p=A_p,
-            B_p1=_padded(system.B1, n, system.q + g),
-            C_p0=_padded(system.C0, system.m, n),
+            B_p1=padded(system.B1, n, system.q + g),
+            C_p0=padded(system.C0, system.m, n),
             C_a=np.hstack([model.J @ system.C0 + self.growth, model.H]),
-            B1_tilde=_padded(B, n, B.shape[1]),
-            C1_tilde=_padded(C, h, n),
+            B1_tilde=padded(B, n, B.shape[1]),
+            C1_tilde=padded(C, h, n),
             D12_tilde=block_diag(np.zeros((h - g, system.m)), np.eye(g)),
-            C2_tilde=_padded(system.C2, system.l + g, n),
+            C2_tilde=padded(system.C2, system.l + g, n),
             D21_tilde=D21_tilde,
             D21_bar=block_diag(system.D21, self.J_21),
             M_i=_constraints(input_sizes, [1.0] * g),
@@ -260,9 +260,11 @@ def check_noise(condition: str, D: Matrix) -> None:
         raise InfeasibleDesignError(condition, detail)
 
 
-def _padded(matrix: Matrix, rows: int, columns: int) -> Matrix:
+def padded(matrix: Matrix, rows: int, columns: int) -> Matrix:
     """Return a matrix with zeros below and to its right."""
-    return np.pad(matrix, ((0, rows - len(matrix)), (0, columns - matrix.shape[1])))
+    result = np.zeros((rows, columns))
+    result[: len(matrix), : matrix.shape[1]] = matrix
+    return result
 
 
 def _constraints(sizes: Sequence[int], bounds: Sequence[float]) -> tuple[Matrix, ...]:
