@@ -126,7 +126,7 @@ def balanced_norm(A: Matrix) -> float:
 def _doubled(A: Matrix, B: Matrix, first: float, root: bool) -> Iterator[tuple]:
     """Yield W, E and E W E', or R, E and E R, after the first step, after twice that, and so on."""
     F, R = _after(first * A, math.sqrt(first) * B)
-    identity, W = np.eye(A.shape[-1]), R if root else _squared(R)
+    identity, W = np.eye(A.shape[-1]), _compressed(R) if root else _squared(R)
     while True:
         E = identity + F
         moved = E @ W if root else E @ W @ E.mT
@@ -140,7 +140,7 @@ def _sum(W: Matrix, moved: Matrix, root: bool) -> Matrix:
 
 
 def _after(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]:
-    """Return E - I and R after a unit of time by the series of e^{At}; A must be small."""
+    """Return E - I and a root of W after a unit of time by the series of e^{At} of a small A."""
     term, F = A, A
     moved = [np.broadcast_to(B, (*A.shape[:-1], B.shape[-1]))]
     for order in range(1, _TERMS):
@@ -149,7 +149,7 @@ def _after(A: Matrix, B: Matrix) -> tuple[Matrix, Matrix]:
         F = F + term
     powers = ((1.0 + _NODES) / 2.0)[:, None] ** np.arange(_TERMS)
     parts = np.tensordot(powers * np.sqrt(_WEIGHTS / 2.0)[:, None], np.array(moved), axes=1)
-    return F, _compressed(*parts)
+    return F, np.concatenate(parts, axis=-1)
 
 
 def _compressed(*parts: Matrix) -> Matrix:

@@ -11,7 +11,7 @@ step, which estimates the error, and a stable closed loop. Data are scaled to or
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import LinAlgError, schur
+from scipy.linalg import LinAlgError
 from scipy.linalg.lapack import dgebal
 
 from robsmooth._numerics.schur import SchurForm
@@ -94,9 +94,9 @@ def stabilising(A: Matrix, Q: Matrix, S: Matrix, margin: float = 0.0) -> Matrix:
     hamiltonian = np.block([[A, -unit * S], [-Q / unit, -A.T]])
     size = np.linalg.norm(hamiltonian)
     if size < _LARGEST:
-        form, basis, stable = schur(hamiltonian, sort="lhp")
-        X = np.linalg.solve(basis[:n, :n].T, basis[n:, :n].T) * unit
-        decays = stable == n and -form.diagonal()[:n].max() > margin * size
+        form = SchurForm(hamiltonian, stable_first=True)
+        X = np.linalg.solve(form.U[:n, :n].T, form.U[n:, :n].T) * unit
+        decays = form.stable == n and -form.poles.real[:n].max() > margin * size
         if decays and np.linalg.norm(X) < _LARGEST:
             return (X + X.T) / 2
     raise LinAlgError("there is no stabilising solution")

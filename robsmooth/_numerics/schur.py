@@ -8,12 +8,16 @@ from robsmooth._support.validation import Matrix
 
 
 class SchurForm:
-    """The form U T U' of A (n, n), where T is triangular but for 2 x 2 blocks, and the poles."""
+    """The form U T U' of A (n, n), where T is triangular but for 2 x 2 blocks.
 
-    def __init__(self, A: Matrix) -> None:
+    The poles are in the order of T's diagonal: the stable ones first, where that is asked for.
+    """
+
+    def __init__(self, A: Matrix, stable_first: bool = False) -> None:
         if not np.isfinite(A).all():
             raise LinAlgError("the matrix has entries that are not finite")
-        self._T, _, real, imaginary, self._U, _, failed = dgees(lambda *_: False, A)
+        found = dgees(lambda real, _: real < 0.0, A, sort_t=int(stable_first))
+        self._T, self.stable, real, imaginary, self.U, _, failed = found
         if failed:
             raise LinAlgError("the matrix has no Schur form to rounding")
         self.poles = real + 1j * imaginary
@@ -21,5 +25,5 @@ class SchurForm:
     def lyapunov(self, Q: Matrix, transposed: bool = False) -> Matrix:
         """Return the X of A X + X A' + Q = 0, or of A' X + X A + Q = 0, with a symmetric Q."""
         kinds = ("T", "N") if transposed else ("N", "T")
-        X, scale, _ = dtrsyl(self._T, self._T, -self._U.T @ Q @ self._U, *kinds)
-        return self._U @ (X / scale) @ self._U.T
+        X, scale, _ = dtrsyl(self._T, self._T, -self.U.T @ Q @ self.U, *kinds)
+        return self.U @ (X / scale) @ self.U.T
