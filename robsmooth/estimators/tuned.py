@@ -117,12 +117,14 @@ def _least_constant(family: "_Family") -> np.ndarray:
         options = {**_OPTIONS, "initial_simplex": np.vstack([point, point + np.diag(steps)])}
         how = {"method": "Nelder-Mead", "bounds": family.box, "options": options}
         point = minimize(objective, point, **how).x
-        expected = math.exp(objective(point))
+        lowest = objective(point)
+        if lowest == _REFUSED:
+            break  # each point has an infinite error
         value, Delta = worst_constant(family(point), "smoothed", _STARTS)
         Deltas.append(Delta)
         if value < least:
             least, best = value, point
-        if value < (1.0 + _CLOSED) * expected:
+        if value < (1.0 + _CLOSED) * math.exp(lowest):
             break
     return best
 
