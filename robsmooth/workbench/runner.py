@@ -201,8 +201,7 @@ def _profiles(folder: Path) -> dict:
     try:
         profiles = tomllib.loads((folder / "profiles.toml").read_text(encoding="utf-8"))
         schema = {"properties": tables, "required": ["notebooks"]}
-        for error in jsonschema.Draft202012Validator(schema).iter_errors(profiles):
-            raise error  # the first: there may be very many
+        jsonschema.Draft202012Validator(schema).validate(profiles)  # to the first of its errors
     except jsonschema.ValidationError as error:
         raise PipelineError(f"profiles.toml, {error.json_path}: {error.message:.200}") from error
     except (OSError, ValueError, RecursionError, MemoryError) as error:
