@@ -17,17 +17,11 @@ def number(value: float) -> str:
         return "0"  # without a sign
     if not math.isfinite(value):
         return {math.inf: r"\infty", -math.inf: r"-\infty"}.get(value, r"\mathrm{nan}")
-    mantissa, exponent = scientific(value, _DIGITS)
-    if exponent is None:
+    mantissa, _, exponent = f"{value:.{_DIGITS}g}".partition("e")
+    if not exponent:
         return mantissa
     factor = {"1": "", "-1": "-"}.get(mantissa, rf"{mantissa}\times")
-    return f"{factor}10^{{{exponent}}}"
-
-
-def scientific(value: float, digits: int) -> tuple[str, int | None]:
-    """Return the printed mantissa and exponent of a number; None for a number without one."""
-    mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
-    return mantissa, int(exponent) if exponent else None
+    return f"{factor}10^{{{int(exponent)}}}"
 
 
 def matrix(value: ArrayLike) -> str:

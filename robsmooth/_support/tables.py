@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robsmooth._support import files, notation
+from robsmooth._support import files
 from robsmooth._support.extras import extra
 
 if TYPE_CHECKING:
@@ -87,8 +87,7 @@ class Table:
     def _html_cell(self, cell: Cell, style: str) -> str:
         text = _html(self._text(cell))
         if isinstance(cell, float):
-            mantissa, exponent = notation.scientific(cell, self.digits)
-            text = mantissa if exponent is None else f"{mantissa}×10<sup>{exponent}</sup>"
+            text = re.sub("e(.+)", lambda found: f"×10<sup>{int(found[1])}</sup>", text)
         return f"<td {style}>{text}</td>"
 
     def _printed_rows(self) -> list[list[str]]:
