@@ -3,6 +3,7 @@
 import hashlib
 import os
 import platform
+import re
 import subprocess
 import time
 from contextlib import suppress
@@ -68,8 +69,6 @@ def sha256(path: Path) -> str:
 
 def _processor() -> str:
     with suppress(OSError):  # there is none on macOS
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            name, _, model = line.partition(":")
-            if name.strip() == "model name":
-                return model.strip()
+        if found := re.search(r"model name\s*: (.+)", Path("/proc/cpuinfo").read_text()):
+            return found[1].strip()
     return platform.machine()
