@@ -43,11 +43,6 @@ class Loop:
     readout: Matrix  # (3, n): filtered and smoothed estimate, oscillator's phase, rad
     delay: float  # of the smoothed estimate, s
 
-    @property
-    def order(self) -> int:
-        """n, the number of states of the estimator."""
-        return len(self.drift) - 1
-
     def linearised_drift(self, sine_slope: float = 1.0, copy_slope: float = 1.0) -> Matrix:
         r"""Drift of :math:`(\phi, \hat x)`, each sine replaced by a slope, 1/s."""
         return self.drift + self.gains @ np.diag([sine_slope, copy_slope]) @ self.arguments
@@ -67,9 +62,9 @@ class Loop:
 
     def error_coordinates(self) -> tuple[Matrix, Matrix]:
         """Return coordinates with the first sine's argument for the phase, which may wander far."""
-        inverse = np.eye(1 + self.order)
-        inverse[0] = self.arguments[0]
-        return 2 * np.eye(1 + self.order) - inverse, inverse
+        identity = np.eye(len(self.drift))
+        inverse = np.vstack([self.arguments[:1], identity[1:]])
+        return 2 * identity - inverse, inverse
 
     def linear_errors(self, *slopes: float) -> tuple[float, float]:
         """Filtered and smoothed mean square error, rad^2, each sine replaced by a slope."""

@@ -115,9 +115,10 @@ def stationary_errors(
     0.088235
     """
     loop = homodyne_loop(parameters, smoother, oscillator, copy, shot_noise)
-    unknowns = _unknowns(1 + loop.order, LEAST_DEGREE)
+    states = len(loop.drift)
+    unknowns = _unknowns(states, LEAST_DEGREE)
     if unknowns > MOST_UNKNOWNS:
-        made = f"the {loop.order} states of smoother make {unknowns} unknowns at the least degree"
+        made = f"the {states - 1} states of smoother make {unknowns} unknowns at the least degree"
         raise ValueError(f"{made}; at most {MOST_UNKNOWNS} are allowed")
     result = _converged(whitened(loop))
     relative = result._relative_truncation

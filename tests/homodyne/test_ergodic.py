@@ -111,7 +111,7 @@ def plain_splitting(loop, given, draws):
         DF_F = gains @ ((np.cos(v) - slopes[:, None]) * (jacobian_rows @ F))
         return x + part * h * F + 0.5 * (part * h) ** 2 * DF_F
 
-    y = start @ draws[0][: 1 + loop.order]
+    y = start @ draws[0][: len(loop.drift)]
     x = y[1:].copy()
     outputs = np.zeros((6, BLOCK))
     turns, nearest = np.zeros((2, BLOCK))

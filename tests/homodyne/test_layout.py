@@ -17,7 +17,7 @@ each_order = pytest.mark.parametrize(
 def test_coefficients_lie_where_their_indices_say(estimator):
     loop = homodyne_loop(PARAMETERS, estimator)
     of_splitting = splitting.coefficients_of(loop, 1e-7, (0.9, 0.8))
-    n = loop.order
+    n = len(loop.drift) - 1
     m = of_splitting.control.shape[1] - 1 - n
     assert m in (1 + n, 2 + n) and m % 2 == 0
     for coefficients, indices in (

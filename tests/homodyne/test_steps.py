@@ -41,7 +41,7 @@ def small(protocol, estimator=FILTER, **arguments):
 
 def growth(loop, step):
     """By how much the Euler-Maruyama scheme multiplies what it damps least, or not at all."""
-    return np.abs(np.linalg.eigvals(np.eye(1 + loop.order) + step * loop.linearised_drift())).max()
+    return np.abs(np.linalg.eigvals(np.eye(len(loop.drift)) + step * loop.linearised_drift())).max()
 
 
 def swinging(function, lipschitz=1.0):

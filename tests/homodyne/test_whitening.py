@@ -16,7 +16,7 @@ def test_rows_have_the_variances_of_the_linear_loop(shot_noise):
     white = whitened(loop)
     P = loop.covariance(*loop.equivalent_slopes())
     for row, reader in (
-        (white.phase, [1.0, *np.zeros(loop.order)]),
+        (white.phase, [1.0, *np.zeros(len(loop.drift) - 1)]),
         (white.filtered, [1.0, *-loop.readout[0]]),
         (white.smoothed, [1.0, *-loop.readout[1]]),
     ):
