@@ -15,7 +15,6 @@ from scipy.linalg import LinAlgError, schur, solve_sylvester
 from scipy.linalg.lapack import dgebal
 
 from robsmooth._numerics.lyapunov import balanced_norm, covariances, deviations
-from robsmooth._numerics.schur import SchurForm
 from robsmooth._support.validation import Matrix
 
 _GAP = 1e2  # between the decay rates of modes that hardly decay, and of the next
@@ -47,25 +46,19 @@ class Modes(NamedTuple):
         return ~(np.abs(rows @ self.V).max(axis=-1, initial=0.0) <= size)  # true of NaN
 
 
-def _poles(A: Matrix | SchurForm) -> Matrix:
-    return A.poles if isinstance(A, SchurForm) else np.linalg.eigvals(A)
-
-
-def rates(A: Matrix | SchurForm) -> tuple[float, float]:
+def rates(A: Matrix) -> tuple[float, float]:
     """Return the decay rate of the slowest mode, or minus its growth, and the fastest's rate."""
-    poles = _poles(A)
+    poles = np.linalg.eigvals(A)
     return float(-poles.real.max(initial=-np.inf)), float(np.abs(poles).max(initial=0.0))
 
 
-def is_stable(A: Matrix | SchurForm) -> bool:
+def is_stable(poles: Matrix) -> bool:
     """Return whether all modes decay, to rounding."""
-    slowest, fastest = rates(A)
-    return slowest > _STANDING * fastest
+    return not hardly_decays(poles, _STANDING)
 
 
-def hardly_decays(A: Matrix | SchurForm, slow: float = _SLOW) -> bool:
-    """Return whether a mode of A, or of one of A (N, n, n), decays at less than a `slow` rate."""
-    poles = _poles(A)
+def hardly_decays(poles: Matrix, slow: float = _SLOW) -> bool:
+    """Return whether a mode, (n,) or (N, n), decays at less than a `slow` part of the fastest."""
     return bool((-poles.real.max(axis=-1) <= slow * np.abs(poles).max(axis=-1)).any())
 
 

@@ -65,7 +65,7 @@ def _stationary_error(A: Matrix, B: Matrix, estimator: Estimator, output: str) -
             check_certainty("the error covariance", result, error)
             return result
     except (UnstableLoopError, ArithmeticError):
-        if not hardly_decays(A):
+        if not hardly_decays(np.linalg.eigvals(A)):
             raise
     if A.ndim > 2:
         return np.array([_stationary_error(each, B, estimator, output) for each in A])

@@ -133,10 +133,10 @@ def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np
     Also which constraints do, and the states in those of the whole loop, (., N). An
     UnstableLoopError says that an uncertainty sees a mode that does not decay.
     """
-    k, g = plant.system.k, plant.system.g
+    k, g, poles = plant.system.k, plant.system.g, np.linalg.eigvals(loop.A)
     whole, seeing = (loop, np.zeros(k + 3 * g, dtype=bool), np.eye(len(loop.A))), None
     first = len(loop.outputs) - 2 * g
-    for found in separations(loop.A, loop.B) if hardly_decays(loop.A) else ():
+    for found in separations(loop.A, loop.B) if hardly_decays(poles) else ():
         if found.seen_by(loop.truth, loop.estimate).any():
             continue
         sees = found.seen_by(loop.outputs)
@@ -149,7 +149,7 @@ def _without_drift(loop: OpenLoop, plant: AugmentedSystem) -> tuple[OpenLoop, np
             new |= {name: getattr(loop, name) @ V for name in ("outputs", "truth", "estimate")}
             return replace(loop, **new), seen, W
         seeing = seeing or (int(seen.argmax()), found.A)
-    if seeing is None or is_stable(loop.A):
+    if seeing is None or is_stable(poles):
         return whole
     names = [f"uncertainties[{s}]" for s in range(k)]
     names += [f"nonlinearities[{i}], less its copy's," for i in range(g)]

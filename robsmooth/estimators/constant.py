@@ -32,11 +32,11 @@ def mean_square(loop: OpenLoop, Delta: Matrix) -> float:
     """Return the mean square error, or infinity where it has no limit."""
     A = loop.A + loop.inputs @ Delta @ loop.outputs
     form = SchurForm(A)
-    if hardly_decays(form):
+    if hardly_decays(form.poles):
         with suppress(UnstableLoopError):
             error, _ = drifting_error(A, loop.B, loop.truth, loop.estimate, loop.delay)
             return float(np.trace(error))
-        if not is_stable(form):
+        if not is_stable(form.poles):
             return math.inf
     return _error(loop, form.lyapunov(loop.B @ loop.B.T), expm(loop.delay * A))
 
@@ -45,7 +45,7 @@ def slopes(loop: OpenLoop, Delta: Matrix) -> tuple[float, Slopes]:
     """Return the error and its slopes, or raise an ArithmeticError for an unstable loop."""
     A = loop.A + loop.inputs @ Delta @ loop.outputs
     form = SchurForm(A)
-    if not is_stable(form):
+    if not is_stable(form.poles):
         raise ArithmeticError("the loop is not stable")
     P = form.lyapunov(loop.B @ loop.B.T)
     truth, estimate, delay, N = loop.truth, loop.estimate, loop.delay, len(A)
@@ -112,7 +112,7 @@ def _starts(loop: OpenLoop, count: int) -> Iterator[list[Matrix]]:
 def _slopes_in_blocks(loop: OpenLoop, blocks: list[Matrix]) -> list[Matrix]:
     """Return the gradients of the error with respect to the blocks; of a drift by differences."""
     Delta = loop.assemble(blocks)
-    if not hardly_decays(loop.A + loop.inputs @ Delta @ loop.outputs):
+    if not hardly_decays(np.linalg.eigvals(loop.A + loop.inputs @ Delta @ loop.outputs)):
         whole = loop.inputs.T @ slopes(loop, Delta)[1].A @ loop.outputs.T
         return [block.gain * sum(whole[place] for place in block.places) for block in loop.blocks]
     result = [np.zeros(block.shape) for block in blocks]

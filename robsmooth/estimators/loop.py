@@ -162,7 +162,7 @@ def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
 def scaled(loop: OpenLoop) -> tuple[OpenLoop, Matrix]:
     """Return a loop in natural units, with the same errors and Delta, and the units of X."""
     time = 1.0 / (rates(loop.A)[1] or 1.0)
-    if is_stable(loop.A):
+    if is_stable(np.linalg.eigvals(loop.A)):
         x = deviations(covariances(loop.A, loop.B).stationary)
     else:
         x = natural_units(loop.A, loop.B)
@@ -188,7 +188,7 @@ def drifting_error(
             past = truth @ V - estimate @ V @ expm(delay * drift)
             since = estimate @ V @ noise_root(drift, W @ B, delay)
         unseen = not found.seen_by(truth, truth - past @ W).any()
-        if unseen or is_stable(A):
+        if unseen or is_stable(np.linalg.eigvals(A)):
             left = rest if unseen else slice(None)
             found = covariances(drift[left, left], (W @ B)[left])
             past = past[:, left]

@@ -61,7 +61,7 @@ class NonlinearLoop:
     def _modes(self) -> modes.Modes | None:
         """The linear loop's modes that hardly decay and are not in the errors, or None."""
         A, B = self.linear_drift[: self.order], self.noise[: self.order]
-        if not modes.hardly_decays(A, _SLOW):
+        if not modes.hardly_decays(np.linalg.eigvals(A), _SLOW):
             return None
         w, filtered, smoothed = np.split(self.readout, 3)
         with np.errstate(over="ignore", invalid="ignore"):  # of an unstable loop
