@@ -23,7 +23,7 @@ from robsmooth.simulation.loop import Steps, nonlinear_loop
 # do not matter. Only tau remains to be found.
 BEST_MULTIPLIERS = [1.0, 0.5, 0.0, 0.0]
 DELAYS = 1e-6 * np.linspace(0.0, 15.0, 16)  # of the curves over the delay, s
-STEP, SHOWN, BEFORE = 0.4e-6, 250, 25  # sample path: step in s, steps shown, steps before them
+STEP, SHOWN, BEFORE = 0.8e-6, 125, 13  # sample path: step in s, steps shown, steps before them
 SEED = 11  # of the sample path
 _HINTS = {  # what to do where a design by hand is refused with these words
     "a larger tau": "Move τ up, or the noise factor down. ",

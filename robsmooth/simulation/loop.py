@@ -234,6 +234,9 @@ class Steps:
         parts += arguments, slopes, outputs, signals
         self.scheme = kernel.Scheme(*map(np.ascontiguousarray, parts))
         self.driven = np.array(driven, np.int64)
+        ends = np.cumsum([len(part.outputs) for part in loop.functions], dtype=int)
+        given = zip(loop.functions, ends, strict=True)
+        self._parts = [(part, slice(end - len(part.outputs), end)) for part, end in given]
 
     def advance(self, time: float, z: NDArray, noise: NDArray) -> NDArray:
         """Return the states, (., paths), a step after `time`, as the kernel does."""
@@ -242,8 +245,6 @@ class Steps:
         return z + self.scheme.second @ (self._remainder(time + self.step, z) - rho)
 
     def _remainder(self, time: float, z: NDArray) -> NDArray:
-        arguments, functions = self.scheme.arguments @ z, self.loop.functions
-        ends = np.cumsum([len(part.outputs) for part in functions], dtype=int)
-        given = zip(functions, np.split(arguments, ends)[:-1], strict=True)
-        values = [part.values(time, each) for part, each in given]
+        arguments = self.scheme.arguments @ z
+        values = [part.values(time, arguments[place]) for part, place in self._parts]
         return self.scheme.linear @ arguments + np.vstack([arguments[:0], *values])
