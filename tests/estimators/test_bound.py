@@ -323,9 +323,9 @@ def in_units(system, x, w, y, zeta):
 def test_bound_is_invariant_to_the_units_of_the_signals(seed, g, zeta, cost):
     # Not to those of the uncertainties (zeta) where J of Assumption 1 is not unique.
     system = random_system(np.random.default_rng(seed), g=g, size=0.05)
-    best = minimize_bound(augment(system, 0.5, 1), cost, starts=1)
+    best = minimize_bound(augment(system, 0.5, 1), cost)
     other_system = in_units(system, x=np.array([[1e-6], [1e4]]), w=1e3, y=1e-5, zeta=zeta)
-    other = minimize_bound(augment(other_system, 0.5, 1), cost, starts=1)
+    other = minimize_bound(augment(other_system, 0.5, 1), cost)
     assert best.bound_infimum is None is other.bound_infimum
     assert 1e6 * other.bound == pytest.approx(best.bound, rel=1e-9)
 

@@ -124,6 +124,7 @@ def record(rows, columns=2, gaps=0.0, seed=0):
 # --- the linear part -----------------------------------------------------------------------------
 
 
+@pytest.mark.filterwarnings("ignore::robsmooth.LongStepWarning")
 @given(st.sampled_from([(1, 1, 1, 0), (2, 2, 1, 2), (3, 1, 2, 3)]), seeds, st.floats(-3, 2))
 def test_the_linear_part_is_held_exactly(sizes, seed, exponent):
     n, m, measurements, order = sizes
