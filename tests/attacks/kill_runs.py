@@ -26,6 +26,8 @@ from pathlib import Path
 import nbformat
 import psutil
 
+from tests.helpers.signals import heed_signals
+
 MARK = "ROBSMOOTH_ATTACK"  # in the environment of all that a try starts
 PATIENCE = 60.0  # s, for a run to end by itself
 GRACE = 3.0  # s, for what a kill left to end
@@ -107,8 +109,7 @@ class Project:
         """Start a run of both notebooks, whose files have at most so many bytes."""
 
         def prepare() -> None:
-            # what runs in the background ignores an interrupt, and so does all that it starts
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+            heed_signals()
             resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
 
         return subprocess.Popen(

@@ -13,6 +13,7 @@ from pathlib import Path
 import psutil
 
 from tests.helpers.labs import ROOT, STAMPS
+from tests.helpers.signals import heed_signals
 from tests.helpers.sockets import free_port
 from tests.helpers.waiting import PATIENCE
 
@@ -39,6 +40,7 @@ def running_explorer(folder: Path) -> Iterator[tuple[str, psutil.Popen]]:
             stdout=output,
             stderr=output,
             start_new_session=True,
+            preexec_fn=heed_signals,
         )
     try:
         yield _address(server, log), server

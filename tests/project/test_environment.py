@@ -14,6 +14,7 @@ import pytest
 import robsmooth as rs
 from robsmooth._support.cluster import workers
 from robsmooth.workbench import connect
+from tests.helpers.signals import heed_signals
 from tests.helpers.sockets import listening
 from tests.helpers.waiting import PATIENCE, wait_until
 
@@ -67,7 +68,9 @@ def certificate(tmp_path_factory):
 def started(folder, *command):
     """A program whose log is in the folder; it is ended as by Ctrl-C."""
     with open(folder / f"{command[0]}.log", "w") as log:
-        program = subprocess.Popen([DASK, *command], stdout=log, stderr=log, cwd=folder)
+        program = subprocess.Popen(
+            [DASK, *command], stdout=log, stderr=log, cwd=folder, preexec_fn=heed_signals
+        )
         try:
             yield Path(log.name)
         finally:

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from functools import partial
 
 import psutil
 import pytest
@@ -18,6 +17,7 @@ from robsmooth.workbench import parameters, runner
 from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import PipelineError
 from tests.helpers.clusters import cluster_of_threads
+from tests.helpers.signals import heed_signals
 from tests.helpers.waiting import PATIENCE, wait_until
 
 # --- what is refused before anything runs --------------------------------------------------------
@@ -390,11 +390,9 @@ def test_whatever_ends_a_run_ends_all_that_it_started(project, numbers):
 
 
 def command(project, *arguments, code=""):
-    """The command in a process that heeds an interrupt, after some code."""
-    # what a shell runs in the background ignores it, and so would what these tests start
-    heeded = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
+    """The command in a process that heeds signals, after some code."""
     code = f"import signal, sys\n{code}\nfrom robsmooth.__main__ import main\nsys.exit(main())"
-    streams = {"stderr": subprocess.PIPE, "text": True, "preexec_fn": heeded}
+    streams = {"stderr": subprocess.PIPE, "text": True, "preexec_fn": heed_signals}
     return subprocess.Popen([sys.executable, "-c", code, *arguments], cwd=project.root, **streams)
 
 
@@ -426,6 +424,7 @@ def test_signals_wait_until_a_run_has_ended_all(project, monkeypatch, capsys):
 
     monkeypatch.setattr(cli, "run_notebooks", run_notebooks)
     monkeypatch.chdir(project.add("good").root)
+    heed_signals()  # for this test
     assert cli.main(["figures"]) == 130
     assert came == [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
     assert "interrupted; notebooks that had finished are kept" in capsys.readouterr().err
