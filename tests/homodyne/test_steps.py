@@ -157,7 +157,7 @@ def test_the_default_step_never_warns_and_is_never_refused(speed, noise, lag, or
     loop = homodyne_loop(parameters, estimator)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        simulation = run.plan(loop, protocol, duration=max(1e-3, 2 * delay))
+        simulation = run.plan(loop, protocol, duration=max(1e-4, 2 * delay))
     if protocol == "paper":
         assert growth(loop, simulation.step) < 1.0
 
