@@ -13,6 +13,7 @@ import pytest
 
 from robsmooth import cli
 from robsmooth._support import files
+from robsmooth._support.cluster import connect
 from robsmooth.workbench import parameters, runner
 from robsmooth.workbench.execution import Execution
 from robsmooth.workbench.parameters import PipelineError
@@ -256,7 +257,7 @@ def test_every_notebook_is_run_and_one_summary_tells_of_the_failures(project, mo
     monkeypatch.setattr(cli, "_write_report", lambda run: reports.append(run))
     command = ["figures", "--profile", "quick", "--only"]
 
-    assert cli.main([*command, "02,03,04,06", "--time-limit", "20"]) == 1
+    assert cli.main([*command, "02,03,04,06", "--time-limit", "6"]) == 1
     assert (quick / "figures" / "figure.txt").read_text() == "yesterday's"
     assert not (quick / "staging").exists()
     output, summary = capsys.readouterr()
@@ -502,7 +503,7 @@ def test_a_notebook_that_can_use_a_cluster_is_given_its_scheduler(project):
 @pytest.mark.parametrize(
     "address, message",
     [
-        ("tcp://127.0.0.1:1", "--dask: no Dask scheduler answers at tcp://127.0.0.1:1 within 5 s"),
+        ("tcp://127.0.0.1:1", "--dask: no Dask scheduler answers at tcp://127.0.0.1:1 within 0.2 s"),
         ("http://127.0.0.1:80", "--dask: no Dask scheduler answers at http://127.0.0.1:80"),
         ("tcp://10.0.0.1:80", "--dask: what answers at tcp://10.0.0.1:80 could run code here"),
     ],
@@ -511,6 +512,8 @@ def test_a_cluster_that_is_not_there_is_one_line_before_anything_runs(
     project, monkeypatch, capsys, address, message
 ):
     monkeypatch.chdir(project.add("good").root)
+    assert connect.__wrapped__.__defaults__ == (5.0,)  # s, in which a scheduler may still start
+    monkeypatch.setattr(connect.__wrapped__, "__defaults__", (0.2,))
     assert cli.main(["figures", "--dask", address]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"robsmooth: {message}")
