@@ -21,8 +21,8 @@ from robsmooth.homodyne.montecarlo.protocols import Simulation
 from robsmooth.paper import published
 from robsmooth.simulation.groups import GROUPS_OF_A_CALL
 
-RUNS, RUN_STEPS = 65_536, 5000  # eight calls, of the largest groups of paths that there are
-QUICK_RUNS = 2048
+RUNS, STEPS_OF_A_RUN = 65_536, 5000  # eight calls, of the largest groups of paths that there are
+QUICK_RUNS, QUICK_STEPS = 2048, 1000
 EMPTY_CALLS, QUICK_EMPTY_CALLS = 1000, 100
 SIZES = (5e9, 1e12, 1e13, 1e14, 1e15)  # path-steps; the first is the published simulation
 ASSUMED = (
@@ -36,7 +36,7 @@ ASSUMED = (
 )
 
 
-def processes(rounds: int, runs: int, empty_calls: int) -> dict:
+def processes(rounds: int, runs: int, steps: int, empty_calls: int) -> dict:
     """Measure the rates, and what a cluster adds: a call, a start, memory."""
     from distributed import Client, LocalCluster
 
@@ -44,7 +44,7 @@ def processes(rounds: int, runs: int, empty_calls: int) -> dict:
 
     def simulate(precision="mixed", client=None, threads=1):
         numba.set_num_threads(threads)
-        of = {"runs": runs, "duration": RUN_STEPS * STEP, "step": STEP}
+        of = {"runs": runs, "duration": steps * STEP, "step": STEP}
         of |= {"precision": precision, "client": client}
         return rs.monte_carlo(rs.homodyne.PAPER, smoother, "paper", **of)
 
@@ -66,18 +66,18 @@ def processes(rounds: int, runs: int, empty_calls: int) -> dict:
         empty = interleaved({"calls": lambda: drained(client, empty_calls)}, rounds)["calls"]
         memory = max(client.run(peak_memory).values())
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
-    rates = {name: middle(runs * RUN_STEPS / np.array(each)) for name, each in times.items()}
+    rates = {name: middle(runs * steps / np.array(each)) for name, each in times.items()}
     ratios = {name: middle(np.divide(times["one"], times[name])) for name in calls}
     return {
         "rounds": rounds,
-        "path_steps": runs * RUN_STEPS,
+        "path_steps": runs * steps,
         "same_bits": same,
         "start": start,
         "rates": {name: rate for name, (rate, _) in rates.items()},
         "speed_up": {name: [ratio, *spread] for name, (ratio, spread) in ratios.items()},
         "call": middle(np.divide(empty, empty_calls))[0],
         "megabytes": memory / 1e6,
-        "worth": worth(smoother, runs),
+        "worth": worth(smoother, runs, steps),
     }
 
 
@@ -96,10 +96,10 @@ def peak_memory() -> int:
     return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def worth(smoother, runs: int) -> dict:
+def worth(smoother, runs: int, steps: int) -> dict:
     """Return the default answer's error, and the path-steps that the paper's protocol needs."""
     answer = rs.monte_carlo(rs.homodyne.PAPER, smoother)
-    of = {"runs": runs, "duration": RUN_STEPS * STEP, "step": STEP}
+    of = {"runs": runs, "duration": steps * STEP, "step": STEP}
     literal = rs.monte_carlo(rs.homodyne.PAPER, smoother, "paper", **of).smoothed
     needed = runs * (literal.standard_error / answer.smoothed.standard_error) ** 2 * STEPS
     relative = answer.smoothed.standard_error / answer.smoothed.mean_square
@@ -123,7 +123,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
     quick = parser.parse_args().quick
-    effort = (1, QUICK_RUNS, QUICK_EMPTY_CALLS) if quick else (3, RUNS, EMPTY_CALLS)
+    quick_effort = (1, QUICK_RUNS, QUICK_STEPS, QUICK_EMPTY_CALLS)
+    effort = quick_effort if quick else (3, RUNS, STEPS_OF_A_RUN, EMPTY_CALLS)
     say("on a cluster")
     measured = processes(*effort)
     say("")

@@ -38,7 +38,7 @@ class Effort:
 
 
 FULL = Effort(rounds=15, seconds=0.25, check_seconds=0.8, reference_paths=1_000_000)
-QUICK = Effort(rounds=3, seconds=0.02, check_seconds=0.05, reference_paths=40_000)
+QUICK = Effort(rounds=3, seconds=0.02, check_seconds=0.05, reference_paths=10_000)
 
 
 def race(effort: Effort, names: list[str]) -> dict:

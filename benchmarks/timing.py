@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 def interleaved(calls: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
     """Return the seconds of each call, one a round; a round before them is not counted."""
     times: dict[str, list[float]] = {name: [] for name in calls}
+    gc.freeze()  # what is there before is not looked through again before each call
     for number in range(rounds + 1):
         for name, call in calls.items():
             gc.collect()
@@ -15,4 +16,5 @@ def interleaved(calls: Mapping[str, Callable[[], object]], rounds: int) -> dict[
             call()
             if number:
                 times[name].append(time.perf_counter() - started)
+    gc.unfreeze()
     return times
