@@ -503,7 +503,10 @@ def test_a_notebook_that_can_use_a_cluster_is_given_its_scheduler(project):
 @pytest.mark.parametrize(
     "address, message",
     [
-        ("tcp://127.0.0.1:1", "--dask: no Dask scheduler answers at tcp://127.0.0.1:1 within 0.2 s"),
+        (
+            "tcp://127.0.0.1:1",
+            "--dask: no Dask scheduler answers at tcp://127.0.0.1:1 within 0.2 s",
+        ),
         ("http://127.0.0.1:80", "--dask: no Dask scheduler answers at http://127.0.0.1:80"),
         ("tcp://10.0.0.1:80", "--dask: what answers at tcp://10.0.0.1:80 could run code here"),
     ],
