@@ -8,10 +8,9 @@ from numpy.testing import assert_array_equal
 
 import robsmooth as rs
 from robsmooth._support.checkpoint import CheckpointError
-from robsmooth._support.cluster import connect
 from robsmooth.homodyne import study as study_module
 from robsmooth.homodyne.study import QUANTITIES, parameter_study
-from tests.helpers.clusters import start_cluster
+from tests.helpers.clusters import cluster_of_threads
 
 PAPER = rs.homodyne.PAPER
 GRID = {"lags": (1e-6, 3.1e-6), "orders": (1, 2), "gammas": (0.4,), "noises": (0.5, 1.0)}
@@ -106,7 +105,7 @@ def test_interrupted_study_resumes_to_the_same_bits(found, tmp_path, monkeypatch
 
 
 def test_a_cluster_gives_the_same_bits(found):
-    with start_cluster() as cluster, connect(cluster.scheduler_address) as client:
+    with cluster_of_threads() as (_, client):
         same(parameter_study(PAPER, **GRID, runs=RUNS, client=client), found)
 
 

@@ -3,6 +3,7 @@
 import itertools
 import re
 from dataclasses import replace
+from functools import cache
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -48,8 +49,16 @@ JUDGED = {
     },
     "constant minimax": {"nominal": 0.05, "worst constant": 0.07, "certified": 0.2},
 }
-PATHS = sample_paths(CLASSICAL, runs=1, duration=3.1e-5, step=3.1e-7)
-SWEPT = lag_sweep(SYSTEM, [1e-6, 2e-6, 4e-6], [1, 2, 3])
+
+
+@cache
+def paths():
+    return sample_paths(CLASSICAL, runs=1, duration=3.1e-5, step=3.1e-7)
+
+
+@cache
+def lags_swept():
+    return lag_sweep(SYSTEM, [1e-6, 2e-6, 4e-6], [1, 2, 3])
 
 
 def swept(curves):
@@ -82,9 +91,9 @@ MAKERS = {
     "candidates": lambda: figures.plots.candidates(
         JUDGED, {"optimum": 0.045}, "rad$^2$", (0.04, 0.1)
     ),
-    "sample_path": lambda: PATHS.plot().figure,
-    "lag_sweep": lambda: SWEPT.plot().figure,
-    "worst_lag_sweep": lambda: SWEPT.plot(error="worst").figure,
+    "sample_path": lambda: paths().plot().figure,
+    "lag_sweep": lambda: lags_swept().plot().figure,
+    "worst_lag_sweep": lambda: lags_swept().plot(error="worst").figure,
     "study": lambda: STUDY.plot().figure,
 }
 

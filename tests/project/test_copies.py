@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import robsmooth as rs
+from robsmooth._numerics.riccati import RiccatiSolution
+from robsmooth.paper.verdicts import Verdicts
 from tests.project.test_display import OBJECTS, example
 
 WAYS = {
@@ -16,7 +18,10 @@ WAYS = {
     "pickle": lambda value: pickle.loads(pickle.dumps(value)),
     "replace": dataclasses.replace,
 }
-VALUES = [name for name in sorted(OBJECTS) if dataclasses.is_dataclass(type(example(name)))]
+KINDS = {name: getattr(rs, name) for name in rs.__all__} | {
+    each.__name__: each for each in (rs.homodyne.HomodyneParameters, RiccatiSolution, Verdicts)
+}
+VALUES = [name for name in sorted(OBJECTS) if dataclasses.is_dataclass(KINDS[name])]
 
 
 def parts(value, path=""):

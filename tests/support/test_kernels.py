@@ -88,9 +88,8 @@ def test_without_numbas_compiler_records_are_smoothed_and_a_monte_carlo_is_refus
 import robsmooth as rs
 for name in dir(rs):
     getattr(rs, name)
-from robsmooth.paper.published import designs
-kalman = designs()["Kalman-Bucy"]
-linear = rs.baselines.kalman_bucy(rs.homodyne.PAPER.uncertain_system())
+system = rs.homodyne.PAPER.uncertain_system()
+kalman, linear = (rs.baselines.kalman_bucy(system, copies) for copies in (True, False))
 for estimator in (linear, kalman):
     smoother = estimator.discretize(1e-7)
     print(smoother.compiled, float(smoother.run([[1e5], [2e5]])[-1, 0]).hex())
