@@ -7,6 +7,7 @@ import math
 import re
 import threading
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robsmooth as rs
-from robsmooth.explorer import Explorer, Settings, explorer, panels
+from robsmooth.explorer import Explorer, Settings, explorer, panels, snapshot
 from robsmooth.explorer.explorer import JUDGING, verdict
 from robsmooth.explorer.snapshot import (
     DELAYS,
@@ -50,6 +51,15 @@ DESIGNED = {
     "paper's V": Settings(design="paper's V", cost="filtered"),
     "tuned": Settings(design="tuned", delay=2e-6, gamma=0.6),
 }
+
+
+@pytest.fixture(autouse=True, scope="module")
+def remembered():
+    """Designs and their errors are kept, as most tests look at the same few settings."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(snapshot, "_designed", cache(snapshot._designed.__wrapped__))
+        patch.setattr(snapshot, "_findings", cache(snapshot._findings))
+        yield
 
 
 def pixels(png):

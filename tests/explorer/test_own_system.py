@@ -152,8 +152,9 @@ def test_the_page_says_why_there_is_no_answer(field, typed):
 
 def test_a_model_of_the_delay_that_is_too_coarse_is_said_first():
     page = OwnSystem()
-    page.fields["order"].value = 1
-    page.fields["delay"].value = "5"
+    coarse = {"order": 1, "delay": "5", "uncertain": "A[0,0] 10%"}
+    for name, value in (TYPED | coarse).items():
+        page.fields[name].value = value
     page.compare()
     assert page.answer.value.startswith("<p>Take care: the smoothed error")
     assert "too coarse" in page.answer.value
