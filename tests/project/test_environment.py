@@ -96,14 +96,21 @@ def cluster(folder, *options, secure=()):
             yield worker[1]
 
 
-def test_the_commands_make_a_cluster_with_the_same_bits(tmp_path):
-    with cluster(tmp_path) as address, connect(address, timeout=PATIENCE) as client:
-        assert address.startswith("tcp://127.0.0.1:")
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """The address of a cluster without certificates."""
+    with cluster(tmp_path_factory.mktemp("plain")) as address:
+        yield address
+
+
+def test_the_commands_make_a_cluster_with_the_same_bits(plain):
+    with connect(plain, timeout=PATIENCE) as client:
+        assert plain.startswith("tcp://127.0.0.1:")
         assert few_paths(client).smoothed == few_paths().smoothed
 
 
-def test_the_commands_open_no_port_elsewhere(tmp_path):
-    with cluster(tmp_path) as address, connect(address, timeout=PATIENCE) as client:
+def test_the_commands_open_no_port_elsewhere(plain):
+    with connect(plain, timeout=PATIENCE) as client:
         wait_until(lambda: workers(client) == 2)
         found = [each for child in psutil.Process().children() for each in listening(child)]
     assert len(found) > 2 and {each.ip for each in found} == {"127.0.0.1"}
