@@ -7,9 +7,9 @@ from tests.interface.browser.faults import faults, in_each_font
 
 
 @pytest.fixture
-def report(browser, site_folder):
+def report(browser, request):
     """The folder of the report, made only where there is a browser to read it."""
-    return site_folder
+    return request.getfixturevalue("site_folder")  # as an argument it would come before the browser
 
 
 @pytest.fixture
