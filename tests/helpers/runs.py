@@ -1,7 +1,6 @@
 """Commands with the quick profile, and what is done once a session."""
 
 import fcntl
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -24,9 +23,9 @@ def quick(module: str, *command: str, build: Path) -> subprocess.CompletedProces
 def once(session: Path, name: str, make: Callable[[Path], None]) -> Path:
     """Give a folder that `make` has filled, called by the first worker to ask for it.
 
-    `session` is the worker's own temporary folder, which is in that of all workers.
+    `session` is the worker's own temporary folder, such as popen-gw0 in that of all workers.
     """
-    shared = session.parent if "PYTEST_XDIST_WORKER" in os.environ else session
+    shared = session.parent if session.name.startswith("popen-") else session
     folder, done = shared / name, shared / f"{name}.done"
     with open(shared / f"{name}.lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
