@@ -10,7 +10,8 @@ from robsmooth._support.validation import Matrix
 class SchurForm:
     """The form U T U' of A (n, n), where T is triangular but for 2 x 2 blocks.
 
-    The poles are in the order of T's diagonal: the stable ones first, where that is asked for.
+    The poles are in the order of T's diagonal. Where that is asked for, the `stable` many stable
+    ones are first. SciPy's wrappers of LAPACK take as long as LAPACK does for a small matrix.
     """
 
     def __init__(self, A: Matrix, stable_first: bool = False) -> None:
