@@ -242,7 +242,9 @@ def hold(sizes, model, y, state, readout, result):
     """
     n, measurements, outputs = len(sizes[0]), len(sizes[1]), len(sizes[2])
     x = np.zeros((2, n))  # now, and at the end of the sample
-    x[0] = state
+    # NumPy's assignment takes 2 s to compile, with the texts of its errors
+    for i in range(n):
+        x[0, i] = state[i]
     for k in range(len(y)):
         for i in range(n):
             x[1, i] = 0.0
@@ -259,8 +261,8 @@ def hold(sizes, model, y, state, readout, result):
             for j in range(n):
                 result[k, 0, i] += readout[i, j] * x[0, j]
     finite = np.isfinite(x[0]).all()
-    if finite:
-        state[:] = x[0]
+    for i in range(n):
+        state[i] = x[0, i] if finite else state[i]
     return finite
 
 
