@@ -8,6 +8,7 @@ import math
 import warnings
 from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -103,8 +104,9 @@ class ConstraintProblem:
         mean_square = float(np.trace(self.B.T @ P @ self.B))
         return Certificate(mean_square, allowed - used, self.free @ feedback, slopes)
 
+    @cached_property
     def initial_multipliers(self) -> np.ndarray:
-        """Return the best theta for a vanishing uncertainty, each constraint by itself."""
+        """The best theta for a vanishing uncertainty, each constraint by itself."""
         form = SchurForm(self.A)
         P = form.lyapunov(self.C.T @ self.C, transposed=True)
         covariance = form.lyapunov(self.B @ self.B.T)
@@ -172,7 +174,7 @@ def _largest_fraction(problem: ConstraintProblem, theta: Matrix) -> tuple[float,
     if not np.linalg.eigvals(problem.A).real.max() < 0.0:
         return 0.0, NONE
     fraction, step = 0.0, 1.0
-    theta = theta[problem.active] if theta.size and theta.all() else problem.initial_multipliers()
+    theta = theta[problem.active] if theta.size and theta.all() else problem.initial_multipliers
     while fraction < 1.0 and step > _SMALLEST_STEP:  # each theta is the start of the next
         trial = min(1.0, fraction + step)
         for feasible in np.multiply.outer(_MULTIPLES, theta):
@@ -200,7 +202,7 @@ def certify(problem: ConstraintProblem, start: Matrix = NONE) -> tuple[float, fl
     fraction, theta = _largest_fraction(problem, start)
     if fraction < 1.0:
         return math.inf, fraction, theta
-    before, floor = math.inf, _LEAST_SHARE * problem.initial_multipliers()
+    before, floor = math.inf, _LEAST_SHARE * problem.initial_multipliers
     for _ in range(_RESTARTS):  # while the search gains
         found, lifted = problem.at(theta), np.maximum(theta, floor)
         if found.mean_square > (1.0 - _LEAST_DECREASE) * before:

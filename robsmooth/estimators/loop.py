@@ -161,8 +161,9 @@ def open_loop(smoother: Estimator, output: str, loop: str) -> OpenLoop:
 
 def scaled(loop: OpenLoop) -> tuple[OpenLoop, Matrix]:
     """Return a loop in natural units, with the same errors and Delta, and the units of X."""
-    time = 1.0 / (rates(loop.A)[1] or 1.0)
-    if is_stable(np.linalg.eigvals(loop.A)):
+    poles = np.linalg.eigvals(loop.A)
+    time = 1.0 / (np.abs(poles).max(initial=0.0) or 1.0)
+    if is_stable(poles):
         x = deviations(covariances(loop.A, loop.B).stationary)
     else:
         x = natural_units(loop.A, loop.B)

@@ -123,10 +123,8 @@ def test_the_explorer_is_an_image_where_nobody_could_move_its_sliders(first_run)
 
 def test_results_are_byte_identical_when_regenerated_in_other_processes(first_run, tmp_path):
     """All in one process, without kernels, and with other hashes: sets have another order."""
-    environment = os.environ | {
-        **{"MPLBACKEND": "agg", "OPENBLAS_NUM_THREADS": "1", "TQDM_DISABLE": "1"},
-        **{"IPYTHONDIR": str(tmp_path / "ipython"), "PYTHONHASHSEED": "1"},
-    }
+    environment = os.environ | {"MPLBACKEND": "agg", "IPYTHONDIR": str(tmp_path / "ipython")}
+    environment |= {"OPENBLAS_NUM_THREADS": "1", "TQDM_DISABLE": "1", "PYTHONHASHSEED": "1"}
     again = tmp_path / "again"
     again.mkdir()
     command = [sys.executable, "-m", "tests.helpers.replay", again]
